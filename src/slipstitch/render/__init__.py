@@ -1,0 +1,1 @@
+"""Blender images of simulated cloth: one shading render, every texture composed from it."""
