@@ -1,0 +1,1 @@
+"""Known-answer checks of the simulator with the configured settings."""

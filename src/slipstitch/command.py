@@ -1,0 +1,148 @@
+"""The command line: ``slipstitch VERB ...``; each verb lives in ``slipstitch.<verb>.command``.
+
+A verb's module is imported only when that verb runs: ``slipstitch --help`` stays fast and works
+although bpy or torch may be missing. The summaries are read from the sources, not by importing.
+"""
+
+import argparse
+import ast
+import difflib
+import importlib
+import os
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from slipstitch import __version__
+from slipstitch.errors import BadInput, SlipstitchError
+
+# The order in which the verbs are shown; one that is not listed comes last, by name.
+ORDER = (
+    "doctor",
+    "calibrate",
+    "simulate",
+    "render",
+    "sample",
+    "train",
+    "evaluate",
+    "report",
+    "release",
+    "audit",
+    "capture",
+    "measure",
+    "criticise",
+    "predict",
+    "protocol",
+)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that answers bad usage with one line instead of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def verbs() -> list[str]:
+    """Names of the verbs that exist, in the order of the chain."""
+    found = {path.parent.name for path in Path(__file__).parent.glob("*/command.py")}
+    return sorted(found, key=lambda verb: (ORDER.index(verb) if verb in ORDER else 99, verb))
+
+
+def summary(verb: str) -> str:
+    """The verb's ``SUMMARY``, read from its source without importing it."""
+    source = (Path(__file__).parent / verb / "command.py").read_text(encoding="utf-8")
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.Assign) and any(
+            isinstance(target, ast.Name) and target.id == "SUMMARY" for target in node.targets
+        ):
+            return str(ast.literal_eval(node.value))
+    return ""
+
+
+def _overview() -> str:
+    known = verbs()
+    width = max(map(len, known), default=0)
+    lines = [f"  {verb:<{width}}  {summary(verb)}" for verb in known]
+    return "\n".join(
+        [
+            "usage: slipstitch VERB [options]",
+            "",
+            "Read the friction coefficient of cloth off video.",
+            "",
+            "verbs:",
+            *lines,
+            "",
+            "slipstitch VERB --help shows a verb's options and an example;",
+            "snakemake --cores 2 all runs the whole chain.",
+        ]
+    )
+
+
+def _parser(verb: str, module) -> argparse.ArgumentParser:
+    example = getattr(module, "EXAMPLE", "")
+    parser = _Parser(
+        prog=f"slipstitch {verb}",
+        description=getattr(module, "SUMMARY", ""),
+        epilog=f"example:\n  {example}" if example else None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.configure(parser)
+    return parser
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one verb.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The words after ``slipstitch``; those of the process by default.
+
+    Returns
+    -------
+    int
+        0 success, 2 bad input, 1 anything else. Exceptions that are not the user's doing are
+        raised: their traceback is the report of a fault in the program.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview(), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"slipstitch {__version__}")
+        return 0
+    verb = words[0]
+    if verb not in verbs():
+        close = difflib.get_close_matches(verb, verbs(), n=1)
+        hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(verbs())}"
+        print(f"slipstitch: error: there is no verb {verb!r}; {hint}", file=sys.stderr)
+        return 2
+    try:
+        module = importlib.import_module(f"slipstitch.{verb}.command")
+        parsed = _parser(verb, module).parse_args(words[1:])
+        status = module.run(parsed)
+        sys.stdout.flush()
+        return int(status or 0)
+    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except BadInput as error:
+        print(f"slipstitch {verb}: error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    except SlipstitchError as error:
+        print(f"slipstitch {verb}: failed: {_one_line(error)}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # `slipstitch ... | head`: not an error, and nothing left to flush to
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print(f"slipstitch {verb}: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

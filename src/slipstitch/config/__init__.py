@@ -1,0 +1,16 @@
+"""The typed configuration: what is simulated, rendered, learnt, at which scale.
+
+Stages get their section; ids and seeds come from `slipstitch.config.grid`.
+"""
+
+from slipstitch.config.load import load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.model import Config, GridSettings
+
+__all__ = [
+    "Config",
+    "GridSettings",
+    "load_config",
+    "read_mapping",
+    "resolve_config",
+    "write_config",
+]

@@ -1,0 +1,157 @@
+"""Ids and seeds of the grid: what m05_f01_r00_t02_v01 means, kept in ``results/grid.parquet``."""
+
+import argparse
+import hashlib
+import math
+import os
+import sys
+from dataclasses import asdict, dataclass
+
+from slipstitch.config.load import load_config
+from slipstitch.config.model import Config
+from slipstitch.errors import BadInput
+from slipstitch.material import fabric_names
+from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
+from slipstitch.render.catalogue import VIEWPOINTS
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """One simulation of the grid."""
+
+    id: str
+    material_id: str
+    friction_id: str
+    replicate_id: str
+    material: str
+    friction: float
+    seed: int
+
+
+def material_id(name: str) -> str:
+    """Position in the catalogue of ten: ids stay the same whichever fabrics a grid holds."""
+    return f"m{fabric_names().index(name):02d}"
+
+
+def simulation_seed(seed: int, material: str, friction: float, replicate: int) -> int:
+    """Seed of one simulation, in [0, 2^31).
+
+    A hash of what the simulation is, not of where it stands in the grid: adding a material or a
+    friction coefficient leaves the other simulations as they are.
+    """
+    text = f"{seed}|{material}|{friction!r}|{replicate}"
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") & 0x7FFFFFFF
+
+
+def simulations(config: Config) -> list[Simulation]:
+    """The simulations of the grid, material by material, friction by friction."""
+    return [
+        Simulation(
+            id=f"{material_id(material)}_f{f:02d}_r{r:02d}",
+            material_id=material_id(material),
+            friction_id=f"f{f:02d}",
+            replicate_id=f"r{r:02d}",
+            material=material,
+            friction=friction,
+            seed=simulation_seed(config.seed, material, friction, r),
+        )
+        for material in config.grid.materials
+        for f, friction in enumerate(config.grid.frictions)
+        for r in range(config.grid.replicates)
+    ]
+
+
+def find_simulation(config: Config, name: str) -> Simulation:
+    """The simulation with id `name`; BadInput if the grid does not have it."""
+    grid = simulations(config)
+    for simulation in grid:
+        if simulation.id == name:
+            return simulation
+    raise BadInput(
+        f"the grid has no simulation {name!r}: its {len(grid)} ids are like {grid[0].id}"
+    )
+
+
+def textures(config: Config) -> list[dict[str, str]]:
+    """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
+    return _roles("t", config.render.textures, config.render.test_textures)
+
+
+def viewpoints(config: Config) -> list[dict[str, str]]:
+    """Viewpoints as ``{id, name, role}``: those of training, then those of testing."""
+    return _roles("v", config.render.viewpoints, config.render.test_viewpoints)
+
+
+def _roles(letter: str, train, test) -> list[dict[str, str]]:
+    named = [(name, "train") for name in train] + [(name, "test") for name in test]
+    return [
+        {"id": f"{letter}{position:02d}", "name": name, "role": role}
+        for position, (name, role) in enumerate(named)
+    ]
+
+
+def grid_rows(config: Config) -> list[dict]:
+    """Rows of ``grid.parquet``.
+
+    Returns
+    -------
+    list of dict
+        Keys ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
+        ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate
+        number; NaN if none), ``role`` (train or test), and for simulations ``material_id,
+        friction_id, replicate_id, material, friction, seed`` (else None).
+    """
+    rows = [
+        {"kind": "material", "id": material_id(name), "name": name}
+        for name in config.grid.materials
+    ]
+    rows += [
+        {"kind": "friction", "id": f"f{i:02d}", "name": f"{friction:g}", "value": friction}
+        for i, friction in enumerate(config.grid.frictions)
+    ]
+    rows += [
+        {"kind": "replicate", "id": f"r{i:02d}", "name": f"replicate {i}", "value": float(i)}
+        for i in range(config.grid.replicates)
+    ]
+    rows += [{"kind": "texture", **texture} for texture in textures(config)]
+    rows += [
+        {"kind": "viewpoint", **view, "value": VIEWPOINTS[view["name"]].azimuth_deg}
+        for view in viewpoints(config)
+    ]
+    rows += [
+        {"kind": "simulation", "name": one.id, "value": one.friction, **asdict(one)}
+        for one in simulations(config)
+    ]
+    return [{"role": "train", "value": math.nan, **row} for row in rows]
+
+
+def grid_table(config: Config):
+    """`grid_rows` as a pyarrow table."""
+    import pyarrow as pa
+
+    text = ("kind", "id", "name", "role", "material_id", "friction_id", "replicate_id", "material")
+    schema = pa.schema(
+        [(name, pa.string()) for name in text]
+        + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]
+    )
+    return pa.Table.from_pylist(grid_rows(config), schema=schema)
+
+
+def write_grid(config: Config, path: str | os.PathLike) -> None:
+    """Write ``grid.parquet``."""
+    started = start_clock()
+    table = grid_table(config)
+    keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
+    record = provenance_record("config", config=keys, seed=config.seed, started=started)
+    write_parquet(table, path, record=record)
+
+
+if __name__ == "__main__":  # as the workflow calls it
+    parser = argparse.ArgumentParser(description="Write the table of ids and seeds.")
+    parser.add_argument("--config", required=True)
+    parser.add_argument("--out", required=True)
+    chosen = parser.parse_args()
+    try:
+        write_grid(load_config(chosen.config), chosen.out)
+    except BadInput as problem:
+        sys.exit(f"slipstitch.config.grid: error: {problem}")

@@ -1,0 +1,225 @@
+"""Reading configurations: files merged key by key, checked, one clear line for what is wrong."""
+
+import difflib
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from slipstitch.config.model import Config
+from slipstitch.errors import BadInput
+from slipstitch.provenance.files import atomic_path
+
+# YAML 1.1 reads 1e-3 as a string, because it wants a point in the mantissa and a sign; here it is
+# the number that everybody means.
+_SCIENTIFIC = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
+
+
+def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
+    """The content of a YAML or JSON file as a mapping.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, is no YAML, or holds no mapping.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise BadInput(f"{path}: cannot be read: {reason}") from None
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}:" if mark else ""
+        raise BadInput(f"{path}:{where} not YAML: {getattr(error, 'problem', error)}") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: holds {_kind(content)}, a mapping of keys is needed")
+    return content
+
+
+def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the keys of `over`; mappings are merged, lists are replaced as a whole."""
+    merged = dict(base)
+    for key, value in over.items():
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            value = _merge(dict(merged[key]), value)
+        merged[key] = value
+    return merged
+
+
+def _numbers(value: Any) -> Any:
+    """`value` with scientific notation that YAML took for a string read as a number."""
+    if isinstance(value, Mapping):
+        return {key: _numbers(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_numbers(item) for item in value]
+    if isinstance(value, str) and _SCIENTIFIC.fullmatch(value):
+        return float(value)
+    return value
+
+
+def _not_finite(value: Any, location: tuple) -> tuple | None:
+    if isinstance(value, Mapping):
+        pairs = value.items()
+    elif isinstance(value, list):
+        pairs = enumerate(value)
+    else:
+        return location if isinstance(value, float) and not math.isfinite(value) else None
+    return next((bad for key, item in pairs if (bad := _not_finite(item, (*location, key)))), None)
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list | tuple):
+        return "a list"
+    return repr(value)
+
+
+def _model_at(location: tuple) -> type[BaseModel] | None:
+    """The section of the configuration that holds the key `location`."""
+    model: Any = Config
+    for key in location[:-1]:
+        field = getattr(model, "model_fields", {}).get(key)
+        model = field.annotation if field else None
+    return model if isinstance(model, type) and issubclass(model, BaseModel) else None
+
+
+def _holds(mapping: Any, location: tuple) -> bool:
+    for key in location:
+        if isinstance(mapping, Mapping) and key in mapping:
+            mapping = mapping[key]
+        elif isinstance(mapping, list) and isinstance(key, int) and key < len(mapping):
+            mapping = mapping[key]
+        else:
+            return False
+    return True
+
+
+_MESSAGES = {
+    "bool_type": "must be true or false",
+    "dict_type": "must be a mapping of keys",
+    "float_type": "must be a number",
+    "greater_than": "must be greater than {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "int_from_float": "must be a whole number",
+    "int_type": "must be a whole number",
+    "less_than": "must be less than {lt:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "list_type": "must be a list",
+    "literal_error": "must be {expected}",
+    "missing": "is missing",
+    "model_type": "must be a mapping of keys",
+    "string_type": "must be a string",
+    "too_long": "holds {actual_length} entries, at most {max_length} are allowed",
+    "too_short": "must not have fewer entries than {min_length}",
+    "tuple_type": "must be a list",
+}
+
+
+def _line(error: dict[str, Any]) -> str:
+    """One problem in words: key, what is allowed, what it is."""
+    location = error["loc"]
+    name = ".".join(map(str, location)) or "configuration"
+    if error["type"] == "extra_forbidden":
+        model = _model_at(location)
+        known = list(model.model_fields) if model else []
+        close = difflib.get_close_matches(str(location[-1]), known, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
+        return f"{name}: unknown key; {hint}"
+    if error["type"] in ("value_error", "assertion_error"):
+        return f"{name}: {error['ctx']['error']}"
+    template = _MESSAGES.get(error["type"])
+    message = template.format(**error.get("ctx", {})) if template else error["msg"]
+    if error["type"] in ("missing", "too_short", "too_long"):
+        return f"{name}: {message}"
+    return f"{name}: {message}, not {_kind(error['input'])}"
+
+
+def resolve_config(*mappings: Mapping[str, Any], sources: tuple[str, ...] = ()) -> Config:
+    """The configuration that mappings make, later ones overriding earlier ones key by key.
+
+    Parameters
+    ----------
+    *mappings
+        As read from YAML or JSON; keys that none holds have their default.
+    sources : tuple of str
+        Names of the mappings, to say in an error where a key stands.
+
+    Raises
+    ------
+    BadInput
+        In one line, for every problem: the source, the key, what is allowed and what it is.
+    """
+    plain = [_numbers(mapping) for mapping in mappings]
+    merged: dict[str, Any] = {}
+    for mapping in plain:
+        merged = _merge(merged, mapping)
+
+    def source(location: tuple) -> str:
+        for mapping, name in zip(reversed(plain), reversed(sources), strict=False):
+            if _holds(mapping, location):
+                return f"{name}: "
+        return ""
+
+    bad = _not_finite(merged, ())
+    if bad is not None:
+        raise BadInput(f"{source(bad)}{'.'.join(map(str, bad))}: must be a finite number")
+    try:
+        # JSON, strictly: lists are lists, and neither "3" nor true is a number.
+        return Config.model_validate_json(json.dumps(merged), strict=True)
+    except ValidationError as error:
+        problems = error.errors()
+        # A list with a bad entry is also reported as too short: the entry is the thing to say.
+        inner = {problem["loc"][:-1] for problem in problems}
+        lines = [
+            f"{source(problem['loc'])}{_line(problem)}"
+            for problem in problems
+            if problem["loc"] not in inner
+        ]
+        raise BadInput("; ".join(dict.fromkeys(lines))) from None
+    except TypeError as error:
+        raise BadInput(f"configuration: {error}") from None
+
+
+def load_config(*paths: str | os.PathLike) -> Config:
+    """The configuration in YAML or JSON files, later ones overriding earlier ones key by key.
+
+    Raises
+    ------
+    BadInput
+        As `read_mapping` and `resolve_config`.
+    """
+    mappings = [read_mapping(path) for path in paths]
+    return resolve_config(*mappings, sources=tuple(os.fspath(path) for path in paths))
+
+
+def write_config(config: Config, path: str | os.PathLike) -> bool:
+    """Write the whole configuration as JSON; touch the file only if its content changes.
+
+    Returns
+    -------
+    bool
+        Whether the file was written.
+    """
+    text = json.dumps(config.model_dump(mode="json"), indent=1) + "\n"
+    target = Path(path)
+    if target.is_file() and target.read_text(encoding="utf-8") == text:
+        return False
+    with atomic_path(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return True

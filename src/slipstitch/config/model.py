@@ -1,0 +1,70 @@
+"""The configuration as a type; each stage's section is defined in ``<stage>/settings.py``."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from slipstitch.calibrate.settings import CalibrateSettings
+from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.material import fabric_names
+from slipstitch.render.settings import RenderSettings
+from slipstitch.sample.settings import SampleSettings
+from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.train.settings import TrainSettings
+
+Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
+
+
+class GridSettings(BaseModel):
+    """The simulations: every material with every friction coefficient, some times over."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    materials: tuple[str, ...] = Field(
+        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"),
+        min_length=1,
+        description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
+    )
+    frictions: tuple[Friction, ...] = Field(
+        (0.1, 0.3, 0.6, 1.0),
+        min_length=1,
+        max_length=100,
+        description="friction coefficients, increasing; ids f00.. are positions in this list",
+    )
+    replicates: int = Field(
+        2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
+    )
+
+    @field_validator("materials")
+    @classmethod
+    def _in_the_catalogue(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in fabric_names():
+                raise ValueError(f"no material {name!r}; there are: {', '.join(fabric_names())}")
+        if len(set(names)) != len(names):
+            raise ValueError(f"a material is named twice: {', '.join(names)}")
+        return names
+
+    @field_validator("frictions")
+    @classmethod
+    def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
+        if any(after <= before for before, after in zip(frictions, frictions[1:], strict=False)):
+            raise ValueError("friction coefficients must increase along the list")
+        return frictions
+
+
+class Config(BaseModel):
+    """The whole configuration, every key with its value."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    seed: int = Field(
+        1, ge=0, lt=2**31, description="every random number of the chain derives from it"
+    )
+    grid: GridSettings = Field(default_factory=GridSettings)
+    simulation: SimulationSettings = Field(default_factory=SimulationSettings)
+    calibrate: CalibrateSettings = Field(default_factory=CalibrateSettings)
+    render: RenderSettings = Field(default_factory=RenderSettings)
+    sample: SampleSettings = Field(default_factory=SampleSettings)
+    train: TrainSettings = Field(default_factory=TrainSettings)
+    evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)

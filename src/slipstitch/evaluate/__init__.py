@@ -1,0 +1,1 @@
+"""Tables and predictions of the trained networks."""

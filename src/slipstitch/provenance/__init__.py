@@ -1,0 +1,29 @@
+"""Where an artefact comes from: atomic writes, code digests, records beside or inside files."""
+
+from slipstitch.provenance.code import code_digest, code_sources
+from slipstitch.provenance.files import atomic_path, file_digest
+from slipstitch.provenance.record import (
+    attach_metadata,
+    provenance_record,
+    read_metadata,
+    read_provenance,
+    read_sidecar,
+    start_clock,
+    write_parquet,
+    write_sidecar,
+)
+
+__all__ = [
+    "atomic_path",
+    "attach_metadata",
+    "code_digest",
+    "code_sources",
+    "file_digest",
+    "provenance_record",
+    "read_metadata",
+    "read_provenance",
+    "read_sidecar",
+    "start_clock",
+    "write_parquet",
+    "write_sidecar",
+]

@@ -1,0 +1,256 @@
+"""The record that goes with every artefact: what made it, from what, with what, at what cost."""
+
+import functools
+import importlib.metadata
+import json
+import os
+import platform
+import resource
+import subprocess
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from slipstitch import __version__
+from slipstitch.provenance.code import code_digest
+from slipstitch.provenance.files import atomic_path, file_digest
+
+METADATA_KEY = b"slipstitch"
+SIDECAR_SUFFIX = ".provenance.json"
+RECORDED_PACKAGES = (
+    "bpy",
+    "cvxopt",
+    "numpy",
+    "opencv-python-headless",
+    "pandas",
+    "pyarrow",
+    "pydantic",
+    "safetensors",
+    "scipy",
+    "snakemake",
+    "torch",
+    "warp-lang",
+)
+
+
+def _cpu_s() -> float:
+    """CPU seconds of this process and of its children that have ended."""
+    usages = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+
+
+def start_clock() -> tuple[float, float]:
+    """Now, as (wall seconds, CPU seconds): keep it and hand it to `provenance_record`."""
+    return time.perf_counter(), _cpu_s()
+
+
+_PROCESS_START = (time.perf_counter(), 0.0)
+
+
+@functools.cache
+def _git() -> tuple[str | None, bool | None]:
+    """Commit of the checkout that the running sources lie in, and whether they differ from it."""
+    root = Path(__file__).resolve().parents[3]
+
+    def ask(*words: str) -> str | None:
+        try:
+            answer = subprocess.run(
+                ["git", "-C", str(root), *words], capture_output=True, text=True, timeout=20
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return answer.stdout.strip() if answer.returncode == 0 else None
+
+    top = ask("rev-parse", "--show-toplevel")
+    if top is None or Path(top).resolve() != root:  # installed inside somebody else's checkout
+        return None, None
+    changes = ask("status", "--porcelain", "--untracked-files=normal", "--", "src", "rules")
+    return ask("rev-parse", "HEAD"), None if changes is None else bool(changes)
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Versions of Python, Slipstitch and the packages a result may depend on, if installed."""
+    found = {"python": platform.python_version(), "slipstitch": __version__}
+    for package in RECORDED_PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@functools.cache
+def host_kind() -> str:
+    """What sort of machine this is (never which one): system, processor, number of CPUs."""
+    model = platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as stream:
+            for line in stream:
+                if line.startswith("model name"):
+                    model = line.split(":", 1)[1].strip()
+                    break
+    except OSError:
+        pass
+    return f"{platform.system()} {platform.machine()}, {model}, {os.cpu_count()} CPUs"
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON can hold it; pydantic models become mappings, paths strings."""
+    if hasattr(value, "model_dump"):
+        return value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):  # NumPy arrays and scalars
+        return value.tolist()
+    return value
+
+
+def _shown(path: str | os.PathLike) -> str:
+    """The path as a record shows it: relative to the working folder, never a machine's layout."""
+    relative = os.path.relpath(path)
+    return Path(path).name if relative.startswith("..") else Path(relative).as_posix()
+
+
+def provenance_record(
+    stage: str,
+    *,
+    inputs: Iterable[str | os.PathLike] = (),
+    config: Any = None,
+    seed: int | None = None,
+    started: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """What made an artefact.
+
+    Parameters
+    ----------
+    stage : str
+        Package of the stage below ``slipstitch``; gives the code digest.
+    inputs : iterable of paths
+        Files that were read.
+    config : mapping or pydantic model
+        The configuration keys that were used.
+    seed : int, optional
+        Seed of the random numbers.
+    started : tuple, optional
+        What `start_clock` returned when the work began; by default the times count from the start
+        of the process (CPU) and from the import of this module (wall).
+
+    Returns
+    -------
+    dict
+        Keys ``stage, inputs, config, code_digest, git_commit, git_dirty, versions, seed,
+        host_kind, wall_s, cpu_s``; ``inputs`` maps each path to its SHA-256; CPU seconds include
+        ended child processes. Holds only what JSON can hold.
+    """
+    wall_then, cpu_then = started or _PROCESS_START
+    commit, dirty = _git()
+    return {
+        "stage": stage,
+        "inputs": {_shown(path): file_digest(path) for path in sorted(map(os.fspath, inputs))},
+        "config": _plain(config) if config is not None else {},
+        "code_digest": code_digest(stage),
+        "git_commit": commit,
+        "git_dirty": dirty,
+        "versions": dict(versions()),
+        "seed": seed,
+        "host_kind": host_kind(),
+        "wall_s": round(time.perf_counter() - wall_then, 4),
+        "cpu_s": round(_cpu_s() - cpu_then, 4),
+    }
+
+
+def _sidecar(path: str | os.PathLike) -> Path:
+    return Path(os.fspath(path) + SIDECAR_SUFFIX)
+
+
+def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> Path:
+    """Write `record` beside the file `path`, as ``<path>.provenance.json``; return where."""
+    side = _sidecar(path)
+    with atomic_path(side) as temporary:
+        temporary.write_text(
+            json.dumps(_plain(record), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
+    return side
+
+
+def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
+    """The record beside the file `path`; FileNotFoundError if it has none."""
+    return json.loads(_sidecar(path).read_text(encoding="utf-8"))
+
+
+def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any] | None = None):
+    """A pyarrow table or schema with `metadata` merged into its JSON under key ``slipstitch``.
+
+    Parameters
+    ----------
+    table : pyarrow.Table or pyarrow.Schema
+        What to attach to; other metadata keys stay.
+    metadata : mapping
+        Entries of the JSON object; they win over entries that are already there.
+    record : mapping, optional
+        Provenance, put under the entry ``provenance``.
+
+    Returns
+    -------
+    pyarrow.Table or pyarrow.Schema
+        As `table`, sharing its data.
+    """
+    schema = getattr(table, "schema", table)
+    keys = dict(schema.metadata or {})
+    merged = json.loads(keys.get(METADATA_KEY, b"{}")) | _plain(metadata)
+    if record is not None:
+        merged["provenance"] = _plain(record)
+    keys[METADATA_KEY] = json.dumps(merged, allow_nan=False).encode()
+    replace = getattr(table, "replace_schema_metadata", None) or table.with_metadata
+    return replace(keys)
+
+
+def write_parquet(
+    table,
+    path: str | os.PathLike,
+    metadata: Mapping[str, Any] | None = None,
+    record: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> None:
+    """Write a pyarrow table atomically, with metadata and provenance inside its schema.
+
+    `options` go to ``pyarrow.parquet.write_table`` (compression zstd unless said otherwise).
+    """
+    import pyarrow.parquet
+
+    whole = attach_metadata(table, metadata or {}, record)
+    with atomic_path(path) as temporary:
+        pyarrow.parquet.write_table(whole, temporary, **{"compression": "zstd", **options})
+
+
+def read_metadata(source) -> dict[str, Any]:
+    """The JSON object under key ``slipstitch`` of a Parquet file, pyarrow table or schema.
+
+    An empty mapping if there is none.
+    """
+    if isinstance(source, str | os.PathLike):
+        import pyarrow.parquet
+
+        schema = pyarrow.parquet.read_schema(source)
+    else:
+        schema = getattr(source, "schema", source)
+    return json.loads((schema.metadata or {}).get(METADATA_KEY, b"{}"))
+
+
+def read_provenance(path: str | os.PathLike) -> dict[str, Any]:
+    """The record of any artefact: inside a Parquet file, else beside the file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the file has no record.
+    """
+    if Path(path).suffix == ".parquet" and "provenance" in (inside := read_metadata(path)):
+        return inside["provenance"]
+    return read_sidecar(path)

@@ -1,0 +1,1 @@
+"""Frames at regular intervals, splits and the manifest: the dataset."""
