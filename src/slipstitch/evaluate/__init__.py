@@ -1,1 +1,1 @@
-"""Tables and predictions of the trained networks."""
+"""Evaluate: what the trained networks are worth on videos they have not seen."""

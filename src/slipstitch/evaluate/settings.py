@@ -1,9 +1,21 @@
 """Settings of the evaluate stage. Pydantic and the standard library only."""
 
-from pydantic import BaseModel, ConfigDict
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class EvaluateSettings(BaseModel):
-    """What the networks are evaluated on."""
+    """What the tables count."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    viewpoints: Literal["training", "calibrated"] = Field(
+        "training",
+        description="test videos counted in by_video, by_simulation and unseen_texture: of all "
+        "viewpoints trained on, or of the calibrated one only",
+    )
+    friction_step: float = Field(
+        0.1, gt=0.0, description="grid step of mu: errors are counted in such steps, rounded"
+    )
+    batch_size: int = Field(8, ge=1, description="videos in a batch")

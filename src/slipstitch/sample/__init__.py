@@ -1,1 +1,1 @@
-"""Frames at regular intervals, splits and the manifest: the dataset."""
+"""Sample: from rendered images to the dataset, its labels and its splits."""

@@ -1,11 +1,30 @@
 """Settings of the sample stage. Pydantic and the standard library only."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class SampleSettings(BaseModel):
-    """Which frames of a video the networks see."""
+    """How many frames of a video the networks see, and which videos test them."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    frames: int = Field(30, ge=1)
+    frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
+    validation_fraction: float = Field(
+        0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
+    )
+    test_fraction: float = Field(
+        0.1, gt=0.0, lt=1.0, description="share of the videos (or replicates) for testing"
+    )
+    hold_out: Literal["auto", "replicate", "pair"] = Field(
+        "auto",
+        description="what by_simulation keeps from training: the last replicates of every "
+        "(material, friction) pair, or whole pairs; auto: replicates where there are at least two",
+    )
+
+    @model_validator(mode="after")
+    def _something_is_left_to_train_on(self) -> "SampleSettings":
+        if self.validation_fraction + self.test_fraction >= 1.0:
+            raise ValueError("validation_fraction + test_fraction must be below 1")
+        return self

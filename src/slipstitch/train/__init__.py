@@ -1,1 +1,1 @@
-"""Training of the material and friction networks."""
+"""Train: the networks that read material and friction off the sampled frames."""
