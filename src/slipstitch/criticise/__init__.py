@@ -1,0 +1,1 @@
+"""Measured data in, verdict on the model out."""

@@ -1,0 +1,111 @@
+"""(d) Drop-and-drag: trailing edge and contact length of a planar heavy elastic cloth."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from slipstitch.friction_law import Contact, FrictionLaw
+
+
+@cache
+def _table():
+    data = json.loads((Path(__file__).parent / "lifted_cloth_table.json").read_text())
+    roots, tensions = np.array(data["stiffness_root"]), np.array(data["tension_root"])
+    splines = [
+        RectBivariateSpline(roots, tensions, np.array(data[key]))
+        for key in ("length", "extent", "point_load")
+    ]
+    return splines, roots[-1], tensions[-1]
+
+
+def lifted_part(
+    stiffness: np.ndarray, tension: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Length, horizontal extent (in h) and touchdown point load (in w h) of the lifted cloth.
+
+    Parameters
+    ----------
+    stiffness : B / (w h^3), w the areal weight, h the height of the clamp.
+    tension : horizontal tension H / (w h).
+    """
+    splines, largest_root, largest_tension = _table()
+    root = np.clip(np.cbrt(stiffness), 0.0, largest_root)
+    pull = np.clip(np.sqrt(np.maximum(tension, 0.0)), 0.0, largest_tension)
+    return tuple(spline.ev(root, pull) for spline in splines)
+
+
+def sliding_state(
+    law: FrictionLaw,
+    areal_weight_N_m2: np.ndarray,
+    bending_Nm: np.ndarray,
+    cloth_length_m: np.ndarray,
+    height_m: np.ndarray,
+    contact: Contact,
+    static: bool,
+    tilt_downhill_rad: np.ndarray | float = 0.0,
+    iterations: int = 25,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Clamp-to-edge distance X and contact length c when the tension equals the friction.
+
+    Per unit width: H = F(N = w c + R0, A = c) - N sin(tilt).
+
+    Returns
+    -------
+    distance_m, contact_m : (n,) and (n,).
+    """
+    w, h = np.asarray(areal_weight_N_m2, float), np.asarray(height_m, float)
+    stiffness = bending_Nm / (w * h**3)
+    length = cloth_length_m / h
+    tension = law.coefficient * np.maximum(length - 1.0, 0.0)
+    for _ in range(iterations):
+        lifted, extent, point = lifted_part(stiffness, tension)
+        flat = np.maximum(length - lifted, 1e-3)
+        normal = (flat + point) * w * h
+        touching = contact.with_load(normal, flat * h)
+        limit = law.force_limit_N(touching, static) - normal * np.sin(tilt_downhill_rad)
+        excess = tension - limit / (w * h)
+        # Newton with the flexible cloth's slope: more tension lifts cloth, which lowers friction.
+        slope = 1.0 + limit / np.maximum(normal, 1e-12) / np.sqrt(1.0 + 2.0 * tension)
+        tension = np.maximum(tension - excess / slope, 0.0)
+        if np.max(np.abs(excess), initial=0.0) < 1e-9:
+            break
+    lifted, extent, _ = lifted_part(stiffness, tension)
+    flat = np.maximum(length - lifted, 1e-3)
+    return (extent + flat) * h, flat * h
+
+
+def rest_state(
+    areal_weight_N_m2: np.ndarray,
+    bending_Nm: np.ndarray,
+    cloth_length_m: np.ndarray,
+    height_m: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Clamp-to-edge distance and contact length before the drag, at no tension."""
+    h = np.asarray(height_m, float)
+    stiffness = bending_Nm / (areal_weight_N_m2 * h**3)
+    lifted, extent, _ = lifted_part(stiffness, np.zeros_like(h))
+    flat = np.maximum(cloth_length_m / h - lifted, 1e-3)
+    return (extent + flat) * h, flat * h
+
+
+def sticking_contact_m(
+    areal_weight_N_m2: float,
+    bending_Nm: float,
+    cloth_length_m: float,
+    height_m: float,
+    advance_m: np.ndarray,
+    points: int = 40,
+) -> np.ndarray:
+    """Contact length of a cloth whose edge sticks while the clamp advances by ``advance_m``."""
+    tension = np.linspace(0.0, _table()[2], points) ** 2
+    stiffness = np.full(points, bending_Nm / (areal_weight_N_m2 * height_m**3))
+    lifted, extent, _ = lifted_part(stiffness, tension)
+    flat = cloth_length_m / height_m - lifted
+    distance = extent + flat
+    contact = np.interp(np.asarray(advance_m) / height_m, distance - distance[0], flat)
+    return contact * height_m

@@ -1,0 +1,18 @@
+"""The friction law as an object, shared by the simulator, the protocols and the fits.
+
+Depends on numpy alone. A further mechanism is one file like ``ageing.py`` and one line in
+``law.CONTACT_MECHANISMS``.
+"""
+
+from slipstitch.friction_law.contact import Contact
+from slipstitch.friction_law.law import CONTACT_MECHANISMS, FrictionLaw
+from slipstitch.friction_law.mechanism import ContactMechanism, Mechanism, Parameter
+
+__all__ = [
+    "CONTACT_MECHANISMS",
+    "Contact",
+    "ContactMechanism",
+    "FrictionLaw",
+    "Mechanism",
+    "Parameter",
+]

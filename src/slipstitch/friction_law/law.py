@@ -1,0 +1,103 @@
+"""The friction law as an object: plain Coulomb friction and whatever mechanisms extend it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import (
+    adhesion,
+    ageing,
+    anisotropy,
+    humidity,
+    load_power,
+    nap,
+    rate,
+    static_kinetic,
+    wear,
+)
+from slipstitch.friction_law.contact import Contact
+from slipstitch.friction_law.mechanism import ContactMechanism
+
+CONTACT_MECHANISMS: Mapping[str, ContactMechanism] = MappingProxyType(
+    {
+        module.MECHANISM.identifier: module.MECHANISM
+        for module in (
+            load_power,
+            adhesion,
+            static_kinetic,
+            ageing,
+            rate,
+            anisotropy,
+            nap,
+            wear,
+            humidity,
+        )
+    }
+)
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """Largest friction force of a contact.
+
+    ``F = N mu (product of factors) + (sum of added forces)``; with no mechanism, Coulomb's law.
+
+    Parameters
+    ----------
+    coefficient
+        Friction coefficient mu of the null law.
+    mechanisms
+        Mechanism identifier -> its parameter values by name.
+
+    Raises
+    ------
+    BadInput
+        If a mechanism or one of its parameters is unknown or missing.
+    """
+
+    coefficient: float
+    mechanisms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for identifier, values in self.mechanisms.items():
+            if identifier not in CONTACT_MECHANISMS:
+                known = " ".join(CONTACT_MECHANISMS)
+                raise BadInput(f"friction law: unknown mechanism '{identifier}'; known: {known}")
+            names = {p.name for p in CONTACT_MECHANISMS[identifier].parameters}
+            if set(values) != names:
+                raise BadInput(
+                    f"friction law: mechanism '{identifier}' needs exactly the parameters "
+                    f"{', '.join(sorted(names))}; given: {', '.join(sorted(values)) or 'none'}"
+                )
+
+    def force_limit_N(self, contact: Contact, static: bool) -> np.ndarray:
+        """Friction force at which the contact slips (static) or with which it slides (kinetic).
+
+        Returns
+        -------
+        numpy.ndarray
+            In newtons (or newtons per metre, if the loads are per width), shape of the contact's
+            fields broadcast together; never negative.
+        """
+        force = self.coefficient * np.asarray(contact.normal_force_N, dtype=float)
+        added = 0.0
+        for identifier, values in self.mechanisms.items():
+            mechanism = CONTACT_MECHANISMS[identifier]
+            force = force * mechanism.factor(values, contact, static)
+            added = added + mechanism.added_force_N(values, contact, static)
+        return np.maximum(force + added, 0.0)
+
+    def to_dict(self) -> dict:
+        """Plain data from which :meth:`from_dict` makes the same law."""
+        mechanisms = {name: dict(values) for name, values in self.mechanisms.items()}
+        return {"coefficient": self.coefficient, "mechanisms": mechanisms}
+
+    @classmethod
+    def from_dict(cls, data: Mapping) -> FrictionLaw:
+        """The law that ``to_dict`` wrote."""
+        return cls(float(data["coefficient"]), dict(data.get("mechanisms", {})))
