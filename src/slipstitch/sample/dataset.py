@@ -1,0 +1,281 @@
+"""Writing the dataset: the frames of every simulation's videos and the manifest of all videos."""
+
+import hashlib
+import json
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from tqdm import tqdm
+
+from slipstitch.config import Config
+from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.errors import BadInput
+from slipstitch.provenance import provenance_record, start_clock, write_parquet
+from slipstitch.render.catalogue import VIEWPOINTS
+from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.shards import decode, read_shard, simulations_of
+from slipstitch.sample.splits import (
+    check_no_simulation_on_both_sides,
+    split_by_simulation,
+    split_by_video,
+)
+
+MANIFEST = "manifest.parquet"
+
+IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+FRAMES_SCHEMA = pa.schema(
+    [
+        ("video", pa.string()),
+        ("simulation", pa.string()),
+        ("texture", pa.string()),
+        ("viewpoint", pa.string()),
+        ("material", pa.string()),
+        ("friction", pa.float64()),
+        ("position", pa.int32()),
+        ("frame", pa.int32()),
+        ("time_s", pa.float64()),
+        ("stage_x_m", pa.float64()),
+        ("image", IMAGE),
+    ]
+)
+MANIFEST_SCHEMA = pa.schema(
+    [
+        ("video", pa.string()),
+        ("simulation", pa.string()),
+        ("material_id", pa.string()),
+        ("friction_id", pa.string()),
+        ("replicate_id", pa.string()),
+        ("texture_id", pa.string()),
+        ("viewpoint_id", pa.string()),
+        ("material", pa.string()),
+        ("friction", pa.float64()),
+        ("texture", pa.string()),
+        ("viewpoint", pa.string()),
+        ("texture_role", pa.string()),
+        ("viewpoint_role", pa.string()),
+        ("viewpoint_turn_deg", pa.float64()),
+        ("split_by_video", pa.string()),
+        ("split_by_simulation", pa.string()),
+        ("frames", pa.int32()),
+        ("pixels", pa.int32()),
+        ("pixels_sha256", pa.string()),
+        ("file", pa.string()),
+    ]
+)
+
+
+def _hugging_face(schema: pa.Schema) -> pa.Schema:
+    """The schema with the metadata by which Hugging Face datasets shows `image` as images."""
+    kinds = {pa.string(): "string", pa.float64(): "float64", pa.int32(): "int32"}
+    features = {
+        field.name: {"_type": "Image"}
+        if field.type == IMAGE
+        else {"dtype": kinds[field.type], "_type": "Value"}
+        for field in schema
+    }
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+
+
+def dataset_digest(rows: Sequence[dict[str, Any]]) -> str:
+    """SHA-256 of the manifest's rows; images enter by the digests of their decoded pixels."""
+    return hashlib.sha256(json.dumps(list(rows), sort_keys=True).encode()).hexdigest()
+
+
+def pixels_digest(video: np.ndarray) -> str:
+    """SHA-256 of a video's decoded pixels, uint8 of shape (frames, pixels, pixels, 3)."""
+    return hashlib.sha256(np.ascontiguousarray(video).tobytes()).hexdigest()
+
+
+def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
+    """Every video of the grid -> its side in split_by_video and in split_by_simulation.
+
+    Videos in a test-only texture or from a test-only viewpoint are test videos by video; by
+    simulation they go with their simulation (and never train, whatever their side).
+    """
+    grid = simulations(config)
+    fractions = (config.sample.validation_fraction, config.sample.test_fraction)
+    of_simulation = split_by_simulation(
+        [(one.material_id, one.friction_id, one.replicate_id) for one in grid],
+        *fractions,
+        seed=config.seed,
+        hold_out=config.sample.hold_out,
+    )
+    roles = {
+        (texture["id"], view["id"]): (texture["role"], view["role"])
+        for texture in textures(config)
+        for view in viewpoints(config)
+    }
+    trainable = [
+        f"{one.id}_{texture}_{view}"
+        for one in grid
+        for (texture, view), role in roles.items()
+        if role == ("train", "train")
+    ]
+    of_video = split_by_video(trainable, *fractions, seed=config.seed)
+    sides = {}
+    for one in grid:
+        side = of_simulation[one.material_id, one.friction_id, one.replicate_id]
+        for texture, view in roles:
+            video = f"{one.id}_{texture}_{view}"
+            sides[video] = (of_video.get(video, "test"), side)
+    return sides
+
+
+def write_dataset(
+    config: Config, shards: Iterable[str | os.PathLike], out_dir: str | os.PathLike
+) -> list[dict[str, Any]]:
+    """Write ``{simulation}.parquet`` and ``manifest.parquet`` from image shards.
+
+    Parameters
+    ----------
+    config : Config
+        Grid, textures, viewpoints, pixels, frames and splits.
+    shards : iterable of paths
+        All image shards of the grid.
+    out_dir : path
+
+    Returns
+    -------
+    list of dict
+        The manifest's rows.
+
+    Raises
+    ------
+    BadInput
+        If a shard is damaged, a video or frame of the grid is missing, there twice or not of the
+        grid, an image cannot be decoded or has the wrong size, or no valid split exists.
+    """
+    started = start_clock()
+    frames = sampled_frames(config.simulation.frames, config.sample.frames)
+    sides = manifest_sides(config)
+    grid = {one.id: one for one in simulations(config)}
+    paths_of: dict[str, list[str]] = defaultdict(list)
+    for path in map(os.fspath, shards):
+        for name in simulations_of(path):
+            if name not in grid:
+                raise BadInput(f"{path}: simulation {name!r} is not of the configured grid")
+            paths_of[name].append(path)
+    missing = [name for name in grid if name not in paths_of]
+    if missing:
+        raise BadInput(
+            f"no image shard of simulation {missing[0]} "
+            f"({len(missing)} of the grid's {len(grid)} simulations missing)"
+        )
+
+    rows: list[dict[str, Any]] = []
+    for one in tqdm(grid.values(), "sample", disable=not sys.stderr.isatty(), unit="simulation"):
+        rows += _write_simulation(config, one, paths_of[one.id], frames, sides, Path(out_dir))
+    check_no_simulation_on_both_sides(
+        [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
+    )
+    record = provenance_record(
+        "sample",
+        inputs=[Path(out_dir) / f"{name}.parquet" for name in grid],
+        config=config.model_dump(mode="json", include={"seed", "grid", "render", "sample"}),
+        seed=config.seed,
+        started=started,
+    )
+    write_parquet(
+        pa.Table.from_pylist(rows, schema=MANIFEST_SCHEMA),
+        Path(out_dir) / MANIFEST,
+        {"dataset_digest": dataset_digest(rows)},
+        record,
+    )
+    return rows
+
+
+def _write_simulation(
+    config: Config,
+    one: Simulation,
+    paths: list[str],
+    frames: np.ndarray,
+    sides: dict[str, tuple[str, str]],
+    out_dir: Path,
+) -> list[dict[str, Any]]:
+    """Write one simulation's frames; return its manifest rows, sorted by video."""
+    started = start_clock()
+    videos: dict[tuple[str, str], list] = {}
+    for path in paths:
+        for (simulation, texture, view), images in read_shard(path, frames).items():
+            if simulation != one.id:
+                continue
+            video = f"{one.id}_{texture}_{view}"
+            if video not in sides:
+                raise BadInput(f"{path}: video {video!r} is not of the configured grid")
+            if (texture, view) in videos:
+                raise BadInput(f"{path}: video {video} is in another shard too")
+            videos[texture, view] = images
+    catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
+    rows, images = [], []
+    file = f"{one.id}.parquet"
+    for video in sorted(name for name in sides if name.startswith(f"{one.id}_")):
+        texture, view = video.split("_")[3:]
+        if (texture, view) not in videos:
+            raise BadInput(f"no images of video {video} in {', '.join(paths)}")
+        pixels = []
+        for position, image in enumerate(videos[texture, view]):
+            where = f"{video} frame {image.frame}"
+            pixels.append(decode(image.png, where, config.render.pixels))
+            images.append(
+                {
+                    "video": video,
+                    "simulation": one.id,
+                    "texture": texture,
+                    "viewpoint": view,
+                    "material": one.material,
+                    "friction": one.friction,
+                    "position": position,
+                    "frame": image.frame,
+                    "time_s": image.time_s,
+                    "stage_x_m": image.stage_x_m,
+                    "image": {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"},
+                }
+            )
+        view_name = catalogue[view]["name"]
+        turn = VIEWPOINTS[view_name].azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
+        by_video, by_simulation = sides[video]
+        rows.append(
+            {
+                "video": video,
+                "simulation": one.id,
+                "material_id": one.material_id,
+                "friction_id": one.friction_id,
+                "replicate_id": one.replicate_id,
+                "texture_id": texture,
+                "viewpoint_id": view,
+                "material": one.material,
+                "friction": one.friction,
+                "texture": catalogue[texture]["name"],
+                "viewpoint": view_name,
+                "texture_role": catalogue[texture]["role"],
+                "viewpoint_role": catalogue[view]["role"],
+                "viewpoint_turn_deg": turn,
+                "split_by_video": by_video,
+                "split_by_simulation": by_simulation,
+                "frames": len(frames),
+                "pixels": config.render.pixels,
+                "pixels_sha256": pixels_digest(np.stack(pixels)),
+                "file": file,
+            }
+        )
+    record = provenance_record(
+        "sample",
+        inputs=paths,
+        config=config.model_dump(mode="json", include={"seed", "grid", "render", "sample"}),
+        seed=config.seed,
+        started=started,
+    )
+    write_parquet(
+        pa.Table.from_pylist(images, schema=_hugging_face(FRAMES_SCHEMA)),
+        out_dir / file,
+        {},
+        record,
+        compression="none",  # PNG is compressed already
+    )
+    return rows

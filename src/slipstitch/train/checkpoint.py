@@ -1,0 +1,102 @@
+"""Stopping and going on: all that a training needs to continue as if it had never stopped.
+
+One safetensors file with the weights, the optimiser's memory and the state of the random numbers,
+and JSON for the rest. Nothing in it is pickled: reading one cannot run anything.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+
+from slipstitch.provenance import atomic_path
+
+CHECKPOINT = "checkpoint.safetensors"
+
+
+@dataclass
+class Progress:
+    """How far a training has come: finished epochs, steps of the current one and its sums."""
+
+    epoch: int = 0
+    step: int = 0
+    loss_sum: float = 0.0
+    correct: int = 0
+    history: list[dict[str, Any]] = field(default_factory=list)
+
+
+def save_checkpoint(
+    path: Path,
+    identity: dict[str, Any],
+    progress: Progress,
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+) -> None:
+    """Write everything, atomically.
+
+    `identity` says which training this is; only the same one may continue from the file.
+    """
+    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    for number, memory in optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{number}.{name}": value for name, value in memory.items()}
+    tensors["random"] = torch.get_rng_state()
+    notes = {"identity": json.dumps(identity, sort_keys=True), "progress": _text(progress)}
+    with atomic_path(path) as temporary:
+        save_file({name: value.contiguous() for name, value in tensors.items()}, temporary, notes)
+
+
+def _text(progress: Progress) -> str:
+    return json.dumps(asdict(progress))  # floats as their shortest exact decimal: no bit is lost
+
+
+def load_checkpoint(
+    path: Path,
+    identity: dict[str, Any],
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+) -> tuple[Progress | None, str]:
+    """Put a training back where a checkpoint left it.
+
+    Returns
+    -------
+    progress : Progress or None
+        None if there is nothing to go on from; network, optimiser and random numbers are untouched
+        then.
+    message : str
+        What happened, to be shown; empty if there is no checkpoint.
+    """
+    if not path.is_file():
+        return None, ""
+    try:
+        with safe_open(path, "pt") as file:
+            notes = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        progress = Progress(**json.loads(notes["progress"]))
+        same = json.loads(notes["identity"]) == json.loads(json.dumps(identity))
+    except (SafetensorError, KeyError, TypeError, ValueError):
+        return None, f"{path}: no readable checkpoint; starting anew"
+    if not same:
+        return None, f"{path}: of another training (data, settings or code differ); starting anew"
+    network.load_state_dict(
+        {
+            name.removeprefix("network."): value
+            for name, value in tensors.items()
+            if name.startswith("network.")
+        }
+    )
+    memory: dict[int, dict[str, torch.Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimizer."):
+            _, number, key = name.split(".")
+            # As the running optimiser lays it out: beside the channels-last convolutions.
+            layout = torch.channels_last if value.dim() == 4 else torch.contiguous_format
+            memory.setdefault(int(number), {})[key] = value.to(memory_format=layout)
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": memory, "param_groups": groups})
+    torch.set_rng_state(tensors["random"])
+    return progress, f"going on from {path}: epoch {progress.epoch + 1}, step {progress.step + 1}"

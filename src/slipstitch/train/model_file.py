@@ -1,0 +1,94 @@
+"""Trained networks on disk: weights in safetensors, a model card in JSON, nothing executable."""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from slipstitch.errors import BadInput
+from slipstitch.provenance import atomic_path, file_digest
+from slipstitch.train.network import LRCN
+from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
+
+FORMAT = "slipstitch-lrcn-1"
+WEIGHTS = "model.safetensors"
+CARD = "model.json"
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A network with its weights, and its card."""
+
+    network: LRCN
+    card: dict[str, Any]
+
+    @property
+    def target(self) -> str:
+        """What the classes are: material or friction."""
+        return self.card["target"]
+
+
+def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
+    """Write ``model.safetensors`` and ``model.json``; return the card as written.
+
+    The same network and card give the same bytes. The card stands inside the weights file too, and
+    outside with the weights' SHA-256, so that neither can change without the other.
+    """
+    card = {"format": FORMAT, **card}
+    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
+    weights = Path(folder) / WEIGHTS
+    with atomic_path(weights) as temporary:
+        save_file(tensors, temporary, {"card": json.dumps(card, sort_keys=True)})
+    card["weights_sha256"] = file_digest(weights)
+    with atomic_path(Path(folder) / CARD) as temporary:
+        temporary.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+    return card
+
+
+def load_model(folder: str | os.PathLike) -> TrainedModel:
+    """Read a network that `save_model` wrote.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is of another kind, or is not as it was written.
+    """
+    weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
+    for path in (weights, card_path):
+        if not path.is_file():
+            raise BadInput(f"{path}: no such file; a model is {WEIGHTS} with {CARD} beside it")
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        known = card["format"]
+    except (ValueError, KeyError, TypeError):
+        raise BadInput(f"{card_path}: no model card of Slipstitch") from None
+    if known != FORMAT:
+        raise BadInput(f"{card_path}: model format {known!r}, {FORMAT!r} is needed")
+    if file_digest(weights) != card.get("weights_sha256"):
+        raise BadInput(f"{weights}: altered or damaged: not the weights that {CARD} describes")
+    try:
+        with safe_open(weights, "pt") as file:
+            inside = json.loads(file.metadata()["card"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, KeyError, TypeError, ValueError):
+        raise BadInput(f"{weights}: no model of Slipstitch") from None
+    if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
+        raise BadInput(f"{card_path}: altered: not the card that is inside {WEIGHTS}")
+    if card["network"] not in NETWORKS or card["split"] not in SPLITS:
+        raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
+    try:
+        settings = TrainSettings.model_validate(card["settings"])
+        network = LRCN(
+            settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
+        )
+        network.load_state_dict(tensors)
+    except (ValidationError, RuntimeError, KeyError) as error:
+        first = str(error).splitlines()[0]
+        raise BadInput(f"{weights}: weights do not fit the card: {first}") from None
+    network.eval()
+    return TrainedModel(network, card)

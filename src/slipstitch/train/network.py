@@ -1,0 +1,199 @@
+"""The paper's network: a convolutional one for every frame, a recurrent one over the frames.
+
+Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020:
+an LRCN (Donahue et al. 2015). What is known of its Table 1 and what is a choice of ours stands in
+docs/learning.md.
+
+    frame --> conv1a .. conv4a --> features [+ one-hot material] --> LSTM --> FC --> softmax
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from slipstitch.errors import BadInput
+from slipstitch.train.settings import TrainSettings
+
+
+def scaled(size: int, width: float) -> int:
+    """A layer's size at a relative width, at least 1."""
+    return max(1, round(size * width))
+
+
+class Block(nn.Sequential):
+    """3 x 3 convolutions a, b, ... with rectifiers, then 2 x 2 max pooling.
+
+    The last rectifier comes after the pooling, with which it commutes, on a quarter of the pixels.
+    """
+
+    def __init__(self, inputs: int, outputs: int, convolutions: int, pool: bool, s: TrainSettings):
+        layers: list[nn.Module] = []
+        for number in range(convolutions):
+            padding = 1 if s.padding == "same" else 0
+            layers.append(nn.Conv2d(inputs, outputs, 3, padding=padding, bias=not s.batch_norm))
+            if s.batch_norm:
+                layers.append(nn.BatchNorm2d(outputs))
+            if pool and number == convolutions - 1:
+                layers.append(nn.MaxPool2d(2))
+            layers.append(nn.ReLU(inplace=True))
+            inputs = outputs
+        super().__init__(*layers)
+
+
+class LRCN(nn.Module):
+    """Classes from the frames of a video.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+        Layer sizes and switches.
+    classes : int
+    pixels : int
+        Side of the frames.
+    condition_classes : int
+        Length of the one-hot vector that is concatenated to every frame's features; 0: none.
+
+    Raises
+    ------
+    BadInput
+        If the frames are too small for the blocks.
+    """
+
+    def __init__(
+        self, settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
+    ):
+        super().__init__()
+        self.settings = settings
+        self.condition_classes = condition_classes
+        self.pixels = pixels
+        # Colour statistics of the training set; part of the model, not learnt.
+        self.register_buffer("mean", torch.zeros(3))
+        self.register_buffer("deviation", torch.ones(3))
+
+        blocks, channels, side, self.multiply_accumulates = [], 3, pixels, 0
+        last = len(settings.channels) - 1
+        for number, (size, convolutions) in enumerate(
+            zip(settings.channels, settings.convolutions, strict=True)
+        ):
+            outputs = scaled(size, settings.width)
+            pool = number < last or settings.pool_last_block
+            blocks.append(Block(channels, outputs, convolutions, pool, settings))
+            for _ in range(convolutions):
+                side -= 0 if settings.padding == "same" else 2
+                self.multiply_accumulates += 9 * channels * outputs * max(side, 0) ** 2
+                channels = outputs
+            side //= 2 if pool else 1
+        if side < 1:
+            raise BadInput(f"{pixels} pixels are too few for {len(blocks)} blocks of convolutions")
+        self.convolutions = nn.Sequential(*blocks)
+
+        features = channels if settings.readout == "pool" else channels * side**2
+        units = scaled(settings.lstm_units, settings.width)
+        self.lstm = nn.LSTM(features + condition_classes, units, batch_first=True)
+        self.dropout = nn.Dropout(settings.dropout)
+        hidden = scaled(settings.fc_units, settings.width) if settings.fc_units else 0
+        self.fully_connected = (
+            nn.Sequential(
+                nn.Linear(units, hidden), nn.ReLU(), self.dropout, nn.Linear(hidden, classes)
+            )
+            if hidden
+            else nn.Linear(units, classes)
+        )
+        self.initialise()
+        # Channels last: two to three times faster in bfloat16 on CPUs.
+        self.convolutions.to(memory_format=torch.channels_last)
+
+    def initialise(self) -> None:
+        """Draw the weights anew, as `settings.initialisation` says, from torch's generator.
+
+        he: normal, variance 2 / fan in (He et al. 2015); glorot: uniform, as Keras does by default.
+        Both give the LSTM Glorot input weights, orthogonal recurrent weights and a forget bias of
+        1, Keras' default. pytorch: PyTorch's own, uniform within 1 / sqrt(fan in).
+        """
+        kind = self.settings.initialisation
+        if kind == "pytorch":
+            return
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.Linear):
+                if kind == "he":
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                else:
+                    nn.init.xavier_uniform_(module.weight)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        units = self.lstm.hidden_size
+        for gate in range(4):  # input, forget, cell, output; each a matrix of its own
+            rows = slice(gate * units, (gate + 1) * units)
+            with torch.no_grad():
+                nn.init.xavier_uniform_(self.lstm.weight_ih_l0[rows])
+                nn.init.orthogonal_(self.lstm.weight_hh_l0[rows])
+        nn.init.zeros_(self.lstm.bias_ih_l0)
+        nn.init.zeros_(self.lstm.bias_hh_l0)
+        with torch.no_grad():
+            self.lstm.bias_ih_l0[units : 2 * units] = 1.0
+
+    def forward(
+        self, frames: Tensor, condition: Tensor | None = None, bfloat16: bool = False
+    ) -> Tensor:
+        """Logits.
+
+        Parameters
+        ----------
+        frames : uint8 tensor, shape (videos, frames, pixels, pixels, 3)
+        condition : int64 tensor, shape (videos,), optional
+            Class numbers for the one-hot vector.
+        bfloat16 : bool
+            Compute the convolutions in bfloat16; the rest stays float32.
+
+        Returns
+        -------
+        float32 tensor, shape (videos, outputs, classes)
+            One output (after the last frame), or one after every frame.
+        """
+        videos, count = frames.shape[:2]
+        images = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
+        images = (images.float() - self.mean[:, None, None]) / self.deviation[:, None, None]
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=bfloat16):
+            maps = self.convolutions(images)
+        maps = maps.float()
+        features = maps.mean((2, 3)) if self.settings.readout == "pool" else maps.flatten(1)
+        features = self.dropout(features).view(videos, count, -1)
+        if self.condition_classes:
+            one_hot = nn.functional.one_hot(condition, self.condition_classes).float()
+            features = torch.cat([features, one_hot[:, None].expand(-1, count, -1)], dim=2)
+        states, _ = self.lstm(features)
+        if self.settings.outputs == "last":
+            states = states[:, -1:]
+        return self.fully_connected(self.dropout(states))
+
+
+def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
+    """Categorical cross-entropy, the mean over videos and outputs."""
+    outputs = logits.shape[1]
+    return nn.functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(outputs))
+
+
+def probabilities(logits: Tensor) -> Tensor:
+    """Softmax, averaged over outputs: shape (videos, classes)."""
+    return logits.softmax(-1).mean(1)
+
+
+def computes_bfloat16(precision: str) -> bool:
+    """Whether a run with this `precision` setting computes its convolutions in bfloat16.
+
+    ``auto`` asks the processor for AVX512-BF16: without, bfloat16 is emulated, and slower.
+    """
+    if precision == "auto":
+        return bool(torch.cpu._is_avx512_bf16_supported())
+    return precision == "bfloat16"
+
+
+def chance_loss(labels: list[int]) -> float:
+    """Cross-entropy of the best guess that ignores the video: the entropy of the labels.
+
+    ln K where the K classes are equally frequent.
+    """
+    counts = torch.bincount(torch.tensor(labels)).double()
+    shares = counts[counts > 0] / counts.sum()
+    return max(0.0, -math.fsum(float(share * share.log()) for share in shares))

@@ -1,0 +1,114 @@
+"""Made-up image shards for tests of the learning stages: drawn rectangles, no cloth, no physics.
+
+A patterned rectangle goes to and fro. Its lower part lags behind by a length that grows with the
+friction coefficient; its height depends on the material; replicates jitter both. So there is
+something to learn, and a network that learns nothing cannot pass.
+"""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image
+
+from slipstitch.config import Config, resolve_config
+from slipstitch.config.grid import simulations, textures, viewpoints
+
+SCHEMA = pa.schema(
+    [
+        ("simulation", pa.string()),
+        ("texture", pa.string()),
+        ("viewpoint", pa.string()),
+        ("frame", pa.int32()),
+        ("time_s", pa.float64()),
+        ("stage_x_m", pa.float64()),
+        ("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())])),
+    ]
+)
+
+
+def config(**sections) -> Config:
+    """A grid of 2 materials, 2 frictions, 2 replicates, 2 textures, 2 views; 6 frames at 16 px."""
+    small = {
+        "grid": {
+            "materials": ["gray-interlock", "ivory-rib-knit"],
+            "frictions": [0.1, 0.6],
+            "replicates": 2,
+        },
+        "simulation": {"frames": 60},
+        "render": {
+            "pixels": 16,
+            "viewpoints": ["calibrated", "side"],
+            "textures": ["stripes", "tartan"],
+        },
+        "sample": {"frames": 6},
+        "train": {
+            "channels": [32, 64],
+            "convolutions": [1, 1],
+            "lstm_units": 64,
+            "dropout": 0.1,
+            "epochs_per_cycle": 6,
+            "fine_tuning_epochs": 2,
+            "batch_size": 4,
+            "precision": "float32",
+        },
+    }
+    for name, section in sections.items():
+        if isinstance(section, dict):
+            small[name] = {**small.get(name, {}), **section}
+        else:
+            small[name] = section
+    return resolve_config(small)
+
+
+def draw(
+    pixels: int, lean: float, lag: float, height: float, texture: int, view: int
+) -> np.ndarray:
+    """One frame, uint8 of shape (pixels, pixels, 3)."""
+    y, x = np.mgrid[0:pixels, 0:pixels] / (pixels - 1)
+    shift = lag * lean * np.clip((y - 0.4) / 0.6, 0, 1)
+    across = (x - 0.5 - shift) * (1.0 + 0.5 * view)
+    inside = (np.abs(across) < 0.2) & (y > 0.15) & (y < 0.15 + height)
+    pattern = 0.6 + 0.3 * np.sin((8 + 7 * texture) * (across if texture % 2 else y))
+    colours = np.array([[220, 120, 90], [90, 200, 120], [110, 130, 230]][texture % 3])
+    image = np.full((pixels, pixels, 3), 20.0)
+    image[inside] = (pattern[..., None] * colours)[inside]
+    return image.astype(np.uint8)
+
+
+def write_shards(config: Config, folder: Path, frames: range | None = None) -> list[Path]:
+    """One shard a (simulation, viewpoint), as the render stage lays them out."""
+    total = config.simulation.frames
+    numbers = frames or range(0, total, total // config.sample.frames)
+    strongest = max(config.grid.frictions)
+    paths = []
+    for one in simulations(config):
+        jitter = np.random.default_rng(one.seed).normal(0, 0.02, 2)
+        lag = 0.3 * one.friction / strongest + jitter[0]
+        height = 0.45 + 0.12 * config.grid.materials.index(one.material) + jitter[1]
+        for v, view in enumerate(viewpoints(config)):
+            rows = []
+            for t, texture in enumerate(textures(config)):
+                for frame in numbers:
+                    phase = frame / total * 4 * np.pi
+                    image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
+                    stream = io.BytesIO()
+                    Image.fromarray(image).save(stream, "PNG")
+                    rows.append(
+                        {
+                            "simulation": one.id,
+                            "texture": texture["id"],
+                            "viewpoint": view["id"],
+                            "frame": frame,
+                            "time_s": frame / 2.4,
+                            "stage_x_m": 0.15 * (1 + np.sin(phase)),
+                            "image": {"bytes": stream.getvalue(), "path": f"{frame}.png"},
+                        }
+                    )
+            path = Path(folder) / f"{one.id}_{view['id']}.parquet"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), path)
+            paths.append(path)
+    return paths
