@@ -1,0 +1,36 @@
+"""What theory says the cloth simulator must measure: closed forms and elastica solutions.
+
+Everything here is independent of the simulator's code: NumPy and SciPy only, no mesh, no contact
+solver. The laws, their sources and the tests that check each are listed in ``docs/physics.md``.
+"""
+
+from slipstitch.theory.cantilever import HeavyCantilever, cantilever_rule_gamma, heavy_cantilever
+from slipstitch.theory.drag import SteadyDrag, flexible_strip_drag, steady_strip_drag
+from slipstitch.theory.lateral import lateral_buckling
+from slipstitch.theory.rigid import Incline, capstan, flat_drag, incline
+from slipstitch.theory.strip import (
+    StripState,
+    strip_buckling_load,
+    strip_slip_strain,
+    strip_state,
+    strip_state_at_foot_angle,
+)
+
+__all__ = [
+    "HeavyCantilever",
+    "Incline",
+    "SteadyDrag",
+    "StripState",
+    "cantilever_rule_gamma",
+    "capstan",
+    "flat_drag",
+    "flexible_strip_drag",
+    "heavy_cantilever",
+    "incline",
+    "lateral_buckling",
+    "steady_strip_drag",
+    "strip_buckling_load",
+    "strip_slip_strain",
+    "strip_state",
+    "strip_state_at_foot_angle",
+]

@@ -1,0 +1,53 @@
+"""The heavy cantilever against the published figures, small sag and an independent solver."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from slipstitch.errors import BadInput
+from slipstitch.theory import cantilever_rule_gamma, heavy_cantilever
+
+
+@pytest.mark.parametrize(("gamma", "ratio"), [(1.0, 0.12456), (10.0, 1.0668), (100.0, 5.888)])
+def test_height_over_width_is_the_published_one(gamma, ratio):
+    assert heavy_cantilever(gamma).height_over_width == pytest.approx(ratio, rel=1e-4)
+
+
+def test_small_sag_is_that_of_a_beam():
+    """Tip deflection w L⁴ / 8 B."""
+    assert heavy_cantilever(0.01).height_over_width == pytest.approx(0.01 / 8, rel=1e-4)
+
+
+@pytest.mark.parametrize("gamma", [5.0, 300.0])
+def test_collocation_finds_the_same_tip_angle(gamma):
+    def slope(s, state):
+        return np.vstack((state[1], -gamma * (1.0 - s) * np.cos(state[0])))
+
+    station = np.linspace(0.0, 1.0, 400)
+    guess = np.vstack((1.5 * (1 - np.exp(-math.sqrt(gamma) * station)), np.zeros(400)))
+    solution = solve_bvp(
+        slope, lambda a, b: np.array([a[0], b[1]]), station, guess, tol=1e-9, max_nodes=20000
+    )
+    assert solution.success
+    assert solution.y[0, -1] == pytest.approx(heavy_cantilever(gamma).tip_angle_rad, abs=1e-6)
+
+
+def test_it_hangs_lower_the_heavier_it_is_and_keeps_its_length():
+    shapes = [heavy_cantilever(gamma) for gamma in (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)]
+    ratios = [shape.height_over_width for shape in shapes]
+    assert ratios == sorted(ratios)
+    for shape in shapes:
+        assert np.hypot(*np.diff(shape.curve, axis=0).T).sum() == pytest.approx(1.0, abs=1e-3)
+        assert shape.curve[0] == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def test_the_textile_rule_of_41_5_degrees_is_gamma_8():
+    assert cantilever_rule_gamma() == pytest.approx(8.00, abs=0.01)
+
+
+@pytest.mark.parametrize("gamma", [0.0, -1.0, math.nan, 1e6])
+def test_gamma_out_of_range_is_refused(gamma):
+    with pytest.raises(BadInput, match="gamma"):
+        heavy_cantilever(gamma)

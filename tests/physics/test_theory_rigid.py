@@ -1,0 +1,85 @@
+"""Incline, capstan and lateral buckling."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import eig
+
+from slipstitch.errors import BadInput
+from slipstitch.theory import capstan, incline, lateral_buckling
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.2])
+def test_incline_sticks_up_to_the_angle_of_friction(friction):
+    assert incline(friction, math.atan(0.999 * friction)).sticks
+    beyond = incline(friction, math.atan(1.001 * friction) + 1e-9)
+    assert not beyond.sticks
+    assert 0.0 < beyond.acceleration_m_s2 < 0.02
+
+
+def test_incline_without_friction_falls_with_the_slopes_share_of_gravity():
+    assert incline(0.0, math.radians(30)).acceleration_m_s2 == pytest.approx(9.81 / 2)
+
+
+def test_sliding_loses_in_heat_what_friction_takes():
+    """Energy over 1 s from rest: m g h = ½ m v² + μ m g cos θ · distance."""
+    friction, slope = 0.3, math.radians(35)
+    acceleration = incline(friction, slope).acceleration_m_s2
+    distance, speed = 0.5 * acceleration, acceleration
+    released = 9.81 * distance * math.sin(slope)
+    heat = friction * 9.81 * math.cos(slope) * distance
+    assert released == pytest.approx(0.5 * speed**2 + heat)
+
+
+def test_capstan_is_the_limit_of_many_small_turns():
+    friction, wrap, pieces = 0.4, math.radians(200), 200_000
+    ratio = (1.0 + friction * wrap / pieces) ** pieces
+    assert capstan(friction, wrap) == pytest.approx(ratio, rel=1e-5)
+
+
+def test_narrow_strip_buckles_where_the_torsion_equation_has_its_first_eigenvalue():
+    """φ'' = −(k²/4)(1 − s)⁴ φ, φ(0) = 0, φ'(1) = 0: the smallest k, by Chebyshev collocation."""
+    n = 40
+    nodes = np.cos(np.pi * np.arange(n + 1) / n)
+    c = np.hstack((2, np.ones(n - 1), 2)) * (-1) ** np.arange(n + 1)
+    spread = nodes[:, None] - nodes[None, :] + np.eye(n + 1)
+    first = np.outer(c, 1 / c) / spread
+    first -= np.diag(first.sum(axis=1))
+    first *= 2.0  # to [0, 1]; nodes[0] is s = 1
+    station = (1 + nodes) / 2
+    left = first @ first
+    right = -np.diag((1 - station) ** 4) / 4
+    left[0], right[0] = first[0], 0.0
+    left[-1], right[-1] = np.eye(n + 1)[-1], 0.0
+    values = eig(left, right, right=False)
+    values = values[np.isfinite(values) & (np.abs(values) < 1e6)].real
+    k = math.sqrt(values[values > 1].min())
+    assert k == pytest.approx(12.854, abs=1e-3)
+    assert lateral_buckling(0.05, 0.0) == pytest.approx(k * math.sqrt(2), rel=1e-4)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 0.5])
+def test_lateral_buckling_combines_bending_and_torsion_of_the_strip(ratio):
+    """k √(EI·GJ)/(D b) with EI and GJ of a thin rectangle."""
+    young, thickness, width = 1e6, 1e-3, 0.01
+    bending = young * width * thickness**3 / 12
+    torsion = young / (2 * (1 + ratio)) * width * thickness**3 / 3
+    plate = young * thickness**3 / (12 * (1 - ratio**2))
+    expected = 12.854 * math.sqrt(bending * torsion) / (plate * width)
+    assert lateral_buckling(0.05, ratio) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: incline(-1.0, 0.1), "friction"),
+        (lambda: incline(0.3, 2.0), "slope_rad"),
+        (lambda: capstan(0.3, -1.0), "wrap_rad"),
+        (lambda: lateral_buckling(0.0, 0.3), "width_over_length"),
+        (lambda: lateral_buckling(0.1, 1.0), "poisson_ratio"),
+    ],
+)
+def test_impossible_arguments_are_refused_by_name(call, name):
+    with pytest.raises(BadInput, match=name):
+        call()

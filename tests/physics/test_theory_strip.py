@@ -1,0 +1,101 @@
+"""The pushed strip of Sano et al. 2017 against its closed form and the published figures."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ellipeinc, ellipk, ellipkinc
+
+from slipstitch.errors import BadInput
+from slipstitch.theory import (
+    strip_buckling_load,
+    strip_slip_strain,
+    strip_state,
+    strip_state_at_foot_angle,
+)
+
+SLIP_STRAINS = {
+    0.05: 0.01238,
+    0.10: 0.04687,
+    0.15: 0.09690,
+    0.20: 0.15487,
+    0.25: 0.21446,
+    0.30: 0.27156,
+    0.35: 0.32399,
+}
+
+
+@pytest.mark.parametrize(("friction", "strain"), SLIP_STRAINS.items())
+def test_slip_strain_is_the_published_one(friction, strain):
+    assert strip_slip_strain(friction) == pytest.approx(strain, abs=1e-5)
+
+
+def test_the_foot_lies_flat_at_the_published_strain_and_friction():
+    flat = strip_state_at_foot_angle(math.pi / 2)
+    assert flat.strain == pytest.approx(0.3303, abs=5e-5)
+    assert flat.load_ratio == pytest.approx(0.3564, abs=5e-5)
+
+
+def test_with_more_friction_than_the_flat_foot_needs_it_never_slips():
+    assert strip_slip_strain(0.3563) is not None
+    assert strip_slip_strain(0.3565) is None
+    assert strip_slip_strain(1.5) is None
+
+
+def test_without_friction_it_slips_as_soon_as_it_buckles():
+    assert strip_slip_strain(0.0) == 0.0
+    assert 0.0 < strip_slip_strain(1e-3) < 1e-5
+
+
+def test_it_buckles_at_the_clamped_hinged_load():
+    assert strip_buckling_load() == pytest.approx(20.19, abs=5e-3)
+    assert strip_state_at_foot_angle(0.01).vertical_load == pytest.approx(
+        strip_buckling_load(), rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("foot_angle", [0.1, 0.5, 1.0, 1.4, math.pi / 2])
+def test_state_satisfies_the_elliptic_integrals_of_the_elastica(foot_angle):
+    """ψ = θ + atan(Q/P) swings like a pendulum: ψ'' = −R sin ψ, which Jacobi solved."""
+    state = strip_state_at_foot_angle(foot_angle)
+    total = math.hypot(state.vertical_load, state.horizontal_load)
+    lean = math.atan2(state.horizontal_load, state.vertical_load)
+    # Friction pushes the foot back under the clamp: ψ = lean at the clamp, lean − α at the foot,
+    # where the pendulum is at rest, having passed the other turning point on its way.
+    modulus = math.sin(0.5 * (foot_angle - lean))
+    amplitude = math.asin(math.sin(0.5 * lean) / modulus)
+    quarter = ellipk(modulus**2)
+    offset = ellipkinc(amplitude, modulus**2)
+    arcs = {sign * offset + turns * quarter: (sign, turns) for sign in (1, -1) for turns in (1, 3)}
+    arc = min(arcs, key=lambda value: abs(value - math.sqrt(total)))
+    assert arc == pytest.approx(math.sqrt(total), rel=1e-8)
+    sign, turns = arcs[arc]
+    # ∫ cos ψ ds = (2 E − arc)/√R with E the integral of dn² over that arc.
+    second_kind = sign * ellipeinc(amplitude, modulus**2) + turns * ellipeinc(
+        math.pi / 2, modulus**2
+    )
+    along = (2.0 * second_kind - arc) / math.sqrt(total)
+    # With the foot under the clamp the whole chord is vertical: ∫ cos ψ = (1 − ε) cos lean.
+    assert along == pytest.approx((1.0 - state.strain) * math.cos(lean), abs=1e-8)
+
+
+def test_shape_has_the_strips_length_and_its_foot_under_the_clamp():
+    state = strip_state(0.2)
+    pieces = np.linalg.norm(np.diff(state.curve, axis=0), axis=1)
+    assert pieces.sum() == pytest.approx(1.0, abs=1e-4)
+    assert state.curve[-1] == pytest.approx((0.0, 0.8), abs=1e-8)
+
+
+def test_state_at_the_slip_strain_needs_exactly_that_friction():
+    assert strip_state(strip_slip_strain(0.2)).load_ratio == pytest.approx(0.2, abs=1e-7)
+
+
+@pytest.mark.parametrize("friction", [-0.1, math.nan, math.inf, "rough"])
+def test_impossible_friction_is_refused(friction):
+    with pytest.raises(BadInput, match="friction"):
+        strip_slip_strain(friction)
+
+
+def test_strain_beyond_the_flat_foot_is_refused():
+    with pytest.raises(BadInput, match=r"at most 0\.330"):
+        strip_state(0.34)
