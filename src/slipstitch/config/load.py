@@ -57,12 +57,18 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _numbers(value: Any) -> Any:
-    """`value` with scientific notation that YAML took for a string read as a number."""
+def _numbers(value: Any, words: bool = False) -> Any:
+    """`value` with scientific notation that YAML took for a string read as a number.
+
+    With `words`, every string is read as YAML reads a bare word.
+    """
     if isinstance(value, Mapping):
-        return {key: _numbers(item) for key, item in value.items()}
+        return {key: _numbers(item, words) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_numbers(item) for item in value]
+        return [_numbers(item, words) for item in value]
+    if isinstance(value, str) and words:
+        read = yaml.safe_load(value)
+        value = read if isinstance(read, bool | int | float) or read is None else value
     if isinstance(value, str) and _SCIENTIFIC.fullmatch(value):
         return float(value)
     return value
@@ -101,11 +107,9 @@ def _model_at(location: tuple) -> type[BaseModel] | None:
 
 def _holds(mapping: Any, location: tuple) -> bool:
     for key in location:
-        if isinstance(mapping, Mapping) and key in mapping:
+        try:
             mapping = mapping[key]
-        elif isinstance(mapping, list) and isinstance(key, int) and key < len(mapping):
-            mapping = mapping[key]
-        else:
+        except (KeyError, IndexError, TypeError):
             return False
     return True
 
@@ -142,7 +146,7 @@ def _line(error: dict[str, Any]) -> str:
         hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
         return f"{name}: unknown key; {hint}"
     if error["type"] in ("value_error", "assertion_error"):
-        return f"{name}: {error['ctx']['error']}"
+        return f"{name}: {error['ctx']['error']}" if location else str(error["ctx"]["error"])
     template = _MESSAGES.get(error["type"])
     message = template.format(**error.get("ctx", {})) if template else error["msg"]
     if error["type"] in ("missing", "too_short", "too_long"):
@@ -150,7 +154,9 @@ def _line(error: dict[str, Any]) -> str:
     return f"{name}: {message}, not {_kind(error['input'])}"
 
 
-def resolve_config(*mappings: Mapping[str, Any], sources: tuple[str, ...] = ()) -> Config:
+def resolve_config(
+    *mappings: Mapping[str, Any], sources: tuple[str, ...] = (), words: bool = False
+) -> Config:
     """The configuration that mappings make, later ones overriding earlier ones key by key.
 
     Parameters
@@ -159,13 +165,15 @@ def resolve_config(*mappings: Mapping[str, Any], sources: tuple[str, ...] = ()) 
         As read from YAML or JSON; keys that none holds have their default.
     sources : tuple of str
         Names of the mappings, to say in an error where a key stands.
+    words : bool
+        Whether numbers may come as strings: ``snakemake --config`` makes them so.
 
     Raises
     ------
     BadInput
         In one line, for every problem: the source, the key, what is allowed and what it is.
     """
-    plain = [_numbers(mapping) for mapping in mappings]
+    plain = [_numbers(mapping, words) for mapping in mappings]
     merged: dict[str, Any] = {}
     for mapping in plain:
         merged = _merge(merged, mapping)

@@ -1,8 +1,9 @@
 """The configuration as a type; each stage's section is defined in ``<stage>/settings.py``."""
 
+from itertools import pairwise
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from slipstitch.calibrate.settings import CalibrateSettings
 from slipstitch.evaluate.settings import EvaluateSettings
@@ -48,7 +49,7 @@ class GridSettings(BaseModel):
     @field_validator("frictions")
     @classmethod
     def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
-        if any(after <= before for before, after in zip(frictions, frictions[1:], strict=False)):
+        if any(after <= before for before, after in pairwise(frictions)):
             raise ValueError("friction coefficients must increase along the list")
         return frictions
 
@@ -68,3 +69,18 @@ class Config(BaseModel):
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
+
+    @model_validator(mode="after")
+    def _sections_agree(self) -> "Config":
+        if self.sample.frames > self.simulation.frames:
+            raise ValueError(
+                f"sample.frames: {self.sample.frames} frames cannot be sampled from the "
+                f"{self.simulation.frames} of simulation.frames"
+            )
+        for name in self.train.view_order or ():
+            if name not in self.render.viewpoints:
+                raise ValueError(
+                    f"train.view_order: {name!r} is not in render.viewpoints "
+                    f"({', '.join(self.render.viewpoints)})"
+                )
+        return self

@@ -1,0 +1,48 @@
+# make all: from an empty machine to results/report/index.html. make help lists the targets.
+
+PYTHON ?= python3.11
+CORES ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+# pytest-xdist runs CORES processes, so that each gets one thread.
+SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: help setup all test lint format benchmark clean
+
+help:
+	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
+	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
+	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
+	@echo 'make lint       ruff and snakefmt, check only'
+	@echo 'make format     ruff and snakefmt, mend'
+	@echo 'make benchmark  timings of the parts'
+	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
+
+setup:
+	@envs/setup.sh $(PYTHON) $(VENV)
+
+all: setup
+	$(BIN)/snakemake --cores $(CORES) all
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/snakefmt --quiet --check Snakefile rules
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/snakefmt --quiet Snakefile rules
+
+test: lint
+	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)
+
+benchmark: setup
+	@found=; for script in benchmarks/*.py; do [ -e "$$script" ] || continue; found=1; \
+	  echo "$$script"; $(SINGLE) $(BIN)/python "$$script" || exit 1; done; \
+	if [ -z "$$found" ]; then echo 'make benchmark: benchmarks/ holds no script'; fi
+
+clean:
+	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true
+	rm -rf .snakemake .pytest_cache .ruff_cache .hypothesis build dist
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

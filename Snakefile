@@ -1,0 +1,53 @@
+"""Slipstitch, the whole chain: snakemake --cores 2 all (docs/running.md)."""
+
+from pathlib import Path
+
+from snakemake.utils import min_version
+
+min_version("9.0")
+
+
+# Scales: --configfile config/smoke.yaml and config/paper.yaml merge over this one.
+configfile: Path(workflow.basedir) / "config.yaml"
+
+
+include: "rules/common.smk"
+include: "rules/calibrate.smk"
+include: "rules/simulate.smk"
+include: "rules/render.smk"
+include: "rules/sample.smk"
+include: "rules/train.smk"
+include: "rules/evaluate.smk"
+include: "rules/report.smk"
+
+
+localrules:
+    all,
+    calibrate,
+    simulate,
+    render,
+    sample,
+    train,
+    evaluate,
+    report,
+
+
+# Every stage's files are asked for by name: a deleted simulation is made again although
+# everything made from it still exists.
+rule all:
+    default_target: True
+    input:
+        rules.calibrate.input,
+        rules.simulate.input,
+        rules.render.input,
+        rules.sample.input,
+        rules.train.input,
+        rules.evaluate.input,
+        rules.report.input,
+
+
+# What the stages read is written when the first job starts: neither a dry run nor a changed key
+# that a stage does not use touches anything. The rules carry the values as parameters instead.
+onstart:
+    write_config(CONFIG, CONFIG_FILE)
+    print(estimate_line(CONFIG), file=sys.stderr)

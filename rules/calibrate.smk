@@ -1,0 +1,27 @@
+"""Known-answer checks of the simulator with the configured settings."""
+
+
+rule calibrate:
+    input:
+        "results/calibrate/calibration.json",
+
+
+rule calibrate_settings:
+    output:
+        "results/calibrate/calibration.json",
+    log:
+        "results/logs/calibrate/calibration.log",
+    benchmark:
+        "results/benchmarks/calibrate/calibration.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("calibrate"),
+        runtime=job_runtime_min("calibrate", CONFIG),
+    params:
+        settings=settings("simulation", "calibrate"),
+        code=code_digest("calibrate"),
+        config=CONFIG_FILE,
+    message:
+        "Check the simulator against theory"
+    shell:
+        "slipstitch calibrate --config {params.config} --out {output} > {log} 2>&1"

@@ -1,0 +1,33 @@
+"""Tables and predictions of the trained networks."""
+
+
+rule evaluate:
+    input:
+        "results/evaluate/metrics.json",
+        "results/evaluate/predictions.parquet",
+
+
+rule evaluate_all:
+    input:
+        dataset=rules.sample.input,
+        networks=rules.train.input,
+    output:
+        metrics="results/evaluate/metrics.json",
+        predictions="results/evaluate/predictions.parquet",
+    log:
+        "results/logs/evaluate/evaluate.log",
+    benchmark:
+        "results/benchmarks/evaluate/evaluate.tsv"
+    threads: 2
+    resources:
+        mem_mb=job_memory_mb("evaluate"),
+        runtime=job_runtime_min("evaluate", CONFIG),
+    params:
+        settings=settings("evaluate"),
+        code=code_digest("evaluate"),
+        config=CONFIG_FILE,
+    message:
+        "Evaluate the networks"
+    shell:
+        "slipstitch evaluate --config {params.config} --dataset results/sample"
+        " --models results/train --out-dir results/evaluate > {log} 2>&1"

@@ -1,0 +1,68 @@
+"""One Blender process a simulation and viewpoint, all textures in it; previews."""
+
+# The list of viewpoints decides which shards there are, not what one shard holds.
+RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints"})
+
+
+rule render:
+    input:
+        expand(
+            "results/render/{simulation}_{viewpoint}.parquet",
+            simulation=SIMULATIONS,
+            viewpoint=VIEWPOINTS,
+        ),
+        expand(
+            "results/render/preview/{simulation}.{kind}",
+            simulation=SIMULATIONS,
+            kind=["png", "mp4"],
+        ),
+
+
+rule render_one:
+    input:
+        "results/simulate/{simulation}.parquet",
+    output:
+        "results/render/{simulation}_{viewpoint}.parquet",
+    log:
+        "results/logs/render/{simulation}_{viewpoint}.log",
+    benchmark:
+        "results/benchmarks/render/{simulation}_{viewpoint}.tsv"
+    threads: CONFIG.render.threads
+    resources:
+        mem_mb=job_memory_mb("render"),
+        runtime=job_runtime_min("render", CONFIG),
+    params:
+        settings=RENDER_SETTINGS,
+        frames=CONFIG.sample.frames,
+        viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
+        code=code_digest("render"),
+        config=CONFIG_FILE,
+    message:
+        "Render {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+    shell:
+        "slipstitch render --config {params.config} --trajectory {input}"
+        " --viewpoint {wildcards.viewpoint} --out {output} > {log} 2>&1"
+
+
+rule preview_one:
+    input:
+        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+    output:
+        sheet="results/render/preview/{simulation}.png",
+        film="results/render/preview/{simulation}.mp4",
+    log:
+        "results/logs/render/preview_{simulation}.log",
+    benchmark:
+        "results/benchmarks/render/preview_{simulation}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("preview"),
+        runtime=job_runtime_min("preview", CONFIG),
+    params:
+        code=code_digest("render"),
+        config=CONFIG_FILE,
+    message:
+        "Contact sheet and film of {wildcards.simulation}"
+    shell:
+        "slipstitch render --config {params.config} --preview {output.sheet} {output.film}"
+        " --shards {input} > {log} 2>&1"

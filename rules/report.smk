@@ -1,0 +1,35 @@
+"""The page that a person reads."""
+
+
+rule report:
+    input:
+        "results/report/index.html",
+
+
+rule report_page:
+    input:
+        calibration=rules.calibrate.input,
+        simulations=rules.simulate.input,
+        grid="results/grid.parquet",
+        previews=rules.render.input[len(SIMULATIONS) * len(VIEWPOINTS) :],
+        dataset=rules.sample.input,
+        networks=rules.train.input,
+        evaluation=rules.evaluate.input,
+    output:
+        "results/report/index.html",
+    log:
+        "results/logs/report/report.log",
+    benchmark:
+        "results/benchmarks/report/report.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("report"),
+        runtime=job_runtime_min("report", CONFIG),
+    params:
+        settings=settings(*type(CONFIG).model_fields),
+        code=code_digest("report"),
+        config=CONFIG_FILE,
+    message:
+        "Write the report"
+    shell:
+        "slipstitch report --config {params.config} --results results --out {output} > {log} 2>&1"

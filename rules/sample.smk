@@ -1,0 +1,33 @@
+"""The dataset: sampled frames, splits, manifest."""
+
+
+rule sample:
+    input:
+        "results/sample/manifest.parquet",
+        expand("results/sample/{simulation}.parquet", simulation=SIMULATIONS),
+
+
+rule sample_all:
+    input:
+        grid="results/grid.parquet",
+        shards=rules.render.input[: len(SIMULATIONS) * len(VIEWPOINTS)],
+    output:
+        manifest="results/sample/manifest.parquet",
+        videos=expand("results/sample/{simulation}.parquet", simulation=SIMULATIONS),
+    log:
+        "results/logs/sample/sample.log",
+    benchmark:
+        "results/benchmarks/sample/sample.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("sample"),
+        runtime=job_runtime_min("sample", CONFIG),
+    params:
+        settings=settings("seed", "sample"),
+        code=code_digest("sample"),
+        config=CONFIG_FILE,
+    message:
+        "Sample frames, draw the splits"
+    shell:
+        "slipstitch sample --config {params.config} --out-dir results/sample"
+        " {input.shards} > {log} 2>&1"

@@ -1,0 +1,31 @@
+"""One drop-and-drag run a material, friction coefficient and replicate."""
+
+
+rule simulate:
+    input:
+        expand("results/simulate/{simulation}.parquet", simulation=SIMULATIONS),
+
+
+rule simulate_one:
+    input:
+        "results/calibrate/calibration.json",
+    output:
+        "results/simulate/{simulation}.parquet",
+    log:
+        "results/logs/simulate/{simulation}.log",
+    benchmark:
+        "results/benchmarks/simulate/{simulation}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("simulate"),
+        runtime=job_runtime_min("simulate", CONFIG),
+    params:
+        settings=settings("simulation"),
+        simulation=lambda wildcards: str(SIMULATIONS[wildcards.simulation]),
+        code=code_digest("simulate"),
+        config=CONFIG_FILE,
+    message:
+        "Simulate {wildcards.simulation}"
+    shell:
+        "slipstitch simulate --config {params.config} --calibration {input}"
+        " --simulation {wildcards.simulation} --out {output} > {log} 2>&1"

@@ -1,0 +1,56 @@
+"""Material network, friction network, friction network conditioned on the predicted material."""
+
+from slipstitch.train.settings import NETWORKS
+
+
+def material_network(wildcards):
+    """The material network that the conditional one of the same split and seed listens to."""
+    if wildcards.network != "friction_conditional":
+        return []
+    return (
+        f"results/train/{wildcards.split}/material_baseline/seed{wildcards.seed}/model.safetensors"
+    )
+
+
+rule train:
+    input:
+        expand(
+            "results/train/{split}/{network}/seed{seed}/{file}",
+            split=CONFIG.train.splits,
+            network=NETWORKS,
+            seed=CONFIG.train.seeds,
+            file=["model.safetensors", "history.csv"],
+        ),
+
+
+rule train_one:
+    input:
+        dataset=rules.sample.input,
+        material=material_network,
+    output:
+        model="results/train/{split}/{network}/seed{seed}/model.safetensors",
+        history="results/train/{split}/{network}/seed{seed}/history.csv",
+    log:
+        "results/logs/train/{split}_{network}_seed{seed}.log",
+    benchmark:
+        "results/benchmarks/train/{split}_{network}_seed{seed}.tsv"
+    wildcard_constraints:
+        network="|".join(NETWORKS),
+    threads: 2
+    resources:
+        mem_mb=job_memory_mb("train"),
+        runtime=job_runtime_min("train", CONFIG),
+    params:
+        settings=settings("seed", "train", train={"seeds", "splits"}),
+        code=code_digest("train"),
+        config=CONFIG_FILE,
+        folder=subpath(output.model, parent=True),
+        material=lambda wildcards, input: (
+            f"--material-model {input.material}" if input.material else ""
+        ),
+    message:
+        "Train {wildcards.network}, split {wildcards.split}, seed {wildcards.seed}"
+    shell:
+        "slipstitch train --config {params.config} --dataset results/sample"
+        " --network {wildcards.network} --split {wildcards.split} --seed {wildcards.seed}"
+        " {params.material} --out-dir {params.folder} > {log} 2>&1"

@@ -1,0 +1,204 @@
+"""What a configuration costs: jobs, CPU time, disk; from costs per item that were measured.
+
+The table `COSTS` is the only place with measured numbers; the rest scales them.
+"""
+
+import math
+from dataclasses import dataclass
+
+from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.model import Config
+from slipstitch.train.settings import NETWORKS
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A measured cost of one item and where the number comes from."""
+
+    value: float
+    unit: str
+    source: str
+
+
+# One core of a 2-core x86-64 virtual machine unless the source says otherwise.
+COSTS = {
+    "calibrate_s": Cost(60.0, "CPU s", "not measured yet: an allowance"),
+    "simulate_step_s": Cost(
+        0.010, "CPU s a time step of 41 x 41 vertices", "not measured yet: the aim of the solver"
+    ),
+    "trajectory_bytes": Cost(
+        11.0, "bytes a vertex and frame", "three float32, hardly compressible"
+    ),
+    "render_start_s": Cost(2.0, "CPU s a Blender process", "not measured yet: an allowance"),
+    "render_frame_s": Cost(
+        0.15, "CPU s a frame at 112 px, 4 samples", "not measured yet: the aim of the renderer"
+    ),
+    "texture_s": Cost(0.010, "CPU s an image", "not measured yet: the aim of the renderer"),
+    "image_bytes": Cost(1.5, "bytes a pixel of PNG", "not measured yet: an allowance"),
+    "preview_s": Cost(3.0, "CPU s a simulation", "not measured yet: an allowance"),
+    "preview_bytes": Cost(400e3, "bytes a simulation", "not measured yet: an allowance"),
+    "sample_s": Cost(0.001, "CPU s an image", "not measured yet: an allowance"),
+    "train_frame_s": Cost(
+        0.0023,
+        "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
+        "not measured yet: 0.75 h for 92160 passes of 30 frames on two cores",
+    ),
+    "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
+    "report_s": Cost(20.0, "CPU s", "not measured yet: an allowance"),
+    "report_bytes": Cost(20e6, "bytes", "not measured yet: an allowance"),
+}
+
+MEMORY_MB = {
+    "calibrate": 1024,
+    "simulate": 1024,
+    "render": 2048,
+    "preview": 1024,
+    "sample": 2048,
+    "train": 6144,
+    "evaluate": 4096,
+    "report": 2048,
+}
+
+
+@dataclass(frozen=True)
+class StageEstimate:
+    """Jobs, CPU seconds and disk bytes of one stage."""
+
+    stage: str
+    jobs: int
+    cpu_s: float
+    disk_bytes: float
+
+
+def _cost(name: str) -> float:
+    return COSTS[name].value
+
+
+def _frames_rendered(config: Config) -> int:
+    return config.sample.frames if config.render.frames == "sampled" else config.simulation.frames
+
+
+def _simulation_cpu_s(config: Config) -> float:
+    settings = config.simulation
+    steps = settings.frames / settings.frame_rate_hz / settings.time_step_s
+    # Sparse Cholesky of a planar mesh of V vertices takes of the order of V^1.5 operations.
+    size = (settings.vertices_per_side / 41) ** 3
+    return _cost("simulate_step_s") * steps * size
+
+
+def _render_cpu_s(config: Config) -> float:
+    images = _frames_rendered(config)
+    shading = (
+        _cost("render_frame_s") * (config.render.pixels / 112) ** 2 * config.render.samples / 4
+    )
+    return _cost("render_start_s") + images * (shading + _cost("texture_s") * len(textures(config)))
+
+
+def _image_bytes(config: Config) -> float:
+    return _cost("image_bytes") * config.render.pixels**2
+
+
+def _frame_factor(config: Config) -> float:
+    """Work of the network on one frame, in units of 64 px at a quarter of the width."""
+    pixels = config.train.pixels or config.render.pixels
+    return (pixels / 64) ** 2 * (config.train.width / 0.25) ** 2
+
+
+def _training_cpu_s(config: Config) -> float:
+    """One training: cycles over 1, 2, ... viewpoints, then the calibrated one alone."""
+    train = config.train
+    views = len(config.render.viewpoints)
+    passes = train.epochs_per_cycle * views * (views + 1) / 2 + train.fine_tuning_epochs
+    share = 1.0 - config.sample.test_fraction
+    videos = len(simulations(config)) * len(config.render.textures) * share
+    return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
+
+
+def estimate(config: Config) -> list[StageEstimate]:
+    """Cost of each stage of the chain, in its order.
+
+    The jobs are those that Snakemake counts, without its ``all``.
+    """
+    runs, views = len(simulations(config)), len(viewpoints(config))
+    images = runs * views * len(textures(config))
+    sampled = images * config.sample.frames
+    networks = len(config.train.splits) * len(NETWORKS) * len(config.train.seeds)
+    vertices = config.simulation.vertices_per_side**2
+    trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
+    evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
+    return [
+        StageEstimate("calibrate", 1, _cost("calibrate_s"), 1e4),
+        StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
+        StageEstimate(
+            "render",
+            runs * (views + 1),
+            runs * (views * _render_cpu_s(config) + _cost("preview_s")),
+            images * _frames_rendered(config) * _image_bytes(config)
+            + runs * _cost("preview_bytes"),
+        ),
+        # The table of ids counts here.
+        StageEstimate("sample", 2, sampled * _cost("sample_s"), sampled * _image_bytes(config)),
+        StageEstimate(
+            "train", networks, networks * _training_cpu_s(config), networks * 4e6 * _width2(config)
+        ),
+        StageEstimate(
+            "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
+        ),
+        StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
+    ]
+
+
+def _width2(config: Config) -> float:
+    return (config.train.width / 0.25) ** 2
+
+
+def job_memory_mb(stage: str) -> int:
+    """Memory that one job of the stage may need, for a scheduler."""
+    return MEMORY_MB[stage]
+
+
+def job_runtime_min(stage: str, config: Config) -> int:
+    """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
+    if stage == "preview":
+        cpu_s = _cost("preview_s")
+    elif stage == "render":
+        cpu_s = _render_cpu_s(config)
+    else:
+        whole = next(one for one in estimate(config) if one.stage == stage)
+        cpu_s = whole.cpu_s / whole.jobs
+    return max(15, math.ceil(5 * cpu_s / 60))
+
+
+def _size(size_bytes: float) -> str:
+    for unit, scale in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size_bytes >= scale:
+            return f"{size_bytes / scale:.3g} {unit}"
+    return f"{size_bytes / 1e3:.3g} kB"
+
+
+def _time(cpu_s: float) -> str:
+    if cpu_s >= 3600:
+        return f"{cpu_s / 3600:.3g} CPU h"
+    return f"{cpu_s / 60:.2g} CPU min" if cpu_s >= 60 else f"{cpu_s:.2g} CPU s"
+
+
+def estimate_line(config: Config) -> str:
+    """The whole chain from nothing, in one line."""
+    stages = estimate(config)
+    jobs, cpu_s = sum(one.jobs for one in stages), sum(one.cpu_s for one in stages)
+    disk = sum(one.disk_bytes for one in stages)
+    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {_size(disk)} of disk"
+
+
+def estimate_table(config: Config) -> str:
+    """`estimate` as aligned text, the line of the whole chain last."""
+    rows = [("stage", "jobs", "time", "disk")] + [
+        (one.stage, str(one.jobs), _time(one.cpu_s), _size(one.disk_bytes))
+        for one in estimate(config)
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = [
+        f"{row[0]:<{widths[0]}}" + "".join(f"  {row[i]:>{widths[i]}}" for i in (1, 2, 3))
+        for row in rows
+    ]
+    return "\n".join([*lines, estimate_line(config)])

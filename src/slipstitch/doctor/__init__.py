@@ -1,0 +1,1 @@
+"""What this machine has of what Slipstitch needs, and what a configuration would cost on it."""
