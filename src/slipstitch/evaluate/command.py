@@ -1,0 +1,66 @@
+"""slipstitch evaluate: the tables."""
+
+import argparse
+
+SUMMARY = "test the trained networks: metrics, confusion, predictions"
+EXAMPLE = (
+    "slipstitch evaluate --config results/config.json --dataset results/sample "
+    "--models results/train --out results/evaluate/metrics.json "
+    "--predictions results/evaluate/predictions.parquet"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
+    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
+    parser.add_argument("--models", required=True, help="folder {split}/{network}/seed{seed}/")
+    parser.add_argument("--out", required=True, help="metrics.json")
+    parser.add_argument("--predictions", required=True, help="predictions.parquet")
+    parser.add_argument(
+        "--details", help="chance, seeds, viewpoints, confusion; details.json beside --out"
+    )
+    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Evaluate, write, print the table."""
+    from pathlib import Path
+
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+    from slipstitch.evaluate.evaluation import write_evaluation
+
+    if arguments.threads < 1:
+        raise BadInput("--threads must be at least 1")
+    config = load_config(*arguments.config)
+    metrics = write_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        arguments.models,
+        arguments.out,
+        arguments.predictions,
+        arguments.details or Path(arguments.out).with_name("details.json"),
+        calibrated=(config.train.view_order or config.render.viewpoints)[0],
+        threads=arguments.threads,
+    )
+    print(f"{'split':<16} {'model':<17} {'n':>5} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end="")
+    print(f" {'top-1':>7} {'top-2':>7}")
+    for split, of_model in metrics.items():
+        for model, row in of_model.items():
+            cells = [
+                _percent(row["friction_lt_0.1"]),
+                _percent(row["friction_lt_0.2"]),
+                f"{_number(row['mean_absolute_error']):>8}",
+                _percent(row["material_top1"]),
+                _percent(row["material_top2"]),
+            ]
+            print(f"{split:<16} {model:<17} {row['n']:>5} {' '.join(cells)}")
+
+
+def _percent(share: float | None) -> str:
+    return f"{'-':>7}" if share is None else f"{100 * share:>6.1f}%"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"

@@ -1,0 +1,394 @@
+"""Trained networks on the videos that test them."""
+
+import json
+import math
+import os
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.metrics import (
+    chance,
+    check_probabilities,
+    confusion,
+    constant_error,
+    entry,
+    friction_scores,
+    material_scores,
+    mean_over_seeds,
+)
+from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.provenance import (
+    atomic_path,
+    provenance_record,
+    start_clock,
+    write_parquet,
+    write_sidecar,
+)
+from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
+from slipstitch.train.settings import NETWORKS, SPLITS
+from slipstitch.train.training import (
+    check_material_model,
+    classes_of,
+    labels_of,
+    predict,
+    set_up_torch,
+)
+from slipstitch.train.videos import Videos, read_videos
+
+# The friction network whose entry carries the material scores too: both are the paper's baseline.
+MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
+
+PREDICTIONS_SCHEMA = pa.schema(
+    [
+        ("video", pa.string()),
+        ("simulation", pa.string()),
+        ("texture", pa.string()),
+        ("viewpoint", pa.string()),
+        ("split", pa.string()),
+        ("trained_on", pa.string()),
+        ("network", pa.string()),
+        ("seed", pa.int32()),
+        ("true", pa.string()),
+        ("predicted", pa.string()),
+        ("true_value", pa.float64()),
+        ("predicted_value", pa.float64()),
+        ("probabilities", pa.list_(pa.float64())),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class TestSet:
+    """Videos that test the networks trained on one split."""
+
+    name: str
+    trained_on: str
+    holds: Callable[[dict[str, Any]], bool]
+
+    __test__ = False  # no test class of pytest's
+
+
+def test_sets(rows: list[dict[str, Any]], calibrated: str, viewpoints: str) -> list[TestSet]:
+    """The test sets that a dataset has, in the order of the tables.
+
+    by_video, by_simulation: the split's test videos in training textures and views.
+    unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
+    turn from the calibrated one, in degrees, in training textures. Both test the networks trained
+    by video on every simulation, as the paper does: the texture or the view is new to them, the
+    cloth's motion is not.
+
+    Parameters
+    ----------
+    rows : list of dict
+        The manifest.
+    calibrated : str
+        Name of the calibrated viewpoint.
+    viewpoints : {"training", "calibrated"}
+        Training views to count.
+    """
+
+    def counts(row: dict[str, Any]) -> bool:
+        return row["viewpoint_role"] == "train" and (
+            viewpoints == "training" or row["viewpoint"] == calibrated
+        )
+
+    sets = [
+        TestSet(
+            split,
+            split,
+            lambda row, column=f"split_{split}": (
+                counts(row) and row["texture_role"] == "train" and row[column] == "test"
+            ),
+        )
+        for split in SPLITS
+    ]
+    sets.append(
+        TestSet(
+            "unseen_texture", "by_video", lambda row: counts(row) and row["texture_role"] == "test"
+        )
+    )
+    turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
+    for turn in sorted(turns):
+        sets.append(
+            TestSet(
+                f"view_{turn:+.0f}",
+                "by_video",
+                lambda row, turn=turn: (
+                    row["viewpoint_role"] == "test"
+                    and row["viewpoint_turn_deg"] == turn
+                    and row["texture_role"] == "train"
+                ),
+            )
+        )
+    return [one for one in sets if any(map(one.holds, rows))]
+
+
+test_sets.__test__ = False
+
+
+def find_models(folder: str | os.PathLike) -> dict[tuple[str, str, int], TrainedModel]:
+    """The models in ``{split}/{network}/seed{seed}/``, by (split, network, seed).
+
+    Raises
+    ------
+    BadInput
+        If there is none, one is damaged, or one is not what its place says.
+    """
+    models = {}
+    for split in SPLITS:
+        for network in NETWORKS:
+            for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}")):
+                model = load_model(path.parent)
+                card = model.card
+                if (card["split"], card["network"], f"seed{card['seed']}") != (
+                    split,
+                    network,
+                    path.parent.name,
+                ):
+                    raise BadInput(
+                        f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
+                        "not what its folder says"
+                    )
+                models[split, network, card["seed"]] = model
+    if not models:
+        raise BadInput(f"{folder}: no model in it ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
+    return models
+
+
+def _shares(models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int) -> np.ndarray:
+    """Probabilities of a model on videos; a conditional one gets its material network's answer."""
+    split, network, seed = key
+    model = models[key]
+    condition = None
+    if network == "friction_conditional":
+        material = models.get((split, "material_baseline", seed))
+        if material is None:
+            raise BadInput(
+                f"friction_conditional {split} seed {seed} has no material_baseline beside it"
+            )
+        check_material_model(material, split, seed, videos.digest)
+        if material.card["weights_sha256"] != model.card["condition_sha256"]:
+            raise BadInput(
+                f"friction_conditional {split} seed {seed} was trained with another "
+                "material_baseline than the one beside it"
+            )
+        condition = predict(
+            material.network,
+            videos.pixels,
+            bfloat16=material.card["bfloat16"],
+            batch_size=batch_size,
+        ).argmax(1)
+    return predict(
+        model.network,
+        videos.pixels,
+        condition,
+        bfloat16=model.card["bfloat16"],
+        batch_size=batch_size,
+    )
+
+
+def evaluate(
+    settings: EvaluateSettings,
+    dataset: str | os.PathLike,
+    models_folder: str | os.PathLike,
+    *,
+    calibrated: str,
+    threads: int = 1,
+) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
+    """Evaluate all models on all test sets.
+
+    Parameters
+    ----------
+    settings : EvaluateSettings
+    dataset, models_folder : path
+        What the sample and train stages wrote.
+    calibrated : str
+        Name of the calibrated viewpoint.
+    threads : int
+
+    Returns
+    -------
+    metrics : dict
+        ``{split: {model: {field: number or None}}}``, the content of metrics.json.
+    details : dict
+        For every split and network: chance, scores of each seed, by viewpoint, confusion matrix.
+    predictions : list of dict
+        Rows of predictions.parquet.
+
+    Raises
+    ------
+    BadInput
+        If a model is missing its partner, was trained on other data, or files are damaged.
+    """
+    set_up_torch(threads)
+    models = find_models(models_folder)
+    pixels = {model.card["pixels"] for model in models.values()}
+    if len(pixels) > 1:
+        raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
+    videos = read_videos(
+        dataset,
+        lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test",
+        pixels.pop(),
+    )
+    for (split, network, seed), model in models.items():
+        if model.card["dataset_digest"] != videos.digest:
+            raise BadInput(
+                f"{network} {split} seed {seed} was trained on another dataset than {dataset}"
+            )
+
+    metrics: dict[str, Any] = {}
+    details: dict[str, Any] = {}
+    predictions: list[dict[str, Any]] = []
+    for test in test_sets(videos.rows, calibrated, settings.viewpoints):
+        chosen = np.array([test.holds(row) for row in videos.rows])
+        part = Videos(
+            [row for row, use in zip(videos.rows, chosen, strict=True) if use],
+            videos.pixels[chosen],
+            videos.digest,
+        )
+        by_network = defaultdict(dict)
+        for key in models:
+            if key[0] == test.trained_on:
+                shares = _shares(models, key, part, settings.batch_size)
+                by_network[key[1]][key[2]] = shares
+                predictions += _rows(part, test, key, models[key], shares)
+        if not by_network:
+            continue
+        scores = {
+            network: _scores(settings, part, models, test.trained_on, network, of_seed)
+            for network, of_seed in by_network.items()
+        }
+        details[test.name] = scores
+        metrics[test.name] = {}
+        for name, network in MODELS.items():
+            used = [network] + ["material_baseline"] * (name == "lrcn_baseline")
+            used = [one for one in used if one in scores]
+            if used:
+                seeds = sorted({seed for one in used for seed in by_network[one]})
+                metrics[test.name][name] = entry(
+                    len(part), seeds, *(scores[one]["mean"] for one in used)
+                )
+    return metrics, details, predictions
+
+
+def _score(settings, card, shares: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    if card["target"] == "material":
+        return material_scores(shares, truth)
+    values = np.array([one["value"] for one in card["classes"]])
+    return friction_scores(shares, truth, values, settings.friction_step)
+
+
+def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str, Any]:
+    """Everything that details.json says of one network on one test set."""
+    card = models[split, network, min(of_seed)].card
+    truth = labels_of(part.rows, card["classes"], card["target"])
+    views = np.array([row["viewpoint"] for row in part.rows])
+    simulations = {row["simulation"] for row in part.rows}
+    each = {seed: _score(settings, card, shares, truth) for seed, shares in of_seed.items()}
+    counts = sum(np.array(confusion(shares, truth)) for shares in of_seed.values())
+    result: dict[str, Any] = {
+        "n": len(part),
+        "simulations": len(simulations),
+        "trained_on": split,
+        "classes": card["classes"],
+        "chance": chance(truth, len(card["classes"])),
+        "mean": mean_over_seeds(list(each.values())),
+        "seeds": {str(seed): score for seed, score in sorted(each.items())},
+        "viewpoints": {
+            str(view): {
+                "n": int((views == view).sum()),
+                **mean_over_seeds(
+                    [
+                        _score(settings, card, shares[views == view], truth[views == view])
+                        for shares in of_seed.values()
+                    ]
+                ),
+            }
+            for view in sorted(set(views))
+        },
+        "confusion": counts.tolist(),
+    }
+    if card["target"] == "friction":
+        values = np.array([one["value"] for one in card["classes"]])
+        result["chance"]["mean_absolute_error"] = constant_error(truth, values)
+    return result
+
+
+def _rows(part: Videos, test: TestSet, key, model: TrainedModel, shares) -> list[dict[str, Any]]:
+    card = model.card
+    truth = labels_of(part.rows, card["classes"], card["target"])
+    check_probabilities(shares, truth)
+    ids = [one["id"] for one in card["classes"]]
+    values = [one.get("value", math.nan) for one in card["classes"]]
+    return [
+        {
+            "video": row["video"],
+            "simulation": row["simulation"],
+            "texture": row["texture"],
+            "viewpoint": row["viewpoint"],
+            "split": test.name,
+            "trained_on": test.trained_on,
+            "network": key[1],
+            "seed": key[2],
+            "true": ids[true],
+            "predicted": ids[int(likely.argmax())],
+            "true_value": values[true],
+            "predicted_value": values[int(likely.argmax())],
+            "probabilities": likely.tolist(),
+        }
+        for row, true, likely in zip(part.rows, truth, shares, strict=True)
+    ]
+
+
+def check_classes(dataset_rows: list[dict[str, Any]], expected: dict[str, list]) -> None:
+    """Refuse a dataset whose classes are not the configured ones."""
+    for kind, values in expected.items():
+        key = "name" if kind == "material" else "value"
+        found = [one[key] for one in classes_of(dataset_rows, kind)]
+        if found != list(values):
+            raise BadInput(
+                f"the dataset has {len(found)} {kind} classes, the configuration {len(values)}"
+            )
+
+
+def write_evaluation(
+    settings: EvaluateSettings,
+    dataset: str | os.PathLike,
+    models_folder: str | os.PathLike,
+    out: str | os.PathLike,
+    predictions_out: str | os.PathLike,
+    details_out: str | os.PathLike,
+    *,
+    calibrated: str,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
+    started = start_clock()
+    metrics, details, predictions = evaluate(
+        settings, dataset, models_folder, calibrated=calibrated, threads=threads
+    )
+    inputs = [Path(dataset) / "manifest.parquet"]
+    inputs += [
+        path
+        for split in SPLITS
+        for name in (WEIGHTS, CARD)
+        for path in Path(models_folder, split).glob(f"*/seed*/{name}")
+    ]
+    record = provenance_record(
+        "evaluate", inputs=inputs, config={"evaluate": settings}, started=started
+    )
+    for path, content in ((out, metrics), (details_out, details)):
+        with atomic_path(path) as temporary:
+            text = json.dumps(content, indent=1, allow_nan=False)
+            temporary.write_text(text + "\n", encoding="utf-8")
+        write_sidecar(path, record)
+    table = pa.Table.from_pylist(predictions, schema=PREDICTIONS_SCHEMA)
+    write_parquet(table, predictions_out, {}, record)
+    return metrics
