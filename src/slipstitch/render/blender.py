@@ -1,0 +1,290 @@
+"""The cloth on its substrate in Blender: scene, lights, camera, and Cycles on the CPU.
+
+The only module that imports bpy. Everything but the cloth is grey, and every surface is a
+Lambertian reflector: that is what lets `slipstitch.render.composition` put textures on afterwards.
+"""
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from slipstitch.render.camera import Camera
+from slipstitch.render.exr import read_exr
+
+#: Albedo of the cloth in the shading render, per colour channel; see `composition.separate`.
+SHADING_ALBEDO = (0.8, 0.0, 0.4)
+
+_FLOOR_ALBEDO = 0.22
+# Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
+# so that neither is drawn through the other.
+_FLOOR_BELOW_M = 0.0004
+#: Corners of the substrate.
+FLOOR_M = np.array(
+    [(x, y, -_FLOOR_BELOW_M) for x, y in ((-0.34, -0.3), (0.64, -0.3), (0.64, 0.3), (-0.34, 0.3))]
+)
+_BACKGROUND_RADIANCE = 0.006
+_DIFFUSE_BOUNCES = 2
+# One lamp: with two, each path would pick one at random, and that choice would be most of the
+# noise. The fill light is a dome, brightest towards _FILL_FROM, which the camera does not see.
+_LAMP_POSITION_M = (0.80, -0.50, 1.00)
+_LAMP_AIM_M = (0.15, 0.0, 0.05)
+_LAMP_SIDE_M = 0.15
+_LAMP_POWER_W = 24.0
+_FILL_RADIANCE = 0.42
+_FILL_GRADIENT = 0.6
+_FILL_FROM = (-0.30, -0.80, 0.52)
+
+
+@contextlib.contextmanager
+def _stdout_to_stderr() -> Iterator[None]:
+    """Blender prints its progress to file descriptor 1, where our results belong."""
+    sys.stdout.flush()
+    keep = os.dup(1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(keep, 1)
+        os.close(keep)
+        os.close(null)
+
+
+class ClothScene:
+    """One cloth in Blender, rendered frame by frame.
+
+    Blender holds one scene a process; making a second `ClothScene` replaces the first.
+
+    Parameters
+    ----------
+    faces : ndarray (F, 3) int
+        Triangles.
+    uv : ndarray (V, 2)
+        Texture coordinates in [0, 1].
+    threads : int
+        Threads of Cycles.
+    """
+
+    def __init__(self, faces: np.ndarray, uv: np.ndarray, *, threads: int = 1):
+        with _stdout_to_stderr():
+            import bpy
+
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+        self._bpy = bpy
+        self._scene = bpy.context.scene
+        self._configure(threads)
+        self._make_floor()
+        self._make_lamp()
+        self._make_cloth(np.asarray(faces), np.asarray(uv, dtype=np.float64))
+        data = bpy.data.cameras.new("camera")
+        self._camera = bpy.data.objects.new("camera", data)
+        self._link(self._camera)
+        self._scene.camera = self._camera
+
+    def _link(self, thing) -> None:
+        self._scene.collection.objects.link(thing)
+
+    def _configure(self, threads: int) -> None:
+        scene = self._scene
+        scene.render.engine = "CYCLES"
+        scene.render.threads_mode = "FIXED"
+        scene.render.threads = threads
+        scene.render.use_persistent_data = False
+        scene.render.use_compositing = False
+        scene.render.use_sequencer = False
+        scene.render.dither_intensity = 0.0
+        scene.render.resolution_percentage = 100
+        scene.render.film_transparent = False
+        image = scene.render.image_settings
+        image.file_format = "OPEN_EXR_MULTILAYER"
+        image.color_depth = "32"
+        image.exr_codec = "NONE"
+        scene.view_layers[0].use_pass_uv = True
+        scene.view_settings.view_transform = "Standard"
+        cycles = scene.cycles
+        cycles.device = "CPU"
+        cycles.use_adaptive_sampling = False
+        cycles.use_denoising = False
+        cycles.use_auto_tile = False
+        # A square filter of one pixel: averaging 2 x 2 pixels then equals rendering at half the
+        # resolution, so that composed and direct images show the same thing.
+        cycles.pixel_filter_type = "BOX"
+        cycles.filter_width = 1.0
+        cycles.max_bounces = _DIFFUSE_BOUNCES
+        cycles.diffuse_bounces = _DIFFUSE_BOUNCES
+        cycles.use_light_tree = False
+        cycles.caustics_reflective = False
+        cycles.caustics_refractive = False
+        # Clamping cuts each channel at its own value, after which they no longer separate.
+        cycles.sample_clamp_direct = 0.0
+        cycles.sample_clamp_indirect = 0.0
+        cycles.light_sampling_threshold = 0.0
+        bpy = self._bpy
+        world = bpy.data.worlds.new("background")
+        scene.world = world
+        world.use_nodes = True
+        self._light_dome(world.node_tree)
+        # Reached by scattered rays only: aiming at it would add a choice between lights.
+        world.cycles.sampling_method = "NONE"
+
+    def _light_dome(self, tree) -> None:
+        nodes, link = tree.nodes, tree.links.new
+        direction = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+        towards = nodes.new("ShaderNodeVectorMath")
+        towards.operation = "DOT_PRODUCT"
+        towards.inputs[1].default_value = _FILL_FROM
+        link(direction, towards.inputs[0])
+        fill = nodes.new("ShaderNodeMath")
+        fill.operation = "MULTIPLY_ADD"
+        fill.inputs[1].default_value = _FILL_RADIANCE * _FILL_GRADIENT
+        fill.inputs[2].default_value = _FILL_RADIANCE
+        link(towards.outputs["Value"], fill.inputs[0])
+        seen = nodes.new("ShaderNodeMix")
+        seen.data_type = "FLOAT"
+        link(nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], seen.inputs["Factor"])
+        link(fill.outputs["Value"], seen.inputs[2])
+        seen.inputs[3].default_value = _BACKGROUND_RADIANCE
+        background = nodes["Background"]
+        background.inputs["Color"].default_value = (1, 1, 1, 1)
+        link(seen.outputs[0], background.inputs["Strength"])
+
+    def _diffuse(self, name: str):
+        """A material with one Lambertian surface, and that surface's colour socket."""
+        material = self._bpy.data.materials.new(name)
+        material.use_nodes = True
+        nodes = material.node_tree.nodes
+        nodes.clear()
+        surface = nodes.new("ShaderNodeBsdfDiffuse")
+        output = nodes.new("ShaderNodeOutputMaterial")
+        material.node_tree.links.new(surface.outputs["BSDF"], output.inputs["Surface"])
+        return material, surface.inputs["Color"]
+
+    def _make_floor(self) -> None:
+        mesh = self._bpy.data.meshes.new("floor")
+        mesh.from_pydata(FLOOR_M.tolist(), [], [(0, 1, 2, 3)])
+        material, colour = self._diffuse("floor")
+        colour.default_value = (_FLOOR_ALBEDO, _FLOOR_ALBEDO, _FLOOR_ALBEDO, 1)
+        mesh.materials.append(material)
+        self._link(self._bpy.data.objects.new("floor", mesh))
+
+    def _make_lamp(self) -> None:
+        from mathutils import Vector
+
+        lamp = self._bpy.data.lights.new("lamp", "AREA")
+        lamp.shape = "SQUARE"
+        lamp.size = _LAMP_SIDE_M
+        lamp.energy = _LAMP_POWER_W
+        lamp.cycles.use_multiple_importance_sampling = False
+        thing = self._bpy.data.objects.new("lamp", lamp)
+        thing.location = _LAMP_POSITION_M
+        beam = Vector(_LAMP_AIM_M) - Vector(_LAMP_POSITION_M)
+        thing.rotation_euler = beam.to_track_quat("-Z", "Y").to_euler()
+        self._link(thing)
+
+    def _make_cloth(self, faces: np.ndarray, uv: np.ndarray) -> None:
+        mesh = self._bpy.data.meshes.new("cloth")
+        mesh.from_pydata(np.zeros((len(uv), 3)).tolist(), [], faces.tolist())
+        mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+        corners = np.empty(len(mesh.loops), dtype=np.int32)
+        mesh.loops.foreach_get("vertex_index", corners)
+        layer = mesh.uv_layers.new(name="uv")
+        layer.data.foreach_set("uv", uv[corners].astype(np.float32).ravel())
+        self._cloth_material, self._cloth_colour = self._diffuse("cloth")
+        self._cloth_colour.default_value = (*SHADING_ALBEDO, 1)
+        mesh.materials.append(self._cloth_material)
+        self._mesh = mesh
+        self._link(self._bpy.data.objects.new("cloth", mesh))
+
+    def wear(self, texture: np.ndarray) -> None:
+        """Give the cloth a texture (H, W, 3) of linear albedo, row 0 at v = 0."""
+        height, width = texture.shape[:2]
+        image = self._bpy.data.images.new("texture", width, height, float_buffer=True)
+        image.colorspace_settings.name = "Non-Color"
+        rgba = np.ones((height, width, 4), dtype=np.float32)
+        rgba[..., :3] = texture
+        image.pixels.foreach_set(rgba.ravel())
+        image.update()
+        tree = self._cloth_material.node_tree
+        for node in [node for node in tree.nodes if node.type == "TEX_IMAGE"]:
+            tree.nodes.remove(node)
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image = image
+        node.interpolation = "Linear"
+        node.extension = "EXTEND"
+        tree.links.new(node.outputs["Color"], self._cloth_colour)
+
+    def render(
+        self,
+        positions_m: np.ndarray,
+        camera: Camera,
+        *,
+        samples: int,
+        seed: int = 0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Render the cloth with these vertices through this camera.
+
+        Parameters
+        ----------
+        positions_m : ndarray (V, 3)
+            World coordinates.
+        camera : Camera
+            Gives the resolution too.
+        samples : int
+            Paths per pixel. The first goes through the pixel's centre, the others are spread
+            evenly over the pixel.
+        seed : int
+            Of the path tracer's samples.
+
+        Returns
+        -------
+        radiance : ndarray (pixels, pixels, 3) float32
+            Linear, red, green, blue.
+        uv : ndarray (pixels, pixels, 3) float32
+            Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
+        """
+        self._mesh.vertices.foreach_set("co", np.asarray(positions_m, dtype=np.float32).ravel())
+        self._mesh.update()
+        self._aim(camera)
+        cycles = self._scene.cycles
+        cycles.samples = samples
+        cycles.seed = seed
+        with tempfile.TemporaryDirectory(prefix="slipstitch-", dir=_scratch()) as folder:
+            path = Path(folder) / "frame.exr"
+            self._scene.render.filepath = str(path)
+            with _stdout_to_stderr():
+                self._bpy.ops.render.render(write_still=True)
+            channels = read_exr(path)
+        layer = self._scene.view_layers[0].name
+        radiance = np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
+        uv = np.stack([channels[f"{layer}.UV.{c}"] for c in "UVA"], axis=-1)
+        return radiance, uv
+
+    def _aim(self, camera: Camera) -> None:
+        from mathutils import Matrix
+
+        render = self._scene.render
+        render.resolution_x = render.resolution_y = camera.pixels
+        data = self._camera.data
+        data.sensor_fit = "HORIZONTAL"
+        data.sensor_width = 36.0
+        data.lens = float(36.0 * camera.matrix[0, 0] / camera.pixels)
+        middle = (camera.pixels - 1) / 2
+        data.shift_x = float((middle - camera.matrix[0, 2]) / camera.pixels)
+        data.shift_y = float((camera.matrix[1, 2] - middle) / camera.pixels)
+        data.clip_start, data.clip_end = 0.01, 100.0
+        # Blender's cameras look along -z with y up.
+        world = np.eye(4)
+        world[:3, :3] = camera.rotation.T @ np.diag([1.0, -1.0, -1.0])
+        world[:3, 3] = -camera.rotation.T @ camera.translation_m
+        self._camera.matrix_world = Matrix(world.tolist())
+
+
+def _scratch() -> str | None:
+    """A folder in memory where there is one: the frames that pass through it are read at once."""
+    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None

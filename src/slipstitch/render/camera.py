@@ -1,0 +1,114 @@
+"""Pinhole cameras in OpenCV's convention, and the crop that follows the stage.
+
+A viewpoint is a camera that stands still on the bench. The image is a square crop of what it sees:
+the smallest square that holds a room around the stage which the cloth cannot leave. The stage path
+is known, so the same crop can be cut from a real video. A crop of a pinhole image is a pinhole
+image with other intrinsics, which is how Blender renders it directly.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipstitch.render.catalogue import Viewpoint
+
+#: The fixed cameras are aimed here: the middle of the stage's travel, between clamps and floor.
+AIM_M = (0.15, 0.0, 0.07)
+
+# Where the cloth can be, in units of its length: this far from under the clamps, at this share of
+# their height. A sheet of length L held at height 0.75 L reaches 0.66 L along the floor; the rest
+# is room for stretch and for a yawed clamp.
+_REACH = ((0.0, 0.72), (0.35, 0.60), (1.0, 0.14))
+_HALF_WIDTH = 0.54
+_MARGIN = 1.03
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera: x_camera = rotation @ x_world + translation_m, z forward, y down.
+
+    Attributes
+    ----------
+    rotation : ndarray (3, 3)
+        World to camera.
+    translation_m : ndarray (3,)
+    matrix : ndarray (3, 3)
+        Intrinsics in pixels; the centre of the first pixel is (0, 0), as in OpenCV.
+    pixels : int
+        Side of the square image.
+    """
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    matrix: np.ndarray
+    pixels: int
+
+    def project(self, points_m: np.ndarray) -> np.ndarray:
+        """Pixel coordinates (N, 2) of world points (N, 3)."""
+        image = (points_m @ self.rotation.T + self.translation_m) @ self.matrix.T
+        return image[:, :2] / image[:, 2:]
+
+    def at_resolution(self, pixels: int) -> "Camera":
+        """The same view with another number of pixels."""
+        scale = pixels / self.pixels
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= scale
+        matrix[:2, 2] = (matrix[:2, 2] + 0.5) * scale - 0.5
+        return Camera(self.rotation, self.translation_m, matrix, pixels)
+
+
+def pose(viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and translation (3,), world to camera, of a viewpoint's fixed camera."""
+    azimuth, elevation = (
+        math.radians(viewpoint.azimuth_deg),
+        math.radians(viewpoint.elevation_deg),
+    )
+    backwards = np.array(
+        [
+            math.cos(azimuth) * math.cos(elevation),
+            -math.sin(azimuth) * math.cos(elevation),
+            math.sin(elevation),
+        ]
+    )
+    position = np.array(AIM_M) + viewpoint.distance_m * backwards
+    forward = -backwards
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    rotation = np.stack([right, down, forward])
+    return rotation, -rotation @ position
+
+
+def cloth_room(
+    stage_x_m: float | np.ndarray, stage_z_m: float | np.ndarray, width_m: float, length_m: float
+) -> np.ndarray:
+    """Corners (N, 3) of a room around the stage that the cloth stays in.
+
+    Parameters
+    ----------
+    stage_x_m, stage_z_m : float or array
+        Place of the clamps; of several places, the room holds all.
+    width_m, length_m : float
+        Of the cloth at rest: along its upper edge, and from there to its lower edge.
+    """
+    first, last, top = np.min(stage_x_m), np.max(stage_x_m), np.max(stage_z_m)
+    corners = [
+        (x, side * _HALF_WIDTH * width_m, share * top)
+        for share, reach in _REACH
+        for x in (first - reach * length_m, last + reach * length_m)
+        for side in (-1, 1)
+    ]
+    return np.array(corners)
+
+
+def crop_to(viewpoint: Viewpoint, room_m: np.ndarray, pixels: int) -> Camera:
+    """The viewpoint's camera, cropped to the smallest square around the corners of the room (N, 3)."""
+    rotation, translation = pose(viewpoint)
+    local = room_m @ rotation.T + translation
+    image = local[:, :2] / local[:, 2:]
+    low, high = image.min(axis=0), image.max(axis=0)
+    focal = pixels / (_MARGIN * np.max(high - low))
+    centre = (pixels - 1) / 2 - focal * (low + high) / 2
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+    return Camera(rotation, translation, matrix, pixels)

@@ -1,0 +1,162 @@
+"""Contact sheets and videos of finished image shards, made without Blender."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.errors import BadInput
+from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.render.shards import SCHEMA
+
+_SHEET_COLUMNS = 8
+_SECONDS = 12.0
+_SMALLEST_VIDEO_PX = 224
+_GAP = 2
+
+
+def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int, bytes]]:
+    """PNG files of a shard: (simulation, texture, viewpoint) -> frame -> bytes.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, damaged, or not an image shard.
+    """
+    try:
+        table = pq.read_table(path)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file") from None
+    except (OSError, pa.ArrowException) as error:
+        raise BadInput(
+            f"{path}: damaged or no Parquet file: {str(error).splitlines()[0]}"
+        ) from None
+    for name in SCHEMA.names:
+        if name not in table.column_names:
+            raise BadInput(f"{path}: not an image shard: it has no column {name!r}")
+    videos: dict[tuple[str, str, str], dict[int, bytes]] = {}
+    for row in table.to_pylist():
+        key = (row["simulation"], row["texture"], row["viewpoint"])
+        videos.setdefault(key, {})[row["frame"]] = row["image"]["bytes"]
+    return videos
+
+
+def _decode(data: bytes, where: str) -> np.ndarray:
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise BadInput(f"{where}: an image cannot be decoded")
+    return image
+
+
+def preview(
+    shards: Sequence[str | os.PathLike],
+    sheet: str | os.PathLike | None = None,
+    video: str | os.PathLike | None = None,
+) -> None:
+    """Make a contact sheet and a video of image shards, usually all viewpoints of a simulation.
+
+    Parameters
+    ----------
+    shards : sequence of paths
+        Image shards; the frames that all of them have are shown.
+    sheet : path, optional
+        PNG: one row for every viewpoint and texture, time from left to right.
+    video : path, optional
+        MP4: the viewpoints side by side, the textures below each other.
+
+    Raises
+    ------
+    BadInput
+        If a shard cannot be read or the shards have no frame in common.
+    """
+    started = start_clock()
+    videos = {}
+    for path in shards:
+        for key, frames in read_images(path).items():
+            if key in videos:
+                raise BadInput(f"{path}: holds {'_'.join(key)}, which another shard holds too")
+            videos[key] = {number: (data, path) for number, data in frames.items()}
+    common = sorted(
+        set.intersection(*(set(frames) for frames in videos.values())) if videos else ()
+    )
+    if not common:
+        raise BadInput(f"no frame is in all of {', '.join(map(str, shards))}")
+    order = sorted(videos, key=lambda key: (key[0], key[2], key[1]))
+
+    def image(key: tuple[str, str, str], number: int) -> np.ndarray:
+        data, path = videos[key][number]
+        return _decode(data, f"{path}: {'_'.join(key)} frame {number}")
+
+    record = provenance_record("render", inputs=shards, started=started)
+    if sheet is not None:
+        chosen = [common[k] for k in _evenly(len(common), _SHEET_COLUMNS)]
+        rows = [[image(key, number) for number in chosen] for key in order]
+        with atomic_path(sheet) as temporary:
+            if not cv2.imwrite(str(temporary), _tile(rows)):
+                raise BadInput(f"{sheet}: a contact sheet's name must end in .png")
+        write_sidecar(sheet, record)
+    if video is not None:
+        if Path(video).suffix != ".mp4":
+            raise BadInput(f"{video}: a video's name must end in .mp4")
+        across = sorted({(key[0], key[2]) for key in order})
+        down = sorted({key[1] for key in order})
+        with atomic_path(video) as temporary:
+            _write_video(
+                temporary,
+                (
+                    _tile(
+                        [
+                            [image((simulation, texture, view), n) for simulation, view in across]
+                            for texture in down
+                            if all((s, texture, v) in videos for s, v in across)
+                        ]
+                    )
+                    for n in common
+                ),
+                rate_hz=max(1.0, len(common) / _SECONDS),
+            )
+        write_sidecar(video, record)
+
+
+def _evenly(count: int, wanted: int) -> list[int]:
+    return sorted(set(np.linspace(0, count - 1, min(wanted, count)).round().astype(int).tolist()))
+
+
+def _tile(rows: list[list[np.ndarray]]) -> np.ndarray:
+    """Images in a grid with a thin gap, all at the size of the largest."""
+    side = max(image.shape[0] for row in rows for image in row)
+    wide = max(len(row) for row in rows)
+    canvas = np.full(
+        (len(rows) * (side + _GAP) - _GAP, wide * (side + _GAP) - _GAP, 3), 255, dtype=np.uint8
+    )
+    for i, row in enumerate(rows):
+        for j, image in enumerate(row):
+            if image.shape[0] != side:
+                image = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+            y, x = i * (side + _GAP), j * (side + _GAP)
+            canvas[y : y + side, x : x + side] = image
+    return canvas
+
+
+def _write_video(path: Path, pictures, rate_hz: float) -> None:
+    writer = None
+    try:
+        for picture in pictures:
+            scale = max(1, -(-_SMALLEST_VIDEO_PX // picture.shape[0]))
+            picture = np.kron(picture, np.ones((scale, scale, 1), np.uint8))
+            # The codec needs even sides.
+            picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+            if writer is None:
+                size = (picture.shape[1], picture.shape[0])
+                codec = cv2.VideoWriter_fourcc(*"mp4v")
+                writer = cv2.VideoWriter(str(path), codec, rate_hz, size)
+                if not writer.isOpened():
+                    raise RuntimeError("OpenCV cannot write MP4 videos here")
+            writer.write(picture)
+    finally:
+        if writer is not None:
+            writer.release()
