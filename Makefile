@@ -14,7 +14,7 @@ help:
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
 	@echo 'make lint       ruff and snakefmt, check only'
-	@echo 'make format     ruff and snakefmt, mend'
+	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  timings of the parts'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
@@ -27,12 +27,13 @@ all: setup
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/snakefmt --quiet --check Snakefile rules
+	$(BIN)/snakefmt --check Snakefile rules
 
 format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-	$(BIN)/snakefmt --quiet Snakefile rules
+	$(BIN)/snakefmt Snakefile rules
+	$(BIN)/python -m slipstitch.config.schema > workflow/schemas/config.schema.json
 
 test: lint
 	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)

@@ -4,11 +4,13 @@
 rule calibrate:
     input:
         "results/calibrate/calibration.json",
+        "results/calibrate/calibration.png",
 
 
 rule calibrate_settings:
     output:
-        "results/calibrate/calibration.json",
+        checks="results/calibrate/calibration.json",
+        picture="results/calibrate/calibration.png",
     log:
         "results/logs/calibrate/calibration.log",
     benchmark:
@@ -24,4 +26,4 @@ rule calibrate_settings:
     message:
         "Check the simulator against theory"
     shell:
-        "slipstitch calibrate --config {params.config} --out {output} > {log} 2>&1"
+        "slipstitch calibrate --config {params.config} --out {output.checks} --picture {output.picture} > {log} 2>&1"

@@ -5,6 +5,7 @@ rule evaluate:
     input:
         "results/evaluate/metrics.json",
         "results/evaluate/predictions.parquet",
+        "results/evaluate/details.json",
 
 
 rule evaluate_all:
@@ -14,20 +15,23 @@ rule evaluate_all:
     output:
         metrics="results/evaluate/metrics.json",
         predictions="results/evaluate/predictions.parquet",
+        details="results/evaluate/details.json",
     log:
         "results/logs/evaluate/evaluate.log",
     benchmark:
         "results/benchmarks/evaluate/evaluate.tsv"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=job_memory_mb("evaluate"),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
         settings=settings("evaluate"),
+        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
         code=code_digest("evaluate"),
         config=CONFIG_FILE,
     message:
         "Evaluate the networks"
     shell:
         "slipstitch evaluate --config {params.config} --dataset results/sample"
-        " --models results/train --out-dir results/evaluate > {log} 2>&1"
+        " --models results/train --out {output.metrics} --predictions {output.predictions}"
+        " --details {output.details} --threads {threads} > {log} 2>&1"

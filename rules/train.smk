@@ -12,6 +12,11 @@ def material_network(wildcards):
     )
 
 
+def material_option(wildcards, input):
+    """The option that hands over the folder of that network."""
+    return f"--material-model {Path(input.material).parent}" if input.material else ""
+
+
 rule train:
     input:
         expand(
@@ -19,7 +24,7 @@ rule train:
             split=CONFIG.train.splits,
             network=NETWORKS,
             seed=CONFIG.train.seeds,
-            file=["model.safetensors", "history.csv"],
+            file=["model.safetensors", "model.json", "history.csv"],
         ),
 
 
@@ -29,6 +34,7 @@ rule train_one:
         material=material_network,
     output:
         model="results/train/{split}/{network}/seed{seed}/model.safetensors",
+        card="results/train/{split}/{network}/seed{seed}/model.json",
         history="results/train/{split}/{network}/seed{seed}/history.csv",
     log:
         "results/logs/train/{split}_{network}_seed{seed}.log",
@@ -36,21 +42,20 @@ rule train_one:
         "results/benchmarks/train/{split}_{network}_seed{seed}.tsv"
     wildcard_constraints:
         network="|".join(NETWORKS),
-    threads: 2
+    threads: 1
     resources:
         mem_mb=job_memory_mb("train"),
         runtime=job_runtime_min("train", CONFIG),
     params:
         settings=settings("seed", "train", train={"seeds", "splits"}),
+        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
         code=code_digest("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),
-        material=lambda wildcards, input: (
-            f"--material-model {input.material}" if input.material else ""
-        ),
+        material=material_option,
     message:
         "Train {wildcards.network}, split {wildcards.split}, seed {wildcards.seed}"
     shell:
         "slipstitch train --config {params.config} --dataset results/sample"
         " --network {wildcards.network} --split {wildcards.split} --seed {wildcards.seed}"
-        " {params.material} --out-dir {params.folder} > {log} 2>&1"
+        " {params.material} --threads {threads} --out-dir {params.folder} > {log} 2>&1"

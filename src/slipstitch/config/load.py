@@ -193,7 +193,7 @@ def resolve_config(
     except ValidationError as error:
         problems = error.errors()
         # A list with a bad entry is also reported as too short: the entry is the thing to say.
-        inner = {problem["loc"][:-1] for problem in problems}
+        inner = {problem["loc"][:-1] for problem in problems if problem["loc"]}
         lines = [
             f"{source(problem['loc'])}{_line(problem)}"
             for problem in problems

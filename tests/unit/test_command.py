@@ -1,0 +1,138 @@
+"""The command line: verbs, exit codes, one line for what is wrong."""
+
+import subprocess
+import sys
+import types
+
+import pytest
+
+import slipstitch.command as command
+from slipstitch.errors import BadInput, NotConverged
+
+VERB = "doctor"  # any verb that exists; its module is replaced below
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Replace the verb's module; the test says what it does."""
+    module = types.ModuleType("slipstitch.doctor.command")
+    module.SUMMARY, module.EXAMPLE = "a verb", "slipstitch doctor --size 3"
+    module.configure = lambda parser: parser.add_argument("--size", type=int)
+    module.run = lambda arguments: None
+    monkeypatch.setitem(sys.modules, "slipstitch.doctor.command", module)
+    return module
+
+
+def test_overview_names_every_verb_with_its_summary(capsys):
+    assert command.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "doctor" in command.verbs()
+    for name in command.verbs():
+        assert command.summary(name), name
+        assert f"{name} " in shown
+        assert command.summary(name) in shown
+
+
+def test_verbs_are_in_the_order_of_the_chain():
+    known = [name for name in command.ORDER if name in command.verbs()]
+    assert command.verbs()[: len(known)] == known
+
+
+def test_no_verb_is_bad_usage(capsys):
+    assert command.main([]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "usage" in captured.err
+
+
+def test_unknown_verb_is_one_line(capsys):
+    assert command.main(["simulat"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "there is no verb 'simulat'" in line
+
+
+def test_version(capsys):
+    assert command.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("slipstitch 0.")
+
+
+def test_help_of_a_verb_shows_its_example(verb, capsys):
+    assert command.main([VERB, "--help"]) == 0
+    assert "slipstitch doctor --size 3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("returned", "code"), [(None, 0), (0, 0), (1, 1)])
+def test_exit_code_is_what_the_verb_returns(verb, returned, code):
+    verb.run = lambda arguments: returned
+    assert command.main([VERB]) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (BadInput("friction\nis -1"), 2, "slipstitch doctor: error: friction is -1\n"),
+        (NotConverged("step 3"), 1, "slipstitch doctor: failed: step 3\n"),
+        (KeyboardInterrupt(), 130, "slipstitch doctor: interrupted\n"),
+    ],
+)
+def test_errors_a_user_may_meet_are_one_line(verb, capsys, error, code, line):
+    def run(arguments):
+        raise error
+
+    verb.run = run
+    assert command.main([VERB]) == code
+    captured = capsys.readouterr()
+    assert captured.err == line
+    assert captured.out == ""
+
+
+def test_fault_of_the_program_keeps_its_traceback(verb):
+    def run(arguments):
+        raise ZeroDivisionError
+
+    verb.run = run
+    with pytest.raises(ZeroDivisionError):
+        command.main([VERB])
+
+
+@pytest.mark.parametrize("words", [["--size", "big"], ["--sise", "3"], ["stray"]])
+def test_bad_usage_of_a_verb_is_one_line(verb, capsys, words):
+    assert command.main([VERB, *words]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("slipstitch doctor: error: ")
+    assert line.count("\n") == 1
+
+
+def test_overview_imports_nothing_heavy():
+    code = (
+        "import sys; from slipstitch.command import main; main(['--help'])\n"
+        "heavy = {'numpy', 'torch', 'bpy', 'warp', 'pyarrow', 'pydantic'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_help_of_every_verb_shows_a_real_example(capsys):
+    for name in command.verbs():
+        assert command.main([name, "--help"]) == 0
+        assert f"slipstitch {name}" in capsys.readouterr().out.split("example:")[1]
+
+
+def test_installed_program_and_module_are_the_same():
+    for start in ([sys.executable, "-m", "slipstitch"], [f"{sys.prefix}/bin/slipstitch"]):
+        answer = subprocess.run([*start, "nonsense"], capture_output=True, text=True)
+        assert answer.returncode == 2
+        assert answer.stderr.startswith("slipstitch: error: there is no verb 'nonsense'")
+
+
+def test_reader_that_goes_away_is_no_error():
+    answer = subprocess.run(
+        f"{sys.executable} -m slipstitch doctor --help | head -c 1",
+        shell=True,
+        capture_output=True,
+        text=True,
+    )
+    assert answer.returncode == 0
+    assert answer.stderr == ""

@@ -1,0 +1,175 @@
+"""The typed configuration: what it accepts, how files merge, one clear line for what is wrong."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.schema import schema_text
+from slipstitch.errors import BadInput
+
+ROOT = Path(__file__).parents[2]
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("scale", ["config.yaml", "config/smoke.yaml", "config/paper.yaml"])
+def test_scales_of_the_project_are_valid_over_the_default(scale):
+    config = load_config(ROOT / "config.yaml", ROOT / scale)
+    assert config.grid.materials
+
+
+def test_paper_scale_is_the_grid_of_the_paper():
+    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
+    assert len(config.grid.materials) == 10
+    assert config.grid.frictions == tuple(round(0.1 * step, 1) for step in range(16))
+    assert len(config.render.textures) == 8
+    assert len(config.render.test_textures) == 1
+    assert len(config.render.viewpoints) == 3
+    assert len(config.render.test_viewpoints) == 6
+    assert (config.simulation.frames, config.sample.frames) == (300, 30)
+
+
+@pytest.mark.parametrize("scale", ["config/smoke.yaml", "config/paper.yaml"])
+def test_scales_hold_only_what_differs_from_the_default(scale):
+    default = load_config(ROOT / "config.yaml").model_dump(mode="json")
+    for section, keys in read_mapping(ROOT / scale).items():
+        for key, value in keys.items():
+            assert value != default[section][key], f"{section}.{key} is the default's"
+
+
+def test_later_files_override_earlier_ones_key_by_key(tmp_path):
+    first = write(tmp_path / "a.yaml", "grid: {replicates: 3, frictions: [0.1, 0.2]}\nseed: 4\n")
+    second = write(tmp_path / "b.yaml", "grid: {frictions: [0.5]}\n")
+    config = load_config(first, second)
+    assert (config.seed, config.grid.replicates, config.grid.frictions) == (4, 3, (0.5,))
+
+
+def test_empty_file_is_the_default(tmp_path):
+    assert load_config(write(tmp_path / "empty.yaml", "# nothing\n")) == Config()
+
+
+def test_scientific_notation_without_a_point_is_a_number(tmp_path):
+    # YAML 1.1 reads 1e-2 as a string.
+    config = load_config(write(tmp_path / "c.yaml", "simulation: {time_step_s: 1e-2}\n"))
+    assert config.simulation.time_step_s == 0.01
+
+
+def test_numbers_as_words_only_where_asked_for():
+    words = {"grid": {"replicates": "3", "frictions": ["0.1", "2e-1"]}}
+    config = resolve_config(words, words=True)
+    assert (config.grid.replicates, config.grid.frictions) == (3, (0.1, 0.2))
+    with pytest.raises(BadInput, match=r"grid\.replicates: must be a whole number"):
+        resolve_config(words)
+
+
+BAD = {
+    "grid: {friction: [0.1]}": "grid.friction: unknown key; did you mean frictions?",
+    "colour: red": "colour: unknown key; known: seed, grid, simulation",
+    "grid: {frictions: [0.3, -0.1]}": "grid.frictions.1: must be at least 0, not -0.1",
+    "grid: {frictions: []}": "grid.frictions: must not have fewer entries than 1",
+    "grid: {frictions: 0.3}": "grid.frictions: must be a list, not 0.3",
+    "grid: {frictions: [0.3, 0.1]}": "grid.frictions: friction coefficients must increase",
+    "grid: {frictions: [.nan]}": "grid.frictions.0: must be a finite number",
+    "grid: {frictions: [.inf]}": "grid.frictions.0: must be a finite number",
+    "grid: {materials: [silk]}": "grid.materials: no material 'silk'; there are: ivory-rib-knit",
+    "grid: {materials: [gray-interlock, gray-interlock]}": "grid.materials: a material is named",
+    "grid: {replicates: 1.5}": "grid.replicates: must be a whole number, not 1.5",
+    "grid: {replicates: '2'}": "grid.replicates: must be a whole number, not '2'",
+    "grid: {replicates: true}": "grid.replicates: must be a whole number, not true",
+    "grid: {replicates: }": "grid.replicates: must be a whole number, not nothing",
+    "grid: [1, 2]": "grid: must be a mapping of keys, not a list",
+    "simulation: {frames: 0}": "simulation.frames: must be at least 1, not 0",
+    "simulation: {time_step_s: .nan}": "simulation.time_step_s: must be a finite number",
+    "simulation: {time_step_s: soon}": "simulation.time_step_s: must be a number, not 'soon'",
+    "render: {textures: [plaid]}": "render.textures: no texture 'plaid'; there are: stripes",
+    "render: {viewpoints: [below]}": "render.viewpoints: no viewpoint 'below'; there are:",
+    "sample: {frames: 400}": "sample.frames: 400 frames cannot be sampled from the 300",
+    "train: {view_order: [frontal, calibrated_+5]}": "train.view_order: 'calibrated_+5' is not in",
+    "seed: -1": "seed: must be at least 0, not -1",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_value_is_one_line_naming_file_and_key(tmp_path, text):
+    path = write(tmp_path / "bad.yaml", text)
+    with pytest.raises(BadInput) as caught:
+        load_config(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert BAD[text] in message
+    if "sample" not in text and "view_order" not in text:  # these concern two sections
+        assert message.startswith(f"{path}: ")
+
+
+def test_bad_value_is_blamed_on_the_file_that_holds_it(tmp_path):
+    good = write(tmp_path / "good.yaml", "grid: {replicates: 2}\n")
+    bad = write(tmp_path / "bad.yaml", "grid: {frictions: [-1]}\n")
+    with pytest.raises(BadInput, match=r"bad\.yaml: grid\.frictions\.0"):
+        load_config(bad, good)
+
+
+def test_several_problems_are_all_named_in_one_line(tmp_path):
+    path = write(tmp_path / "bad.yaml", "grid: {replicates: 0}\nsimulation: {frames: 0}\n")
+    with pytest.raises(BadInput) as caught:
+        load_config(path)
+    assert "grid.replicates" in str(caught.value)
+    assert "simulation.frames" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot be read: No such file"),
+        ("- 1\n- 2\n", "holds a list, a mapping of keys is needed"),
+        ("grid: [unclosed\n", "not YAML"),
+        (b"\xff\xfe\x00", "cannot be read: not a text file"),
+    ],
+)
+def test_file_that_is_no_configuration_is_one_line(tmp_path, content, message):
+    path = tmp_path / "c.yaml"
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(BadInput, match=message) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_written_configuration_reads_back_and_is_left_alone_when_unchanged(tmp_path):
+    path = tmp_path / "results" / "config.json"
+    config = resolve_config({"seed": 7, "grid": {"frictions": [0.25]}})
+    assert write_config(config, path)
+    assert load_config(path) == config
+    before = path.stat().st_mtime_ns
+    assert not write_config(config, path)
+    assert path.stat().st_mtime_ns == before
+    assert write_config(resolve_config({"seed": 8}), path)
+
+
+def test_written_configuration_holds_every_key(tmp_path):
+    path = tmp_path / "config.json"
+    write_config(Config(), path)
+    assert json.loads(path.read_text()) == Config().model_dump(mode="json")
+
+
+def test_schema_file_is_the_one_of_the_types():
+    file = ROOT / "workflow/schemas/config.schema.json"
+    assert file.read_text(encoding="utf-8") == schema_text(), (
+        f"write it anew: python -m slipstitch.config.schema > {file.relative_to(ROOT)}"
+    )
+
+
+def test_schema_accepts_the_scales_and_refuses_what_the_types_refuse():
+    import jsonschema
+
+    validator = jsonschema.Draft202012Validator(json.loads(schema_text()))
+    for scale in ("config.yaml", "config/smoke.yaml", "config/paper.yaml"):
+        validator.validate(read_mapping(ROOT / scale))
+    for bad in ({"grid": {"friction": [0.1]}}, {"grid": {"frictions": [-0.1]}}, {"seed": "one"}):
+        assert not validator.is_valid(bad)

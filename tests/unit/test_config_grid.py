@@ -1,0 +1,109 @@
+"""Ids and seeds of the grid."""
+
+import math
+
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.config import resolve_config
+from slipstitch.config.grid import (
+    find_simulation,
+    grid_rows,
+    simulations,
+    textures,
+    viewpoints,
+    write_grid,
+)
+from slipstitch.errors import BadInput
+from slipstitch.provenance import read_provenance
+
+
+def grid(**keys):
+    return resolve_config({"grid": keys})
+
+
+def test_ids_are_positions_in_catalogue_and_lists():
+    config = grid(materials=["gray-interlock", "ivory-rib-knit"], frictions=[0.1, 0.4])
+    assert [one.id for one in simulations(config)] == [
+        "m05_f00_r00", "m05_f00_r01", "m05_f01_r00", "m05_f01_r01",
+        "m00_f00_r00", "m00_f00_r01", "m00_f01_r00", "m00_f01_r01",
+    ]  # fmt: skip
+    one = find_simulation(config, "m00_f01_r01")
+    assert (one.material, one.friction, one.replicate_id) == ("ivory-rib-knit", 0.4, "r01")
+
+
+def test_unknown_simulation_is_bad_input():
+    with pytest.raises(BadInput, match="no simulation 'm09_f00_r00'"):
+        find_simulation(grid(materials=["gray-interlock"]), "m09_f00_r00")
+
+
+def test_every_simulation_has_a_seed_of_its_own():
+    seeds = {one.seed for one in simulations(grid(replicates=20))}
+    assert len(seeds) == 3 * 4 * 20
+    assert all(0 <= seed < 2**31 for seed in seeds)
+
+
+def test_seeds_follow_the_configured_seed():
+    first, second = (simulations(resolve_config({"seed": seed})) for seed in (1, 2))
+    assert not {one.seed for one in first} & {one.seed for one in second}
+
+
+def test_seed_is_that_of_the_simulation_not_of_its_place_in_the_grid():
+    alone = simulations(grid(frictions=[0.3], replicates=1, materials=["gray-interlock"]))
+    among = simulations(grid(frictions=[0.1, 0.3], replicates=2))
+    same = [
+        one
+        for one in among
+        if (one.material, one.friction, one.replicate_id) == ("gray-interlock", 0.3, "r00")
+    ]
+    assert [one.id for one in alone] != [one.id for one in same]
+    assert [one.seed for one in alone] == [one.seed for one in same]
+
+
+def test_test_textures_and_viewpoints_come_after_those_of_training():
+    config = resolve_config(
+        {
+            "render": {
+                "textures": ["dots", "stripes"],
+                "test_textures": ["chevron"],
+                "viewpoints": ["side"],
+                "test_viewpoints": ["calibrated_+5"],
+            }
+        }
+    )
+    assert [(one["id"], one["name"], one["role"]) for one in textures(config)] == [
+        ("t00", "dots", "train"),
+        ("t01", "stripes", "train"),
+        ("t02", "chevron", "test"),
+    ]
+    assert [(one["id"], one["role"]) for one in viewpoints(config)] == [
+        ("v00", "train"),
+        ("v01", "test"),
+    ]
+    # The render stage names them itself: both must mean the same.
+    assert config.render.texture_ids() == {one["id"]: one["name"] for one in textures(config)}
+    assert config.render.viewpoint_ids() == {one["id"]: one["name"] for one in viewpoints(config)}
+
+
+def test_rows_explain_every_part_of_every_id():
+    config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=2)
+    rows = grid_rows(config)
+    by_id = {row["id"]: row for row in rows}
+    assert len(by_id) == len(rows)
+    for one in simulations(config):
+        assert by_id[one.material_id]["name"] == one.material
+        assert by_id[one.friction_id]["value"] == one.friction
+        assert by_id[one.replicate_id]["kind"] == "replicate"
+    assert math.isnan(by_id["m05"]["value"])
+
+
+def test_table_reads_back_with_its_provenance(tmp_path):
+    path = tmp_path / "grid.parquet"
+    config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=1)
+    write_grid(config, path)
+    rows = pq.read_table(path).to_pylist()
+    of_simulations = [row for row in rows if row["kind"] == "simulation"]
+    assert [row["id"] for row in of_simulations] == ["m05_f00_r00", "m05_f01_r00"]
+    assert of_simulations[1]["friction"] == 0.4
+    assert of_simulations[1]["seed"] == simulations(config)[1].seed
+    assert read_provenance(path)["config"]["grid"]["frictions"] == [0.1, 0.4]

@@ -1,0 +1,125 @@
+"""The digest of a stage's code: the sources that it imports, and no others."""
+
+import subprocess
+import sys
+
+import pytest
+
+from slipstitch.provenance import code_digest, code_sources
+
+FILES = {
+    "slipstitch/__init__.py": "",
+    "slipstitch/command.py": "import slipstitch.render.command",
+    "slipstitch/errors.py": "",
+    "slipstitch/config/__init__.py": "import slipstitch.train.settings",
+    "slipstitch/render/__init__.py": "",
+    "slipstitch/render/command.py": (
+        "import json\nfrom slipstitch.config import load\n"
+        "def run():\n    from . import images\n    from slipstitch.errors import BadInput\n"
+    ),
+    "slipstitch/render/images.py": "from ..simulate.trajectory import read",
+    "slipstitch/render/data/table.csv": "1,2",
+    "slipstitch/simulate/__init__.py": "",
+    "slipstitch/simulate/trajectory.py": "import slipstitch.material as material",
+    "slipstitch/simulate/solver.py": "import slipstitch.cloth",
+    "slipstitch/material/__init__.py": "from slipstitch.material.law import *",
+    "slipstitch/material/law.py": "import slipstitch.render",  # a cycle must not matter
+    "slipstitch/material/fabrics.json": "{}",
+    "slipstitch/cloth/__init__.py": "",
+    "slipstitch/train/__init__.py": "",
+    "slipstitch/train/settings.py": "",
+}
+OF_RENDER = {
+    "slipstitch/material/__init__.py",
+    "slipstitch/material/fabrics.json",
+    "slipstitch/material/law.py",
+    "slipstitch/render/__init__.py",
+    "slipstitch/render/command.py",
+    "slipstitch/render/data/table.csv",
+    "slipstitch/render/images.py",
+    "slipstitch/simulate/__init__.py",
+    "slipstitch/simulate/trajectory.py",
+}
+
+
+def make(root):
+    for name, content in FILES.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    return root
+
+
+def digest(stage, root):
+    code_digest.cache_clear()
+    return code_digest(stage, root)
+
+
+@pytest.fixture
+def tree(tmp_path):
+    return make(tmp_path / "src")
+
+
+def test_sources_are_the_package_and_what_it_imports(tree):
+    found = {path.relative_to(tree).as_posix() for path in code_sources("render", tree)}
+    assert found == OF_RENDER
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_digest_changes_with_each_of_these_and_with_no_other(tree, name):
+    before = digest("render", tree)
+    (tree / name).write_text(FILES[name] + "\n# edited\n", encoding="utf-8")
+    assert (digest("render", tree) != before) == (name in OF_RENDER)
+
+
+def test_new_module_of_the_package_counts(tree):
+    before = digest("render", tree)
+    (tree / "slipstitch/render/extra.py").write_text("")
+    assert digest("render", tree) != before
+
+
+def test_compiled_files_do_not_count(tree):
+    before = digest("render", tree)
+    cache = tree / "slipstitch/render/__pycache__"
+    cache.mkdir()
+    (cache / "images.cpython-311.pyc").write_bytes(b"x")
+    (tree / "slipstitch/render/left.pyc").write_bytes(b"x")
+    assert digest("render", tree) == before
+
+
+def test_digest_depends_on_names_and_contents_only(tree, tmp_path):
+    assert digest("render", tree) == digest("render", make(tmp_path / "elsewhere"))
+
+
+def test_moving_code_between_files_changes_the_digest(tree):
+    before = digest("render", tree)
+    (tree / "slipstitch/render/images.py").rename(tree / "slipstitch/render/pictures.py")
+    assert digest("render", tree) != before
+
+
+def test_unknown_stage_is_an_error(tree):
+    with pytest.raises(ModuleNotFoundError, match=r"slipstitch\.rende"):
+        code_sources("rende", tree)
+
+
+def test_digest_of_the_real_stages_is_the_same_in_another_process():
+    stages = ("simulate", "render", "train")
+    code = f"from slipstitch.provenance import code_digest; print(*map(code_digest, {stages}))"
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    code_digest.cache_clear()
+    assert answer.stdout.split() == [code_digest(stage) for stage in stages]
+
+
+def test_real_stages_do_not_depend_on_later_ones():
+    # Else editing a network would throw the simulations away.
+    later = {
+        "simulate": ("render", "sample", "train", "evaluate", "report"),
+        "render": ("train", "evaluate", "report", "cloth"),
+        "sample": ("evaluate", "report"),
+        "train": ("evaluate", "report"),
+    }
+    for stage, packages in later.items():
+        folders = {path.parent.name for path in code_sources(stage)}
+        assert not folders & set(packages), stage

@@ -1,0 +1,55 @@
+"""Files are there completely or not at all."""
+
+import hashlib
+
+import pytest
+
+from slipstitch.provenance import atomic_path, file_digest
+
+
+def leftovers(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_file_takes_its_name_when_the_block_ends(tmp_path):
+    target = tmp_path / "deep" / "x.json"
+    with atomic_path(target) as temporary:
+        temporary.write_text("new")
+        assert not target.exists()
+        assert temporary.suffix == ".json"
+        assert temporary.stat().st_dev == target.parent.stat().st_dev
+    assert target.read_text() == "new"
+    assert leftovers(target.parent) == ["x.json"]
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "x.json"
+    target.write_text("old")
+    with pytest.raises(RuntimeError, match="half"), atomic_path(target) as temporary:
+        temporary.write_text("ne")
+        raise RuntimeError("half way")
+    assert target.read_text() == "old"
+    assert leftovers(tmp_path) == ["x.json"]
+
+
+def test_block_that_wrote_nothing_fails(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nothing was written"), atomic_path(tmp_path / "x"):
+        pass
+    assert leftovers(tmp_path) == []
+
+
+def test_folder_replaces_a_folder_as_a_whole(tmp_path):
+    target = tmp_path / "set"
+    target.mkdir()
+    (target / "stale").write_text("")
+    with atomic_path(target) as temporary:
+        (temporary / "inner").mkdir(parents=True)
+        (temporary / "inner" / "fresh").write_text("")
+    assert [path.name for path in target.rglob("*")] == ["inner", "fresh"]
+    assert leftovers(tmp_path) == ["set"]
+
+
+def test_digest_is_sha256_of_the_bytes(tmp_path):
+    content = bytes(range(256)) * 5000
+    (tmp_path / "x").write_bytes(content)
+    assert file_digest(tmp_path / "x") == hashlib.sha256(content).hexdigest()
