@@ -60,9 +60,8 @@ rule preview_one:
         runtime=job_runtime_min("preview", CONFIG),
     params:
         code=code_digest("render"),
-        config=CONFIG_FILE,
     message:
         "Contact sheet and film of {wildcards.simulation}"
     shell:
-        "slipstitch render --config {params.config} --preview {output.sheet} {output.film}"
-        " --shards {input} > {log} 2>&1"
+        "slipstitch render --preview --out-sheet {output.sheet} --out-video {output.film}"
+        " {input} > {log} 2>&1"

@@ -1,0 +1,205 @@
+"""The whole chain at smoke scale: it runs, it reruns what it must and nothing else."""
+
+import json
+import re
+
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.config import load_config
+from slipstitch.config.grid import simulations
+from slipstitch.provenance import file_digest, read_provenance
+
+# One process of pytest-xdist for all of them: they share one run of the chain.
+pytestmark = pytest.mark.xdist_group("chain")
+
+STAGES = ("calibrate", "simulate", "render", "sample", "train", "evaluate", "report")
+AFTER_SIMULATE = {"render", "sample", "train", "evaluate", "report"}
+
+
+@pytest.fixture(scope="module")
+def results(chain):
+    return chain.folder / "results"
+
+
+@pytest.fixture(scope="module")
+def config(results):
+    return load_config(results / "config.json")
+
+
+def stages(files) -> set[str]:
+    return {file.split("/")[0] for file in files if "/" in file}
+
+
+def test_every_stage_leaves_its_files(results, config):
+    for one in simulations(config):
+        assert pq.read_metadata(results / f"simulate/{one.id}.parquet").num_rows == (
+            config.simulation.frames
+        )
+        for view in config.render.viewpoint_ids():
+            assert (results / f"render/{one.id}_{view}.parquet").stat().st_size > 0
+    assert json.loads((results / "evaluate/metrics.json").read_text())
+    assert "<html" in (results / "report/index.html").read_text(encoding="utf-8")
+
+
+def test_every_artefact_says_what_made_it(results):
+    artefacts = [
+        path
+        for stage in STAGES
+        for path in (results / stage).rglob("*")
+        if path.is_file() and not path.name.endswith(".provenance.json")
+    ]
+    assert len(artefacts) > 30
+    for path in artefacts:
+        record = read_provenance(path)
+        for key in ("inputs", "code_digest", "versions", "wall_s"):
+            assert key in record, path
+
+
+def test_records_follow_the_chain_of_inputs(results):
+    shard = next((results / "render").glob("*_v00.parquet"))
+    trajectory = results / "simulate" / f"{shard.name.split('_v')[0]}.parquet"
+    assert file_digest(trajectory) in read_provenance(shard)["inputs"].values()
+
+
+def test_no_result_names_a_place_on_this_machine(chain, results):
+    for path in results.rglob("*"):
+        if path.suffix in (".json", ".html", ".csv"):
+            text = path.read_text(encoding="utf-8")
+            assert str(chain.folder.parent) not in text, path
+            assert not re.search(r"/(home|root|Users)/", text), path
+
+
+def test_time_and_memory_of_every_job_are_kept(results):
+    for stage in STAGES:
+        tables = list((results / "benchmarks" / stage).glob("*.tsv"))
+        assert tables, stage
+        for table in tables:
+            head, row = (line.split("\t") for line in table.read_text().splitlines())
+            assert float(row[head.index("s")]) > 0
+
+
+def test_second_run_does_nothing(chain, results):
+    before = {path: path.stat().st_mtime_ns for path in results.rglob("*")}
+    answer = chain.snakemake("all")
+    assert answer.returncode == 0
+    assert "Nothing to be done" in answer.stdout + answer.stderr
+    assert {path: path.stat().st_mtime_ns for path in results.rglob("*")} == before
+
+
+def test_edited_render_code_reruns_render_and_what_follows(chain):
+    with chain.edited("render/command.py"):
+        pending = chain.pending()
+    assert stages(pending) == AFTER_SIMULATE
+    assert chain.pending() == set()
+
+
+def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
+    with chain.edited("simulate/command.py"):
+        assert stages(chain.pending()) >= {"simulate"} | AFTER_SIMULATE
+
+
+def test_edited_train_code_reruns_training_and_what_follows(chain):
+    with chain.edited("train/command.py"):
+        assert stages(chain.pending()) == {"train", "evaluate", "report"}
+
+
+def test_edited_report_code_reruns_the_report(chain):
+    with chain.edited("report/command.py"):
+        assert stages(chain.pending()) == {"report"}
+
+
+@pytest.mark.parametrize("file", ["config/cost.py", "doctor/checks.py", "command.py"])
+def test_edited_code_that_no_result_depends_on_reruns_nothing(chain, file):
+    with chain.edited(file):
+        assert chain.pending() == set()
+
+
+def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
+    gone, *others = (one.id for one in simulations(config))
+    with chain.without(f"simulate/{gone}.parquet"):
+        pending = chain.pending()
+    made_from_it = {f"simulate/{gone}.parquet"}
+    made_from_it |= {f"render/{gone}_{view}.parquet" for view in config.render.viewpoint_ids()}
+    made_from_it |= {f"render/preview/{gone}.{kind}" for kind in ("png", "mp4")}
+    assert made_from_it <= pending
+    # What follows is made from all simulations together.
+    assert stages(pending - made_from_it) == {"sample", "train", "evaluate", "report"}
+    assert not [
+        file
+        for file in pending
+        if file.startswith(("simulate/", "render/")) and any(other in file for other in others)
+    ]
+
+
+def test_deleted_shard_reruns_no_simulation(chain, config):
+    gone = f"render/{simulations(config)[0].id}_v00.parquet"
+    with chain.without(gone):
+        pending = chain.pending()
+    assert gone in pending
+    assert not stages(pending) & {"calibrate", "simulate"}
+
+
+def test_changed_friction_reruns_its_simulations_only(chain, config):
+    first, *rest = config.grid.frictions
+    changed = [first, *(round(friction + 0.05, 2) for friction in rest)]
+    pending = chain.pending("--config", f"grid={{frictions: {changed}}}")
+    assert {file for file in pending if file.startswith("simulate/")} == {
+        f"simulate/{one.id}.parquet" for one in simulations(config) if one.friction_id != "f00"
+    }
+    assert not [file for file in pending if file.startswith("render/") and "_f00_" in file]
+
+
+@pytest.mark.parametrize(
+    ("override", "rerun"),
+    [
+        ("render={pixels: 48}", AFTER_SIMULATE),
+        ("sample={frames: 7}", AFTER_SIMULATE),
+        ("train={dropout: 0.3}", {"train", "evaluate", "report"}),
+        ("evaluate={friction_step: 0.05}", {"evaluate", "report"}),
+        ("simulation={damping_s: 0.003}", {"calibrate", "simulate"} | AFTER_SIMULATE),
+        ("seed=2", {"simulate"} | AFTER_SIMULATE),
+    ],
+)
+def test_changed_value_reruns_the_stages_that_use_it(chain, override, rerun):
+    assert stages(chain.pending("--config", override)) == rerun
+
+
+def test_one_more_replicate_keeps_the_simulations_there_are(chain, config):
+    more = config.grid.replicates + 1
+    pending = chain.pending("--config", f"grid={{replicates: {more}}}")
+    simulated = {file for file in pending if file.startswith("simulate/")}
+    assert simulated
+    assert all(f"_r{more - 1:02d}" in file for file in simulated)
+
+
+def test_equal_seed_makes_equal_simulation_and_images(chain, results, config, tmp_path):
+    one = simulations(config)[0].id
+    again = tmp_path / f"{one}.parquet"
+    answer = chain.run(
+        "slipstitch", "simulate", "--config", "results/config.json",
+        "--calibration", "results/calibrate/calibration.json",
+        "--simulation", one, "--out", str(again),
+    )  # fmt: skip
+    assert answer.returncode == 0, answer.stderr
+    assert pq.read_table(again).equals(pq.read_table(results / f"simulate/{one}.parquet"))
+
+    shard = tmp_path / f"{one}_v00.parquet"
+    answer = chain.run(
+        "slipstitch", "render", "--config", "results/config.json",
+        "--trajectory", str(again), "--viewpoint", "v00", "--out", str(shard),
+    )  # fmt: skip
+    assert answer.returncode == 0, answer.stderr
+    assert pq.read_table(shard).equals(pq.read_table(results / f"render/{one}_v00.parquet"))
+
+
+def test_equal_seed_makes_equal_network(chain, results, config, tmp_path):
+    split, seed = config.train.splits[0], config.train.seeds[0]
+    answer = chain.run(
+        "slipstitch", "train", "--config", "results/config.json", "--dataset", "results/sample",
+        "--network", "friction_baseline", "--split", split, "--seed", str(seed),
+        "--out-dir", str(tmp_path),
+    )  # fmt: skip
+    assert answer.returncode == 0, answer.stderr
+    first = results / f"train/{split}/friction_baseline/seed{seed}/model.safetensors"
+    assert file_digest(tmp_path / "model.safetensors") == file_digest(first)

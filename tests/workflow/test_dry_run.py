@@ -1,0 +1,84 @@
+"""What the workflow would do, and what it says to a configuration that cannot be."""
+
+import re
+
+import pytest
+
+from slipstitch.config import load_config
+from slipstitch.config.cost import estimate, estimate_line
+
+pytestmark = pytest.mark.xdist_group("dry_run")
+
+
+def job_counts(output: str) -> dict[str, int]:
+    return {name: int(count) for name, count in re.findall(r"^(\w+)\s+(\d+)$", output, re.M)}
+
+
+def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_property):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert counts["simulate_one"] == 10 * 16
+    assert counts["render_one"] == 10 * 16 * (3 + 6)
+    assert counts["preview_one"] == 10 * 16
+    assert counts["train_one"] % (2 * 3) == 0  # splits, networks; times seeds
+
+    config = load_config(workflow.project / "config.yaml", workflow.project / "config/paper.yaml")
+    stages = {one.stage: one for one in estimate(config)}
+    assert counts["total"] == sum(one.jobs for one in stages.values()) + 1  # the rule `all`
+    assert counts["train_one"] == stages["train"].jobs
+    record_property("told", estimate_line(config))
+
+
+def test_demo_scale_is_small(workflow):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert counts["simulate_one"] == 3 * 4 * 2
+    assert counts["total"] < 200
+
+
+def test_dry_run_writes_no_results(workflow):
+    assert workflow.snakemake("-n", "all").returncode == 0
+    assert not (workflow.folder / "results").exists()
+
+
+@pytest.mark.parametrize(
+    "target", ["calibrate", "simulate", "render", "sample", "train", "evaluate", "report"]
+)
+def test_every_stage_is_a_target(workflow, target):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)
+    assert answer.returncode == 0, answer.stderr
+    order = ["calibrate_settings", "simulate_one", "render_one", "sample_all", "train_one",
+             "evaluate_all", "report_page"]  # fmt: skip
+    wanted = [name for name in order if name.startswith(target)]
+    later = order[order.index(wanted[-1]) + 1 :]
+    counts = job_counts(answer.stdout)
+    assert set(wanted) <= set(counts)
+    assert not set(later) & set(counts)
+
+
+def test_single_keys_from_the_command_line(workflow):
+    overrides = ("--config", "grid={frictions: [0.2, 4e-1], replicates: 1}")
+    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")
+    assert job_counts(answer.stdout)["simulate_one"] == 3 * 2 * 1
+
+
+@pytest.mark.parametrize(
+    ("override", "problem"),
+    [
+        ("grid={frictions: [-0.1]}", "grid.frictions.0: must be at least 0, not -0.1"),
+        ("grid={friction: [0.1]}", "grid.friction: unknown key; did you mean frictions?"),
+        ("simulation={frames: 0}", "simulation.frames: must be at least 1, not 0"),
+        ("render={textures: [plaid]}", "render.textures: no texture 'plaid'"),
+        ("seed=soon", "seed: must be a whole number, not 'soon'"),
+    ],
+)
+def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, problem):
+    answer = workflow.snakemake("-n", "--config", override, "--", "all")
+    assert answer.returncode == 2
+    said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
+    assert len(said) == 1
+    assert said[0].startswith("snakemake: error: ")
+    assert problem in said[0]
+    assert "Traceback" not in answer.stdout + answer.stderr
