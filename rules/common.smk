@@ -6,7 +6,7 @@ import sys
 
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.cost import estimate_line, job_memory_mb, job_runtime_min
-from slipstitch.config.grid import simulations, viewpoints
+from slipstitch.config.grid import simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.provenance import code_digest
 
@@ -43,7 +43,9 @@ rule grid:
     log:
         "results/logs/grid.log",
     params:
-        settings=settings("seed", "grid", "render"),
+        settings=settings("seed", "grid"),
+        textures=json.dumps(textures(CONFIG)),
+        viewpoints=json.dumps(viewpoints(CONFIG)),
         config=CONFIG_FILE,
     message:
         "Table of ids and seeds"

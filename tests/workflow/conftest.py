@@ -47,7 +47,7 @@ class Workflow:
         files = ["--configfile", str(self.project / scale)] if scale else []
         return self.run(
             "snakemake", "--snakefile", str(self.project / "Snakefile"),
-            "--directory", str(self.folder), "--cores", "2", *files, *words,
+            *files, "--directory", str(self.folder), "--cores", "2", *words,
         )  # fmt: skip
 
     def pending(self, *words: str) -> set[str]:
