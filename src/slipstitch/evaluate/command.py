@@ -12,7 +12,13 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
+    parser.add_argument(
+        "--config",
+        required=True,
+        action="append",
+        metavar="FILE",
+        help="YAML or JSON configuration",
+    )
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--models", required=True, help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--out", required=True, help="metrics.json")

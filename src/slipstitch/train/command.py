@@ -14,7 +14,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     from slipstitch.train.settings import NETWORKS, SPLITS
 
-    parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
+    parser.add_argument(
+        "--config",
+        required=True,
+        action="append",
+        metavar="FILE",
+        help="YAML or JSON configuration",
+    )
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--network", required=True, choices=NETWORKS)
     parser.add_argument("--split", required=True, choices=SPLITS)

@@ -41,15 +41,17 @@ class TrainSettings(BaseModel):
     padding: Literal["same", "valid"] = "same"
     pool_last_block: bool = Field(True, description="max pooling after the last block too")
     readout: Literal["flatten", "pool"] = Field(
-        "flatten", description="the last block's map flattened, or averaged over the image"
+        "pool", description="the last block's map flattened, or averaged over the image"
     )
-    batch_norm: bool = False
+    batch_norm: bool = Field(
+        True, description="batch normalisation after every convolution, before its rectifier"
+    )
     lstm_units: int = Field(256, ge=1)
     fc_units: int = Field(
         0, ge=0, description="hidden fully connected layer before the softmax; 0: none"
     )
     dropout: float = Field(
-        0.5, ge=0.0, lt=1.0, description="of the frames' features and of the recurrent output"
+        0.2, ge=0.0, lt=1.0, description="of the frames' features and of the recurrent output"
     )
     outputs: Literal["last", "all"] = Field(
         "last", description="the class is read after the last frame, or after every frame"
@@ -62,8 +64,8 @@ class TrainSettings(BaseModel):
         "null: as in render.viewpoints",
     )
     epochs_per_cycle: int = Field(6, ge=1, description="epochs with the same set of viewpoints")
-    fine_tuning_epochs: int = Field(6, ge=0, description="last epochs, calibrated viewpoint only")
-    batch_size: int = Field(8, ge=1, description="videos in a batch")
+    fine_tuning_epochs: int = Field(4, ge=0, description="last epochs, calibrated viewpoint only")
+    batch_size: int = Field(2, ge=1, description="videos in a batch")
     learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")
     rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
     epsilon: float = Field(1e-6, gt=0.0, description="Adadelta's")
@@ -71,11 +73,12 @@ class TrainSettings(BaseModel):
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
     )
-    plateau_margin: float = Field(
+    plateau_margin: float | None = Field(
         0.05,
         ge=0.0,
         lt=1.0,
-        description="a run fails whose training loss never falls below (1 - margin) times chance",
+        description="a run fails whose training loss never falls below (1 - margin) times chance; "
+        "null: never, for runs that are too short to learn",
     )
     plateau_epochs: int = Field(
         40, ge=1, description="epochs after which a run that is still at chance is given up"

@@ -452,7 +452,7 @@ def _validation(network, videos, labels, condition, chosen, bfloat16, settings) 
 
 def _check_plateau(history, chance, classes, network_name, split, settings) -> None:
     best = min(row["train_loss"] for row in history)
-    if best > (1.0 - settings.plateau_margin) * chance:
+    if settings.plateau_margin is not None and best > (1.0 - settings.plateau_margin) * chance:
         raise PlateauError(
             f"{network_name} {split}: after {len(history)} epochs the training loss is still "
             f"{best:.4f}, at chance ({chance:.4f} for {classes} classes): nothing was learnt, no "
