@@ -1,0 +1,13 @@
+"""Cloth with frictional contact: mesh, elasticity, bending, contact, time stepping.
+
+Knows nothing of files, Snakemake or Blender.
+"""
+
+import warp
+
+warp.config.quiet = True  # standard output belongs to results
+
+from slipstitch.cloth.mesh import ClothMesh, rectangle  # noqa: E402
+from slipstitch.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
+
+__all__ = ["ClothMesh", "ClothSolver", "SolverSettings", "StepRecord", "rectangle"]

@@ -1,0 +1,193 @@
+"""Bending of the sheet: hinges over inner edges (Warp kernels).
+
+Energy of a hinge: ke l^2 / (8 (a0 + a1)) (theta - theta0)^2, with l the edge's length, a0 and
+a1 the areas of its faces at rest, theta the dihedral angle. ke depends on the fold's direction
+in the cloth and on the curvature parameter |theta| l / (2 (a0 + a1)), and is frozen in the
+force (Wang, O'Brien and Ramamoorthi 2011; Bridson, Marino and Fedkiw 2003; ARCSim).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.material.law import CURVATURE_SPACING_PER_M
+
+wp.set_module_options({"enable_backward": False})
+
+PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+
+
+def hinge_geometry(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rest length l (m), rest area a0 + a1 (m^2), and position in the direction rows (0...2).
+
+    Returns
+    -------
+    length_m, area_m2, direction : ndarray, shape (H,)
+    """
+    start, end, first, second = (mesh.rest_uv_m[mesh.hinges[:, k]] for k in range(4))
+    edge = end - start
+    length_m = np.linalg.norm(edge, axis=1)
+
+    def twice_area(tip):
+        return np.abs(edge[:, 0] * (tip - start)[:, 1] - edge[:, 1] * (tip - start)[:, 0])
+
+    area_m2 = 0.5 * (twice_area(first) + twice_area(second))
+    angle_deg = np.degrees(np.arctan2(np.abs(edge[:, 1]), np.abs(edge[:, 0])))
+    return length_m, area_m2, angle_deg / 45.0
+
+
+@wp.func
+def dihedral_angle(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> wp.float64:
+    """Angle between the normals of faces (x0, x1, x2) and (x1, x0, x3), 0 where flat."""
+    e = x1 - x0
+    n0 = wp.cross(e, x2 - x0)
+    n1 = wp.cross(x3 - x0, e)
+    return wp.atan2(wp.dot(wp.cross(n0, n1), wp.normalize(e)), wp.dot(n0, n1))
+
+
+@wp.func
+def hinge_stiffness(
+    table: wp.array(dtype=wp.float64, ndim=2), direction: wp.float64, curvature: wp.float64
+) -> wp.float64:
+    row = wp.min(int(direction), 1)
+    fr = direction - wp.float64(row)
+    position = wp.min(curvature * PER_CURVATURE, wp.float64(4.0))
+    column = wp.min(int(position), 3)
+    fc = position - wp.float64(column)
+    low = table[row, column] * (ONE - fc) + table[row, column + 1] * fc
+    high = table[row + 1, column] * (ONE - fc) + table[row + 1, column + 1] * fc
+    return wp.max(low * (ONE - fr) + high * fr, ZERO)
+
+
+@wp.func
+def hinge_tangent_stiffness(
+    table: wp.array(dtype=wp.float64, ndim=2), direction: wp.float64, curvature: wp.float64
+) -> wp.float64:
+    """d(ke alpha)/d alpha, kept positive."""
+    ke = hinge_stiffness(table, direction, curvature)
+    tangent = ke
+    if curvature * PER_CURVATURE < wp.float64(4.0):
+        row = wp.min(int(direction), 1)
+        fr = direction - wp.float64(row)
+        column = wp.min(int(curvature * PER_CURVATURE), 3)
+        low = table[row, column + 1] - table[row, column]
+        high = table[row + 1, column + 1] - table[row + 1, column]
+        tangent = ke + (low * (ONE - fr) + high * fr) * PER_CURVATURE * curvature
+    return wp.max(tangent, wp.float64(0.1) * ke)
+
+
+@wp.kernel
+def dihedral_angles(
+    x: wp.array(dtype=wp.vec3d),
+    hinges: wp.array(dtype=wp.int32, ndim=2),
+    theta: wp.array(dtype=wp.float64),
+):
+    """Dihedral angle of each hinge, in radians."""
+    h = wp.tid()
+    theta[h] = dihedral_angle(x[hinges[h, 0]], x[hinges[h, 1]], x[hinges[h, 2]], x[hinges[h, 3]])
+
+
+@wp.struct
+class HingeGradient:
+    g0: wp.vec3d
+    g1: wp.vec3d
+    g2: wp.vec3d
+    g3: wp.vec3d
+
+
+@wp.func
+def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> HingeGradient:
+    e = x1 - x0
+    ll = wp.dot(e, e)
+    length = wp.sqrt(ll)
+    n0 = wp.cross(e, x2 - x0)
+    n1 = wp.cross(x3 - x0, e)
+    d = HingeGradient()
+    d.g2 = -n0 * (length / wp.dot(n0, n0))
+    d.g3 = -n1 * (length / wp.dot(n1, n1))
+    t2 = wp.dot(x2 - x0, e) / ll
+    t3 = wp.dot(x3 - x0, e) / ll
+    d.g0 = -(d.g2 * (ONE - t2) + d.g3 * (ONE - t3))
+    d.g1 = -(d.g2 * t2 + d.g3 * t3)
+    return d
+
+
+@wp.kernel
+def bending_force(
+    x: wp.array(dtype=wp.vec3d),
+    hinges: wp.array(dtype=wp.int32, ndim=2),
+    length: wp.array(dtype=wp.float64),
+    area: wp.array(dtype=wp.float64),
+    direction: wp.array(dtype=wp.float64),
+    rest_angle: wp.array(dtype=wp.float64),
+    table: wp.array(dtype=wp.float64, ndim=2),
+    angle_before: wp.array(dtype=wp.float64),
+    damping_ratio: wp.array(dtype=wp.float64),
+    minus_force: wp.array(dtype=wp.vec3d),
+):
+    """Add minus the elastic and viscous nodal forces of each hinge."""
+    h = wp.tid()
+    x0 = x[hinges[h, 0]]
+    x1 = x[hinges[h, 1]]
+    x2 = x[hinges[h, 2]]
+    x3 = x[hinges[h, 3]]
+    theta = dihedral_angle(x0, x1, x2, x3)
+    curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
+    c = hinge_stiffness(table, direction[h], curvature) * length[h] * length[h]
+    c = c / (wp.float64(4.0) * area[h])
+    moment = c * (theta - rest_angle[h] + damping_ratio[0] * (theta - angle_before[h]))
+    d = angle_gradient(x0, x1, x2, x3)
+    wp.atomic_add(minus_force, hinges[h, 0], d.g0 * moment)
+    wp.atomic_add(minus_force, hinges[h, 1], d.g1 * moment)
+    wp.atomic_add(minus_force, hinges[h, 2], d.g2 * moment)
+    wp.atomic_add(minus_force, hinges[h, 3], d.g3 * moment)
+
+
+@wp.kernel
+def bending_stiffness(
+    x: wp.array(dtype=wp.vec3d),
+    hinges: wp.array(dtype=wp.int32, ndim=2),
+    length: wp.array(dtype=wp.float64),
+    area: wp.array(dtype=wp.float64),
+    direction: wp.array(dtype=wp.float64),
+    table: wp.array(dtype=wp.float64, ndim=2),
+    damping_ratio: wp.array(dtype=wp.float64),
+    entry: wp.array(dtype=wp.int32, ndim=2),
+    values: wp.array(dtype=wp.float64),
+):
+    """Add each hinge's stiffness, without the curvature of theta, to the lower triangle."""
+    h = wp.tid()
+    x0 = x[hinges[h, 0]]
+    x1 = x[hinges[h, 1]]
+    x2 = x[hinges[h, 2]]
+    x3 = x[hinges[h, 3]]
+    theta = dihedral_angle(x0, x1, x2, x3)
+    curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
+    c = hinge_tangent_stiffness(table, direction[h], curvature) * length[h] * length[h]
+    c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[0])
+    d = angle_gradient(x0, x1, x2, x3)
+    for a in range(4):
+        ga = d.g0
+        if a == 1:
+            ga = d.g1
+        if a == 2:
+            ga = d.g2
+        if a == 3:
+            ga = d.g3
+        for b in range(4):
+            gb = d.g0
+            if b == 1:
+                gb = d.g1
+            if b == 2:
+                gb = d.g2
+            if b == 3:
+                gb = d.g3
+            for p in range(3):
+                for q in range(3):
+                    e = entry[h, (a * 3 + p) * 12 + b * 3 + q]
+                    if e >= 0:
+                        values[e] = values[e] + c * ga[p] * gb[q]

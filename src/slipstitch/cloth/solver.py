@@ -1,0 +1,566 @@
+"""Implicit time stepping of the cloth, every accepted step converged.
+
+Implicit Euler, the full nonlinear step solved by Newton's method with a positive definite
+approximation of the tangent, factored by sparse Cholesky (CHOLMOD) and kept over iterations
+and steps while the corrections shrink fast enough; Deuflhard's natural monotonicity test
+(Newton Methods for Nonlinear Problems, 2004) controls damping of the step. A step is accepted
+when the largest out-of-balance force on any node is a small fraction of the friction force
+that a node of the cloth can bear; a step that does not get there is halved and repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cvxopt
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+import warp as wp
+from cvxopt import cholmod
+
+from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.errors import NotConverged
+from slipstitch.material.law import ElasticTables
+
+GRAVITY_M_S2 = 9.81
+# Tuning of the nonlinear solver; results do not depend on it, cost does.
+SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start
+REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
+EXACT_RATE = 0.3  # ... and less than this, near the solution, the exact tangent
+EXACT_BELOW = 1.0  # relative residual that counts as near
+PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
+DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """Numerical settings of the time stepping.
+
+    Attributes
+    ----------
+    friction_tolerance : float
+        Largest out-of-balance force on a node, over friction coefficient times nodal weight.
+    friction_floor : float
+        Friction coefficient that the tolerance is taken at when the real one is smaller.
+    newton_iterations_max : int
+        A step that needs more is halved.
+    halvings_max : int
+        More halvings of one step than this are an error.
+    damping_s : float
+        Stiffness-proportional damping time.
+    penetration_m : float
+        Depth to which one nodal weight presses the floor; also the elastic microslip of a
+        node at friction coefficient 1.
+    """
+
+    friction_tolerance: float = 1.0e-3
+    friction_floor: float = 0.05
+    newton_iterations_max: int = 40
+    halvings_max: int = 8
+    damping_s: float = 0.002
+    penetration_m: float = 5.0e-7
+
+
+@dataclass
+class StepRecord:
+    """What the steps cost and how well they converged, summed since the last reset."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    halvings: int = 0
+    largest_residual: float = 0.0  # relative, as in SolverSettings.friction_tolerance
+    solves: int = 0
+
+    def add(self, other: StepRecord) -> None:
+        """Add another record to this one."""
+        self.steps += other.steps
+        self.newton_iterations += other.newton_iterations
+        self.factorisations += other.factorisations
+        self.halvings += other.halvings
+        self.solves += other.solves
+        self.largest_residual = max(self.largest_residual, other.largest_residual)
+
+
+@dataclass
+class _Matrix:
+    """Lower triangle of the tangent in CSC form, its factor, and where elements add to it."""
+
+    pattern: cvxopt.spmatrix
+    template: np.ndarray
+    permutation: cvxopt.matrix
+    factor: object = field(default=None)
+
+
+class ClothSolver:
+    """A sheet of cloth over the floor z = 0.
+
+    Parameters
+    ----------
+    mesh : ClothMesh
+    tables : ElasticTables
+    positions_m : ndarray, shape (V, 3)
+        Initial positions; initial velocities are zero.
+    friction : float or ndarray, shape (V,)
+        Friction coefficient between cloth and floor.
+    fixed : ndarray of bool, shape (V, 3)
+        Coordinates that are prescribed rather than solved for.
+    settings : SolverSettings
+    gravity_m_s2 : sequence of 3 floats
+        Tilted for an inclined plane.
+    rest_curvature_per_m : float
+        Natural curl of the cloth about the u axis; positive curls towards the face's normal.
+    device : str
+        Warp device on which forces and stiffness are evaluated.
+    """
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        tables: ElasticTables,
+        positions_m: np.ndarray,
+        *,
+        friction: float | np.ndarray,
+        fixed: np.ndarray,
+        settings: SolverSettings | None = None,
+        gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2),
+        rest_curvature_per_m: float = 0.0,
+        device: str = "cpu",
+    ):
+        self.mesh = mesh
+        self.settings = settings = settings or SolverSettings()
+        self.device = device
+        self.fixed = np.array(fixed, dtype=bool)
+        self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
+        self.friction = np.broadcast_to(np.asarray(friction, float), mesh.vertex_count).copy()
+        self.positions_m = np.array(positions_m, dtype=float)
+        self.velocities_m_s = np.zeros_like(self.positions_m)
+        self.record = StepRecord()
+        self.time_s = 0.0
+
+        self.nodal_weight_N = GRAVITY_M_S2 * float(np.median(self.mass_kg))
+        stiffness_N_m = self.nodal_weight_N / settings.penetration_m
+        self.normal_stiffness_N_m = self.tangential_stiffness_N_m = stiffness_N_m
+        self.force_scale_N = (
+            max(float(self.friction.max()), settings.friction_floor) * self.nodal_weight_N
+        )
+        self._upload(tables, gravity_m_s2, rest_curvature_per_m)
+        self._matrix = self._symbolic()
+        self._record_launches()
+
+    # -- set-up ---------------------------------------------------------------------------
+
+    def _upload(self, tables, gravity, rest_curvature) -> None:
+        mesh, V = self.mesh, self.mesh.vertex_count
+
+        def array(values, dtype):
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+        self._x = array(self.positions_m, wp.vec3d)
+        self._target = array(self.positions_m, wp.vec3d)
+        self._anchor = array(self.positions_m[:, :2], wp.vec2d)
+        self._mass = array(self.mass_kg, wp.float64)
+        self._friction = array(self.friction, wp.float64)
+        self._free = array((~self.fixed).astype(float), wp.vec3d)
+        self._gravity = array([gravity], wp.vec3d)
+        self._inverse_step_squared = array([1.0], wp.float64)
+        self._damping_ratio = array([0.0], wp.float64)
+        self._residual = array(np.zeros((V, 3)), wp.vec3d)
+        self._minus_force = array(np.zeros((V, 3)), wp.vec3d)
+        self._state = array(np.zeros(V), wp.int32)
+
+        self._faces = array(mesh.faces, wp.int32)
+        self._gradients = array(elasticity.shape_gradients(mesh), wp.vec2d)
+        self._area = array(mesh.face_areas_m2(), wp.float64)
+        self._stretching = array(tables.stretching_N_m, wp.vec4d)
+        self._strain = array(np.zeros((len(mesh.faces), 3)), wp.vec3d)
+
+        length, area, direction = bending.hinge_geometry(mesh)
+        # A cylinder about u turns by curvature x (distance between the faces' centres, along v).
+        edge = np.diff(mesh.rest_uv_m[mesh.hinges[:, :2]], axis=1)[:, 0]
+        across = np.abs(edge[:, 0]) / length
+        height = 2 * area / length / 2  # the mean of the two faces' heights over the edge
+        rest_angle = rest_curvature * height * across**2
+        self._hinges = array(mesh.hinges, wp.int32)
+        self._hinge_length = array(length, wp.float64)
+        self._hinge_area = array(area, wp.float64)
+        self._hinge_direction = array(direction, wp.float64)
+        self._rest_angle = array(rest_angle, wp.float64)
+        self._bending = array(tables.bending_N_m, wp.float64)
+        self._angle = array(np.zeros(len(mesh.hinges)), wp.float64)
+
+    def _symbolic(self) -> _Matrix:
+        mesh, V = self.mesh, self.mesh.vertex_count
+        fixed = self.fixed.ravel()
+
+        def degrees_of_freedom(elements):
+            return (elements[:, :, None] * 3 + np.arange(3)).reshape(len(elements), -1)
+
+        blocks = [degrees_of_freedom(mesh.faces), degrees_of_freedom(mesh.hinges)]
+        rows, columns = [], []
+        for dof in blocks:
+            k = dof.shape[1]
+            rows.append(np.repeat(dof, k, axis=1))
+            columns.append(np.tile(dof, (1, k)))
+        node = np.arange(V)[:, None] * 3
+        rows.append(node + np.array([0, 1, 1, 2]))
+        columns.append(node + np.array([0, 0, 1, 2]))
+
+        kept = [(r >= c) & ~fixed[r] & ~fixed[c] for r, c in zip(rows, columns, strict=True)]
+        diagonal = np.arange(3 * V)
+        all_rows = np.concatenate([r[k] for r, k in zip(rows, kept, strict=True)] + [diagonal])
+        all_columns = np.concatenate(
+            [c[k] for c, k in zip(columns, kept, strict=True)] + [diagonal]
+        )
+        key = np.unique(all_columns.astype(np.int64) * 3 * V + all_rows)
+        self._entry = []
+        for r, c, k in zip(rows, columns, kept, strict=True):
+            place = np.searchsorted(key, c.astype(np.int64) * 3 * V + r).astype(np.int32)
+            self._entry.append(
+                wp.array(
+                    np.where(k, place, -1).astype(np.int32), dtype=wp.int32, device=self.device
+                )
+            )
+        lower = scipy.sparse.csc_matrix(
+            (np.zeros(len(key)), (key % (3 * V), key // (3 * V))), shape=(3 * V, 3 * V)
+        )
+        template = np.zeros(len(key))
+        template[np.searchsorted(key, np.flatnonzero(fixed).astype(np.int64) * (3 * V + 1))] = 1.0
+        self._values = wp.zeros(len(key), dtype=wp.float64, device=self.device)
+        self._template = wp.array(template, dtype=wp.float64, device=self.device)
+        coordinates = lower.tocoo()
+        order = (mesh.elimination_order[:, None] * 3 + np.arange(3)).ravel()
+        return _Matrix(
+            cvxopt.spmatrix(
+                np.ones(len(key)), coordinates.row.tolist(), coordinates.col.tolist(), lower.shape
+            ),
+            template,
+            cvxopt.matrix(order.tolist(), tc="i"),
+        )
+
+    def _record_launches(self) -> None:
+        def launch(kernel, dim, inputs):
+            return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+
+        F, H, V = len(self.mesh.faces), len(self.mesh.hinges), self.mesh.vertex_count
+        faces = [self._x, self._faces, self._gradients]
+        stretching = [*faces, self._area, self._stretching, self._strain, self._damping_ratio]
+        hinges = [self._x, self._hinges]
+        shape = [*hinges, self._hinge_length, self._hinge_area, self._hinge_direction]
+        floor = [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self._friction]
+        inertia = [self._mass, self._inverse_step_squared]
+        self._forces = [
+            launch(elasticity.stretching_force, F, [*stretching, self._minus_force]),
+            launch(
+                bending.bending_force,
+                H,
+                [
+                    *shape,
+                    self._rest_angle,
+                    self._bending,
+                    self._angle,
+                    self._damping_ratio,
+                    self._minus_force,
+                ],
+            ),
+            launch(
+                contact.node_residual,
+                V,
+                [
+                    self._x,
+                    self._target,
+                    *inertia,
+                    self._gravity,
+                    self._anchor,
+                    *floor,
+                    self._minus_force,
+                    self._free,
+                    self._residual,
+                    self._state,
+                ],
+            ),
+        ]
+        self._stiffnesses = [
+            launch(elasticity.stretching_stiffness, F, [*stretching, self._entry[0], self._values]),
+            launch(
+                bending.bending_stiffness,
+                H,
+                [*shape, self._bending, self._damping_ratio, self._entry[1], self._values],
+            ),
+            launch(
+                contact.node_stiffness,
+                V,
+                [self._x, *inertia, self._anchor, *floor, self._entry[2], self._values],
+            ),
+        ]
+        self._remember = [
+            launch(elasticity.green_strains, F, [*faces, self._strain]),
+            launch(bending.dihedral_angles, H, [*hinges, self._angle]),
+        ]
+        self._anchors = launch(contact.move_anchors, V, [self._x, *floor, self._anchor])
+
+    # -- pieces of a step -----------------------------------------------------------------
+
+    def _evaluate(self, x: np.ndarray) -> np.ndarray:
+        """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
+        self._x.assign(x)
+        for command in self._forces:
+            command.launch()
+        return self._residual.numpy().copy()
+
+    def _factorise(self) -> None:
+        """Assemble and factor the tangent at the positions last evaluated."""
+        wp.copy(self._values, self._template)
+        for command in self._stiffnesses:
+            command.launch()
+        matrix = self._matrix
+        matrix.pattern.V = cvxopt.matrix(self._values.numpy())
+        if matrix.factor is None:
+            cholmod.options["supernodal"] = 2
+            matrix.factor = cholmod.symbolic(matrix.pattern, p=matrix.permutation)
+        try:
+            cholmod.numeric(matrix.pattern, matrix.factor)
+        except ArithmeticError as error:
+            raise NotConverged(f"the tangent matrix is not positive definite ({error})") from None
+        self.record.factorisations += 1
+        nodes, blocks = self._contact_blocks()
+        blocks[:, :2, 2] = 0.0
+        self._factored_blocks = np.zeros((self.mesh.vertex_count, 3, 3))
+        self._factored_blocks[nodes] = blocks
+
+    def _symmetric_solve(self, right: np.ndarray) -> np.ndarray:
+        solution = cvxopt.matrix(right)
+        cholmod.solve(self._matrix.factor, solution)
+        self.record.solves += 1
+        return np.array(solution).ravel()
+
+    def _contact_blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Exact tangent of the floor's force: nodes in contact, and their 3 x 3 blocks.
+
+        Not symmetric where a node slips: its friction follows its normal force.
+        """
+        state = self._state.numpy()
+        nodes = np.flatnonzero(state)
+        x = self._x.numpy()[nodes]
+        offset = x[:, :2] - self._anchor.numpy()[nodes]
+        blocks = np.zeros((len(nodes), 3, 3))
+        blocks[:, 0, 0] = blocks[:, 1, 1] = self.tangential_stiffness_N_m
+        slip = state[nodes] == contact.SLIP
+        distance = np.linalg.norm(offset[slip], axis=1)[:, None, None]
+        along = offset[slip, :, None] / distance
+        limit = (self.friction[nodes] * -self.normal_stiffness_N_m * x[:, 2])[slip, None, None]
+        blocks[slip, :2, :2] = limit / distance * (np.eye(2) - along * along.transpose(0, 2, 1))
+        blocks[slip, :2, 2:] = (
+            -self.normal_stiffness_N_m * self.friction[nodes[slip], None, None] * along
+        )
+        blocks[:, 2, 2] = self.normal_stiffness_N_m
+        free = ~self.fixed[nodes]
+        return nodes, blocks * (free[:, :, None] & free[:, None, :])
+
+    def _correction(self, residual: np.ndarray) -> np.ndarray:
+        """Newton correction at the positions last evaluated.
+
+        The factor holds the symmetric part of contact as it was when it was made. The
+        difference C to the exact tangent of contact now is solved for by GMRES,
+        preconditioned with the factor: (A + C) A^-1 y = -r needs products with C only.
+        """
+        nodes, blocks = self._contact_blocks()
+        difference = -self._factored_blocks
+        difference[nodes] += blocks
+        changed = np.flatnonzero(np.abs(difference).max(axis=(1, 2)) > 1e-12)
+        if not len(changed):
+            return self._symmetric_solve(-residual.ravel()).reshape(-1, 3)
+        difference = difference[changed]
+
+        def product(y):
+            displacement = self._symmetric_solve(y).reshape(-1, 3)[changed]
+            result = y.copy().reshape(-1, 3)
+            result[changed] += np.einsum("nij,nj->ni", difference, displacement)
+            return result.ravel()
+
+        size = residual.size
+        operator = scipy.sparse.linalg.LinearOperator((size, size), matvec=product, dtype=float)
+        y, _ = scipy.sparse.linalg.gmres(
+            operator, -residual.ravel(), rtol=1e-2, restart=20, maxiter=1
+        )
+        return self._symmetric_solve(y).reshape(-1, 3)
+
+    def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Newton correction with the exact tangent, by a Jacobian-free Krylov method.
+
+        GMRES on J A^-1 y = -r; products with the tangent J are differences of the
+        out-of-balance force (Knoll and Keyes 2004).
+        """
+        self._products = 0
+
+        def product(y):
+            self._products += 1
+            direction = self._symmetric_solve(y)
+            step = DIFFERENCE_M / np.abs(direction).max()
+            moved = self._evaluate(x + step * direction.reshape(-1, 3))
+            return (moved - residual).ravel() / step
+
+        operator = scipy.sparse.linalg.LinearOperator(
+            (residual.size, residual.size), matvec=product, dtype=float
+        )
+        y, _ = scipy.sparse.linalg.gmres(
+            operator, -residual.ravel(), rtol=0.1, restart=15, maxiter=1
+        )
+        return self._symmetric_solve(y).reshape(-1, 3)
+
+    def _relative(self, residual: np.ndarray) -> float:
+        """Largest nodal out-of-balance force over friction coefficient times nodal weight."""
+        return float(np.sqrt((residual**2).sum(axis=1).max())) / self.force_scale_N
+
+    def _search(self, x, residual, correction):
+        """Move along a correction to where the work of the out-of-balance forces on it is small.
+
+        The line search of Matthies and Strang (1979): a root of residual . correction, which
+        needs no energy and so allows for friction. Beyond a point of instability the work
+        grows; then the full step is taken, downhill.
+        """
+        start = float(np.vdot(residual, correction))
+        low, low_work, high, high_work = 0.0, start, None, None
+        fraction = 1.0
+        for _ in range(10):
+            trial = x + fraction * correction
+            residual = self._evaluate(trial)
+            work = float(np.vdot(residual, correction))
+            if start >= 0 or abs(work) <= SEARCH_ACCURACY * -start:
+                break
+            if work > 0:
+                high, high_work = fraction, work
+            else:
+                low, low_work, earlier, earlier_work = fraction, work, low, low_work
+            if high is not None:
+                part = low_work / (low_work - high_work)
+                fraction = low + (high - low) * min(max(part, 0.1), 0.9)
+            elif work > earlier_work:
+                slope = (work - earlier_work) / (fraction - earlier)
+                fraction = min(fraction - work / slope, 4 * fraction)
+            else:
+                fraction *= 4
+            if fraction > 64:
+                break
+        return trial, residual
+
+    # -- stepping -------------------------------------------------------------------------
+
+    def _try_step(self, step_s: float, prescribed: np.ndarray | None) -> bool:
+        """Solve one implicit step; on success the state moves on."""
+        settings = self.settings
+        start = self.positions_m
+        target = start + step_s * self.velocities_m_s
+        self._target.assign(target)
+        self._inverse_step_squared.fill_(1.0 / step_s**2)
+        self._damping_ratio.fill_(settings.damping_s / step_s)
+        x = target.copy()
+        if prescribed is not None:
+            x[self.fixed] = prescribed[self.fixed]
+        residual = self._evaluate(x)
+        error = self._relative(residual)
+        rate = 0.0
+        exact = False
+        self._products = 0
+        for _ in range(settings.newton_iterations_max):
+            if error <= settings.friction_tolerance:
+                break
+            if (
+                self._matrix.factor is None
+                or (rate > REFACTOR_RATE and not exact)
+                or self._products > PRODUCTS_MAX
+            ):
+                self._x.assign(x)
+                self._evaluate(x)
+                self._factorise()
+                self._products = 0
+            exact = rate > EXACT_RATE and error < EXACT_BELOW
+            if exact:
+                correction = self._exact_correction(x, residual)
+                if np.vdot(correction, residual) >= 0:
+                    self._evaluate(x)
+                    correction = self._correction(residual)
+            else:
+                correction = self._correction(residual)
+            x, residual = self._search(x, residual, correction)
+            before, error = error, self._relative(residual)
+            rate = error / before
+            self.record.newton_iterations += 1
+        if not error <= settings.friction_tolerance:
+            return False
+        self.record.largest_residual = max(self.record.largest_residual, error)
+        self.velocities_m_s = (x - start) / step_s
+        self.positions_m = x
+        self._anchors.launch()
+        for command in self._remember:
+            command.launch()
+        return True
+
+    def start(self) -> None:
+        """Take the present positions as the beginning of the motion (strains, anchors)."""
+        self._x.assign(self.positions_m)
+        self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
+        for command in self._remember:
+            command.launch()
+
+    def advance(
+        self,
+        duration_s: float,
+        prescribed: Callable[[float], np.ndarray] | None = None,
+        halvings: int = 0,
+    ) -> None:
+        """Move on by one step, halved as often as it takes to converge.
+
+        Parameters
+        ----------
+        duration_s : float
+        prescribed : callable
+            Positions (V, 3) at a time; only the fixed coordinates are read.
+
+        Raises
+        ------
+        NotConverged
+            The step did not converge after the allowed number of halvings.
+        """
+        end_s = self.time_s + duration_s
+        if self._try_step(duration_s, prescribed(end_s) if prescribed else None):
+            self.time_s = end_s
+            self.record.steps += 1
+            return
+        self._matrix.factor = None
+        self.record.halvings += 1
+        if halvings >= self.settings.halvings_max:
+            raise NotConverged(
+                f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
+                f"{self.settings.friction_tolerance:g} in {self.settings.newton_iterations_max} "
+                "iterations"
+            )
+        self.advance(duration_s / 2, prescribed, halvings + 1)
+        self.advance(duration_s / 2, prescribed, halvings + 1)
+
+    # -- observables ----------------------------------------------------------------------
+
+    def reactions(self) -> np.ndarray:
+        """Forces that hold the prescribed coordinates, shape (V, 3); zero elsewhere.
+
+        What elastic, gravity and floor forces at the present positions leave over: the force
+        that the holder exerts on the cloth. Inertia is left out: read it at rest or
+        in steady motion.
+        """
+        self._target.assign(self.positions_m)
+        self._damping_ratio.fill_(0.0)
+        free = self._free.numpy().copy()
+        self._free.fill_(1.0)
+        force = self._evaluate(self.positions_m)
+        self._free.assign(free)
+        return np.where(self.fixed, force, 0.0)
+
+    def floor_forces(self) -> np.ndarray:
+        """Force of the floor on each vertex, shape (V, 3)."""
+        x = self.positions_m
+        normal = np.maximum(-self.normal_stiffness_N_m * x[:, 2], 0.0)
+        tangential = -self.tangential_stiffness_N_m * (x[:, :2] - self._anchor.numpy())
+        return np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
