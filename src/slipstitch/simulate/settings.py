@@ -10,11 +10,49 @@ class SimulationSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    vertices_per_side: int = Field(41, ge=5, le=401)
-    time_step_s: float = Field(0.02, gt=0, le=0.1)
-    frames: int = Field(300, ge=1, le=100_000)
-    frame_rate_hz: float = Field(2.4, gt=0)
-    friction_tolerance: float = Field(1.0e-3, gt=0, lt=1)
-    newton_iterations_max: int = Field(40, ge=1)
-    damping_s: float = Field(0.002, ge=0)
-    pins: Literal["tabs", "corner"] = "tabs"
+    vertices_per_side: int = Field(
+        41, ge=5, le=401, description="vertices along a side of the 20 cm square"
+    )
+    time_step_s: float = Field(
+        0.02,
+        gt=0,
+        le=0.1,
+        description="largest time step; the step used divides the time between frames",
+    )
+    frames: int = Field(300, ge=1, le=100_000, description="recorded frames, the first at 0 s")
+    frame_rate_hz: float = Field(2.4, gt=0, le=1000, description="frame k is at k / this rate")
+    friction_tolerance: float = Field(
+        1.0e-3,
+        gt=0,
+        lt=1,
+        description="largest out-of-balance force on a vertex in an accepted step, over "
+        "friction coefficient times the weight of a vertex",
+    )
+    newton_iterations_max: int = Field(
+        40, ge=1, le=1000, description="a step that needs more is halved"
+    )
+    halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
+    damping_s: float = Field(
+        0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
+    )
+    pins: Literal["tabs", "corner"] = Field(
+        "tabs", description="held: the upper edge within 1 cm of each corner, or the corners only"
+    )
+    settle_s: float = Field(2.0, ge=0, le=60, description="rest before the stage starts")
+    yaw_sd_deg: float = Field(1.0, ge=0, le=45, description="replicates: spread of the clamps' yaw")
+    height_sd_m: float = Field(
+        0.0005, ge=0, le=0.005, description="replicates: spread of the clamps' height"
+    )
+    fabric_sd_rel: float = Field(
+        0.03,
+        ge=0,
+        le=0.3,
+        description="replicates: relative spread of areal density, stretching and bending",
+    )
+    natural_curl_per_m: float = Field(
+        0.5,
+        ge=0,
+        le=20,
+        description="natural curvature of the cloth; its side, drawn per replicate, decides "
+        "to which side the hanging cloth sags",
+    )

@@ -1,0 +1,114 @@
+"""slipstitch simulate: one drop-and-drag run, by hand or as a simulation of the grid."""
+
+import argparse
+
+SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
+EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--out", required=True, help="Parquet file, one row a frame")
+    parser.add_argument("--config", nargs="+", default=[], help="YAML or JSON configuration")
+    parser.add_argument("--calibration", help="take the numerical settings that were verified")
+    parser.add_argument("--simulation", help="id in the configured grid, e.g. m05_f01_r00")
+    parser.add_argument("--material", help="a fabric of the catalogue")
+    parser.add_argument("--friction", type=float, help="friction coefficient of cloth and floor")
+    parser.add_argument("--seed", type=int, default=0, help="of the bench's perturbation")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="any simulation setting, e.g. time_step_s=0.01; may be repeated",
+    )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Simulate and write; prints one line on the result."""
+    from slipstitch.errors import BadInput
+    from slipstitch.provenance import provenance_record, start_clock
+    from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.simulate.trajectory import write_trajectory
+
+    started = start_clock()
+    by_hand = arguments.material is not None and arguments.friction is not None
+    if by_hand == (arguments.simulation is not None):
+        raise BadInput("either --material and --friction, or --simulation with --config")
+    config = _configuration(arguments, by_hand)
+    if by_hand:
+        material, friction, seed = arguments.material, arguments.friction, arguments.seed
+        ids = {}
+    else:
+        from slipstitch.config.grid import find_simulation
+
+        if not arguments.config:
+            raise BadInput("--simulation needs --config")
+        found = find_simulation(config, arguments.simulation)
+        material, friction, seed = found.material, found.friction, found.seed
+        ids = {
+            "simulation": found.id,
+            "material_id": found.material_id,
+            "friction_id": found.friction_id,
+            "replicate_id": found.replicate_id,
+        }
+    if seed < 0:
+        raise BadInput(f"--seed {seed}: must be at least 0")
+    trajectory, columns = simulate_drop_and_drag(material, friction, seed, config.simulation)
+    trajectory.metadata.update(ids)
+    inputs = [arguments.calibration] if arguments.calibration else []
+    record = provenance_record(
+        "simulate",
+        inputs=inputs,
+        config={"simulation": config.simulation},
+        seed=seed,
+        started=started,
+    )
+    write_trajectory(arguments.out, trajectory, record, **columns)
+    solver = trajectory.metadata["solver"]
+    print(
+        f"{arguments.out}: {material}, friction {friction:g}, {len(trajectory.frame)} frames, "
+        f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
+        f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
+        f"{record['cpu_s']:.1f} CPU s"
+    )
+
+
+def _configuration(arguments: argparse.Namespace, by_hand: bool):
+    """The configuration, then the calibration's settings, then ``--set``."""
+    import json
+
+    import yaml
+
+    from slipstitch.config.load import read_mapping, resolve_config
+    from slipstitch.errors import BadInput
+
+    mappings = [read_mapping(path) for path in arguments.config]
+    sources = list(arguments.config)
+    if arguments.calibration:
+        try:
+            with open(arguments.calibration, encoding="utf-8") as stream:
+                verified = json.load(stream)["settings"]
+            mappings.append({"simulation": dict(verified)})
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise BadInput(
+                f"{arguments.calibration}: not a calibration ({error}); "
+                "make it anew with: snakemake --cores 2 calibrate"
+            ) from None
+        sources.append(arguments.calibration)
+    overrides = {}
+    for text in arguments.overrides:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise BadInput(f"--set {text}: must be KEY=VALUE, e.g. time_step_s=0.01")
+        try:
+            overrides[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise BadInput(f"--set {text}: the value cannot be read") from None
+    if by_hand:  # nothing is sampled from it: any number of frames will do
+        mappings.append({"sample": {"frames": 1}})
+        sources.append("sample")
+    mappings.append({"simulation": overrides})
+    sources.append("--set")
+    return resolve_config(*mappings, sources=tuple(sources), words=True)

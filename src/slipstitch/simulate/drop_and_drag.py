@@ -1,0 +1,191 @@
+"""Drop-and-drag: a square of fabric hung by its corners, lowered, dragged back and forth."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from math import ceil, cos, radians, sin
+
+import numpy as np
+from tqdm import tqdm
+
+from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord, rectangle
+from slipstitch.errors import BadInput
+from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.protocol.stage import StagePath
+from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.simulate.trajectory import Trajectory
+
+SIDE_M = 0.20
+TAB_M = 0.01  # width of the tabs that hold the corners
+
+
+@dataclass(frozen=True)
+class BenchPerturbation:
+    """What a bench cannot hold constant from one replicate to the next.
+
+    Attributes
+    ----------
+    yaw_deg : float
+        Rotation of the clamps about the vertical.
+    height_m : float
+        Added to the clamps' height.
+    density_factor, stretching_factor, bending_factor : float
+        On the fabric's parameters.
+    natural_curl_per_m : float
+        Signed: positive makes the lower edge lean towards -x, against the first stroke.
+    """
+
+    yaw_deg: float
+    height_m: float
+    density_factor: float
+    stretching_factor: float
+    bending_factor: float
+    natural_curl_per_m: float
+
+
+def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbation:
+    """Draw the perturbation of one replicate; the same seed gives the same numbers."""
+    random = np.random.default_rng(seed)
+    factors = np.exp(settings.fabric_sd_rel * random.standard_normal(3))
+    return BenchPerturbation(
+        yaw_deg=float(settings.yaw_sd_deg * random.standard_normal()),
+        height_m=float(settings.height_sd_m * random.standard_normal()),
+        density_factor=float(factors[0]),
+        stretching_factor=float(factors[1]),
+        bending_factor=float(factors[2]),
+        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice([-1.0, 1.0])),
+    )
+
+
+def solver_settings(settings: SimulationSettings) -> SolverSettings:
+    """The numerical settings of a simulation, as the cloth's solver takes them."""
+    return SolverSettings(
+        friction_tolerance=settings.friction_tolerance,
+        newton_iterations_max=settings.newton_iterations_max,
+        halvings_max=settings.halvings_max,
+        damping_s=settings.damping_s,
+    )
+
+
+def simulate_drop_and_drag(
+    material: str,
+    friction: float,
+    seed: int,
+    settings: SimulationSettings,
+    path: StagePath | None = None,
+) -> tuple[Trajectory, dict[str, np.ndarray]]:
+    """Simulate one run.
+
+    Parameters
+    ----------
+    material : str
+        A fabric of the catalogue.
+    friction : float
+        Friction coefficient between cloth and floor, at least 0.
+    seed : int
+        Of the bench's perturbation; the run itself draws nothing.
+    settings : SimulationSettings
+    path : StagePath, optional
+        Motion of the clamps.
+
+    Returns
+    -------
+    trajectory : Trajectory
+        World positions at the recorded frames.
+    columns : dict
+        ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
+        the largest relative out-of-balance force of an accepted step.
+
+    Raises
+    ------
+    BadInput
+        An unknown material, or a friction coefficient that is negative or not finite.
+    NotConverged
+        A step could not be solved.
+    """
+    if not (np.isfinite(friction) and friction >= 0):
+        raise BadInput(f"friction {friction}: must be a finite number, at least 0")
+    path = path or StagePath()
+    perturbation = draw_perturbation(settings, seed)
+    fabric = load_fabric(material).scaled(
+        perturbation.density_factor,
+        perturbation.stretching_factor,
+        perturbation.bending_factor,
+    )
+    n = settings.vertices_per_side
+    mesh = rectangle(n, n, SIDE_M, SIDE_M)
+    across, down = mesh.rest_uv_m.T
+    pinned = down == 0
+    inner = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
+    pinned &= (across <= inner) | (across >= SIDE_M - inner)
+
+    yaw = radians(perturbation.yaw_deg)
+    lateral = across - SIDE_M / 2
+    hung_m = np.column_stack([-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down])
+    hung_m[:, 2] += perturbation.height_m
+
+    def clamps(time_s: float) -> np.ndarray:
+        x, z = path.position_m(max(time_s, 0.0))
+        return hung_m + np.array([x, 0.0, z - path.start_height_m])
+
+    solver = ClothSolver(
+        mesh,
+        ElasticTables.of_fabric(fabric),
+        hung_m,
+        friction=friction,
+        fixed=np.repeat(pinned[:, None], 3, axis=1),
+        settings=solver_settings(settings),
+        rest_curvature_per_m=perturbation.natural_curl_per_m,
+    )
+    solver.start()
+    frame_s = 1.0 / settings.frame_rate_hz
+    steps = ceil(frame_s / settings.time_step_s - 1e-9)
+    step_s = frame_s / steps
+
+    settle_steps = ceil(settings.settle_s / step_s - 1e-9)
+    solver.time_s = -settle_steps * step_s
+    for _ in range(settle_steps):
+        solver.advance(step_s, clamps)
+    totals = StepRecord()
+    times_s = np.arange(settings.frames) / settings.frame_rate_hz
+    positions = np.empty((settings.frames, mesh.vertex_count, 3), dtype=np.float32)
+    iterations = np.zeros(settings.frames, dtype=np.int32)
+    residuals = np.zeros(settings.frames)
+    bar = tqdm(range(settings.frames), unit="frame", disable=not sys.stderr.isatty())
+    for frame in bar:
+        if frame:
+            for _ in range(steps):
+                solver.advance(step_s, clamps)
+            # Restated, so that rounding does not pile up over thousands of steps.
+            solver.time_s = float(times_s[frame])
+        positions[frame] = solver.positions_m
+        iterations[frame] = solver.record.newton_iterations
+        residuals[frame] = solver.record.largest_residual
+        totals.add(solver.record)
+        solver.record = StepRecord()
+    stage_x_m, stage_z_m = path.position_m(times_s)
+    flat = np.column_stack([np.zeros(n * n), lateral, -down])
+    trajectory = Trajectory(
+        rest_positions_m=flat,
+        uv=mesh.rest_uv_m / SIDE_M,
+        faces=mesh.faces,
+        pinned=np.flatnonzero(pinned),
+        frame=np.arange(settings.frames),
+        time_s=times_s,
+        stage_x_m=stage_x_m,
+        stage_z_m=stage_z_m + perturbation.height_m,
+        positions_m=positions,
+        metadata={
+            "material": material,
+            "friction": friction,
+            "seed": seed,
+            "settings": settings.model_dump(mode="json"),
+            "perturbation": asdict(perturbation),
+            "stage_path": asdict(path),
+            "step_s": step_s,
+            "solver": asdict(totals),
+            "self_contact": False,
+        },
+    )
+    return trajectory, {"newton_iterations": iterations, "residual": residuals}
