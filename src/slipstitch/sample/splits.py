@@ -126,6 +126,11 @@ def split_by_simulation(
             for simulation in group:
                 sides[simulation] = "validation" if place < validations else "test"
 
+    if "test" not in sides.values():
+        raise BadInput(
+            f"by_simulation has nothing to hold out in {len(materials)} material(s) with one "
+            "replicate each: at least 2 replicates are needed, or 2 materials"
+        )
     trained = [simulation for simulation, side in sides.items() if side == "train"]
     for position, kind, names in ((0, "material", materials), (1, "friction", frictions)):
         untrained = sorted(set(names) - {simulation[position] for simulation in trained})
