@@ -30,7 +30,9 @@ def answers_of_theory(name, options, settings):
         }
     if name == "flat-drag":
         return {"pull_over_weight": friction, "theory_pull_over_weight": friction}
-    drag = theory.steady_strip_drag(friction, 0.2, 0.15, options["gravity_length_m"])
+    drag = theory.steady_strip_drag(
+        friction, 0.2, 0.15, options["gravity_length_m"], holder_angle_rad=None
+    )
     keys = ("pull_over_w_m", "floor_load_over_w_m", "flat_tail_m", "holder_ahead_of_tail_m")
     measured = {key: getattr(drag, key) for key in keys}
     return measured | {f"theory_{key}": value for key, value in measured.items()}
@@ -102,7 +104,7 @@ def test_the_written_file_holds_settings_checks_and_raw_results(tmp_path):
     )
     written = json.loads(path.read_text())
     assert {"settings", "checks", "experiments", "met"} <= set(written)
-    assert len(written["experiments"]) == len(experiments(SETTINGS)) == 15
+    assert len(written["experiments"]) == len(experiments(SETTINGS)) == 17
     assert (tmp_path / "calibration.json.provenance.json").exists()
 
 

@@ -23,6 +23,7 @@ NOT_NUMERICAL = frozenset(
         "frames",
         "frame_rate_hz",
         "pins",
+        "settle_s",
         "yaw_sd_deg",
         "height_sd_m",
         "fabric_sd_rel",

@@ -15,12 +15,13 @@ from matplotlib.figure import Figure
 
 from slipstitch.theory import flexible_strip_drag, incline, steady_strip_drag
 
+# As the protocol holds it: by a hinge.
+STRIP_LENGTH_M, STRIP_HEIGHT_M = 0.20, 0.15
+
 # Okabe & Ito 2008: told apart by colour-blind readers.
 MEASURED = "#D55E00"
 THEORY = "#1a1a1a"
 FAINT = "#8c8c8c"
-
-STRIP_LENGTH_M, STRIP_HEIGHT_M = 0.20, 0.15
 
 
 def _runs(calibration: Mapping[str, Any], protocol: str) -> list[Mapping[str, Any]]:
@@ -95,7 +96,10 @@ def draw_strip_drag(axes: Axes, calibration: Mapping[str, Any], quantity: str) -
     gravity_length = runs[0]["options"]["gravity_length_m"]
     grid = np.linspace(0.02, 1.15 * max(frictions), 31)
     stiff = [
-        steady_strip_drag(value, STRIP_LENGTH_M, STRIP_HEIGHT_M, gravity_length) for value in grid
+        steady_strip_drag(
+            value, STRIP_LENGTH_M, STRIP_HEIGHT_M, gravity_length, holder_angle_rad=None
+        )
+        for value in grid
     ]
     flexible = [flexible_strip_drag(value, STRIP_LENGTH_M, STRIP_HEIGHT_M) for value in grid]
     axes.plot(

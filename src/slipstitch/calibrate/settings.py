@@ -44,13 +44,13 @@ class CalibrateSettings(BaseModel):
     )
 
     strip_drag_frictions: tuple[Friction, ...] = Field(
-        (0.3, 0.6, 1.0), description="steady strip drag: friction coefficients"
+        (0.1, 0.3, 0.6, 1.0, 1.5), description="steady strip drag: friction coefficients"
     )
     strip_drag_gravity_length_m: float = Field(
         0.02, gt=0.0, le=0.1, description="steady strip drag: (B/w)^(1/3) of the strip"
     )
     strip_drag_pull: float = Field(
-        0.02, gt=0.0, lt=1.0, description="largest relative error of the pull"
+        0.01, gt=0.0, lt=1.0, description="largest relative error of the pull"
     )
     strip_drag_tail_m: float = Field(
         1e-3, gt=0.0, description="largest error of the distance from the tail's end to the holder"

@@ -1,1 +1,1 @@
-"""The page that a person reads: physics checks, dataset, training, tables, cost."""
+"""Report: one page that shows what was run, what came out, and what is missing."""

@@ -1,0 +1,298 @@
+"""Reading a results folder, whatever of it there is."""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from slipstitch.config import Config
+from slipstitch.config.grid import Simulation, simulations
+from slipstitch.errors import BadInput
+from slipstitch.provenance import read_provenance
+from slipstitch.simulate.trajectory import read_trajectory
+
+STAGES = ("calibrate", "simulate", "render", "sample", "train", "evaluate", "report")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the report needs of one simulation.
+
+    Attributes
+    ----------
+    simulation : Simulation
+        Its place in the grid.
+    time_s : ndarray, shape (frames,)
+    stage_x_m, stage_z_m : ndarray, shape (frames,)
+        Place of the clamps.
+    centre_m : ndarray, shape (frames, n, 2)
+        The line down the middle of the cloth, from the upper to the lower edge: x relative to the
+        clamps, and height, in m.
+    residual : float
+        Largest residual of an accepted step.
+    newton_iterations : int
+        Newton iterations of the whole run.
+    cpu_s : float or None
+        CPU time, from the record inside the file.
+    """
+
+    simulation: Simulation
+    time_s: np.ndarray
+    stage_x_m: np.ndarray
+    stage_z_m: np.ndarray
+    centre_m: np.ndarray
+    residual: float
+    newton_iterations: int
+    cpu_s: float | None
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What the jobs of one stage cost together, from Snakemake's benchmark files.
+
+    Attributes
+    ----------
+    stage : str
+    jobs : int
+    wall_s, cpu_s : float
+        Sums over the jobs (s).
+    wall_median_s, cpu_median_s : float
+        Medians over the jobs (s).
+    memory_mib : float or None
+        Largest resident memory of a job (MiB).
+    """
+
+    stage: str
+    jobs: int
+    wall_s: float
+    cpu_s: float
+    wall_median_s: float
+    cpu_median_s: float
+    memory_mib: float | None
+
+
+@dataclass(frozen=True)
+class History:
+    """Training curve of one network."""
+
+    split: str
+    network: str
+    seed: int
+    epochs: list[dict[str, Any]] = field(repr=False)
+
+
+def read_json(path: Path) -> Any | None:
+    """Content of a JSON file; None if there is no such file.
+
+    Raises
+    ------
+    BadInput
+        If it is no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not JSON: {error}") from None
+
+
+def _table(path: Path, columns: list[str] | None = None, **options):
+    try:
+        return pq.read_table(path, columns=columns, **options)
+    except Exception as error:
+        raise BadInput(f"{path}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+
+
+class Results:
+    """A results folder. Everything is read when asked for; what is not there is None or empty.
+
+    Parameters
+    ----------
+    folder : path
+        The folder.
+    config : Config
+        What the folder is to hold.
+
+    Raises
+    ------
+    BadInput
+        If there is no such folder; later, if a file in it cannot be read.
+    """
+
+    def __init__(self, folder: str | os.PathLike, config: Config):
+        self.folder = Path(folder)
+        self.config = config
+        if not self.folder.is_dir():
+            raise BadInput(f"{folder}: no such folder")
+
+    def calibration(self) -> Mapping[str, Any] | None:
+        """Content of calibration.json."""
+        return read_json(self.folder / "calibrate" / "calibration.json")
+
+    def simulation_path(self, simulation: Simulation) -> Path:
+        """Where a simulation's trajectory lies."""
+        return self.folder / "simulate" / f"{simulation.id}.parquet"
+
+    def simulated(self) -> list[Simulation]:
+        """The simulations of the grid whose trajectory is there."""
+        return [one for one in simulations(self.config) if self.simulation_path(one).exists()]
+
+    def trajectories(self, chosen: list[Simulation] | None = None) -> Iterator[Trajectory]:
+        """Trajectories, one by one: they are large."""
+        for one in self.simulated() if chosen is None else chosen:
+            yield self._trajectory(one)
+
+    def _trajectory(self, simulation: Simulation) -> Trajectory:
+        path = self.simulation_path(simulation)
+        run = read_trajectory(path)
+        solver = _table(path, ["residual", "newton_iterations"])
+        # The vertices nearest the middle, ordered from the upper edge (v = 0) to the lower one.
+        across = np.abs(run.uv[:, 0] - 0.5)
+        line = np.flatnonzero(across <= across.min() + 1e-9)
+        line = line[np.argsort(run.uv[line, 1], kind="stable")]
+        centre = run.positions_m[:, line][:, :, [0, 2]].astype(float)
+        centre[:, :, 0] -= run.stage_x_m[:, None]
+        return Trajectory(
+            simulation=simulation,
+            time_s=run.time_s,
+            stage_x_m=run.stage_x_m,
+            stage_z_m=run.stage_z_m,
+            centre_m=centre,
+            residual=float(np.max(solver["residual"].to_numpy())),
+            newton_iterations=int(np.sum(solver["newton_iterations"].to_numpy())),
+            cpu_s=(run.metadata.get("provenance") or {}).get("cpu_s"),
+        )
+
+    def preview(self, simulation: Simulation) -> Path | None:
+        """Contact sheet of a simulation."""
+        path = self.folder / "render" / "preview" / f"{simulation.id}.png"
+        return path if path.exists() else None
+
+    def rendered(self) -> int:
+        """Number of image shards."""
+        return len(list((self.folder / "render").glob("m*_v*.parquet")))
+
+    def manifest(self) -> list[dict[str, Any]] | None:
+        """Rows of the dataset's manifest."""
+        path = self.folder / "sample" / "manifest.parquet"
+        return _table(path).to_pylist() if path.exists() else None
+
+    def images(self, video: Mapping[str, Any], positions: list[int]) -> list[bytes]:
+        """PNG bytes of a video's sampled frames at some positions."""
+        path = self.folder / "sample" / video["file"]
+        if not path.exists():
+            return []
+        table = _table(
+            path,
+            ["position", "image"],
+            filters=[("video", "=", video["video"]), ("position", "in", positions)],
+        )
+        rows = sorted(table.to_pylist(), key=lambda row: row["position"])
+        return [row["image"]["bytes"] for row in rows]
+
+    def histories(self) -> list[History]:
+        """Training curves, in the order of the configuration."""
+        found = []
+        for path in sorted((self.folder / "train").glob("*/*/seed*/history.csv")):
+            split, network, seed = path.parts[-4:-1]
+            try:
+                rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+                epochs = [
+                    {key: _number(value) for key, value in row.items() if key is not None}
+                    for row in rows
+                ]
+                found.append(History(split, network, int(seed.removeprefix("seed")), epochs))
+            except ValueError as error:
+                raise BadInput(f"{path}: not a training history: {error}") from None
+        return [history for history in found if history.epochs]
+
+    def metrics(self) -> Mapping[str, Any] | None:
+        """Content of metrics.json."""
+        return read_json(self.folder / "evaluate" / "metrics.json")
+
+    def details(self) -> Mapping[str, Any]:
+        """Content of details.json; empty if there is none."""
+        return read_json(self.folder / "evaluate" / "details.json") or {}
+
+    def predictions(self) -> list[dict[str, Any]] | None:
+        """Rows of predictions.parquet."""
+        path = self.folder / "evaluate" / "predictions.parquet"
+        if not path.exists():
+            return None
+        columns = ["split", "network", "seed", "true", "true_value", "predicted_value", "predicted"]
+        return _table(path, columns).to_pylist()
+
+    def benchmarks(self) -> list[Benchmark]:
+        """Cost of every stage that has benchmark files, in the order of the chain."""
+        folder = self.folder / "benchmarks"
+        names = [path.name for path in sorted(folder.glob("*")) if path.is_dir()]
+        names.sort(key=lambda name: (STAGES.index(name) if name in STAGES else 99, name))
+        found = []
+        for name in names:
+            rows = [
+                row
+                for path in sorted((folder / name).glob("*.tsv"))
+                for row in csv.DictReader(path.open(encoding="utf-8"), delimiter="\t")
+            ]
+            wall = [_number(row.get("s")) for row in rows]
+            wall = [value for value in wall if isinstance(value, float)]
+            if not wall:
+                continue
+            # Snakemake writes "-" or NA for a job that was over before it could look.
+            cpu = [_number(row.get("cpu_time")) for row in rows]
+            cpu = [value for value in cpu if isinstance(value, float)] or [float("nan")]
+            memory = [_number(row.get("max_rss")) for row in rows]
+            memory = [value for value in memory if isinstance(value, float)]
+            found.append(
+                Benchmark(
+                    stage=name,
+                    jobs=len(wall),
+                    wall_s=sum(wall),
+                    cpu_s=sum(cpu),
+                    wall_median_s=float(np.median(wall)),
+                    cpu_median_s=float(np.median(cpu)),
+                    memory_mib=max(memory) if memory else None,
+                )
+            )
+        return found
+
+    def provenance(self) -> list[tuple[str, dict[str, Any]]]:
+        """One record of each stage, with the artefact that carries it."""
+        candidates = {
+            "calibrate": ["calibrate/calibration.json"],
+            "simulate": [f"simulate/{one.id}.parquet" for one in self.simulated()[:1]],
+            "render": [
+                path.relative_to(self.folder)
+                for path in sorted((self.folder / "render").glob("m*_v*.parquet"))[:1]
+            ],
+            "sample": ["sample/manifest.parquet"],
+            "train": [
+                path.relative_to(self.folder)
+                for path in sorted((self.folder / "train").glob("*/*/*/model.safetensors"))[:1]
+            ],
+            "evaluate": ["evaluate/metrics.json"],
+        }
+        found = []
+        for paths in candidates.values():
+            for path in paths:
+                try:
+                    found.append((str(path), read_provenance(self.folder / path)))
+                except (FileNotFoundError, ValueError):
+                    continue
+        return found
+
+
+def _number(text: Any) -> Any:
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        return text
+    return value if np.isfinite(value) else None

@@ -1,0 +1,208 @@
+"""A made-up results folder for tests of the report: drawn shapes and invented numbers.
+
+Nothing in it was simulated, rendered or trained; no number in it means anything.
+"""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import synthetic_cloth
+import synthetic_videos
+from PIL import Image, ImageDraw
+
+from slipstitch import theory
+from slipstitch.calibrate.calibration import calibrate, write_calibration
+from slipstitch.config import Config, resolve_config
+from slipstitch.config.grid import simulations
+from slipstitch.provenance import provenance_record, write_sidecar
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+
+
+def config(**sections) -> Config:
+    """2 fabrics, 3 coefficients, 2 replicates at 11 x 11 vertices and 32 pixels."""
+    return resolve_config(
+        {
+            "grid": {
+                "materials": ["gray-interlock", "ivory-rib-knit"],
+                "frictions": [0.1, 0.3, 1.0],
+                "replicates": 2,
+            },
+            "simulation": {"frames": 300},
+            "render": {
+                "pixels": 32,
+                "viewpoints": ["calibrated", "side"],
+                "textures": ["stripes", "tartan"],
+                "test_textures": ["chevron"],
+            },
+            "sample": {"frames": 12},
+            **sections,
+        }
+    )
+
+
+def protocol_answer(name, options, settings):
+    """Theory's answer with a little error that means nothing."""
+    friction = options["friction"]
+    if name == "incline":
+        result = theory.incline(friction, math.radians(options["slope_deg"]))
+        return {
+            "sticks": result.sticks,
+            "creep_m": 2e-7,
+            "acceleration_m_s2": result.acceleration_m_s2 * 1.0002,
+            "theory_acceleration_m_s2": result.acceleration_m_s2,
+        }
+    if name == "flat-drag":
+        return {"pull_over_weight": 1.001 * friction, "theory_pull_over_weight": friction}
+    drag = theory.steady_strip_drag(
+        friction, 0.2, 0.15, options["gravity_length_m"], holder_angle_rad=None
+    )
+    keys = ("pull_over_w_m", "floor_load_over_w_m", "flat_tail_m", "holder_ahead_of_tail_m")
+    found = {f"theory_{key}": getattr(drag, key) for key in keys}
+    return found | {key: 1.004 * getattr(drag, key) for key in keys}
+
+
+def write_calibrate(config: Config, folder: Path) -> None:
+    """calibrate/calibration.json."""
+    path = folder / "calibrate" / "calibration.json"
+    path.parent.mkdir(parents=True)
+    result = calibrate(config.calibrate, config.simulation, protocol_answer)
+    write_calibration(result, path, provenance_record("calibrate", config=config.simulation))
+
+
+def write_simulate(config: Config, folder: Path) -> None:
+    """simulate/*.parquet, drawn."""
+    (folder / "simulate").mkdir(parents=True)
+    for one in simulations(config):
+        motion = synthetic_cloth.motion(config.simulation.frames, n=11)
+        jitter = 1.0 + 0.03 * np.random.default_rng(one.seed).normal()
+        ahead = motion["positions_m"][:, :, 0] - motion["stage_x_m"][:, None]
+        motion["positions_m"][:, :, 0] = motion["stage_x_m"][:, None] + ahead * jitter * (
+            0.4 + 0.6 * math.sqrt(one.friction)
+        )
+        count = len(motion["frame"])
+        write_trajectory(
+            folder / "simulate" / f"{one.id}.parquet",
+            Trajectory(**motion),
+            provenance_record("simulate", seed=one.seed),
+            newton_iterations=np.full(count, 9, np.int32),
+            residual=np.full(count, 4e-4),
+        )
+
+
+def write_render_and_sample(config: Config, folder: Path) -> None:
+    """render/*.parquet, render/preview/*.png, sample/*.parquet, drawn."""
+    shards = synthetic_videos.write_shards(config, folder / "render")
+    (folder / "render" / "preview").mkdir()
+    for one in simulations(config):
+        sheet = Image.new("RGB", (1400, 500), "#20242a")
+        ImageDraw.Draw(sheet).text((40, 40), f"drawn sheet of {one.id}", fill="white")
+        sheet.save(folder / "render" / "preview" / f"{one.id}.png")
+    write_dataset(config, shards, folder / "sample")
+
+
+def write_train(folder: Path) -> None:
+    """train/*/*/seed0/history.csv, invented."""
+    for split in ("by_video", "by_simulation"):
+        for network in ("material_baseline", "friction_baseline", "friction_conditional"):
+            path = folder / "train" / split / network / "seed0" / "history.csv"
+            path.parent.mkdir(parents=True)
+            with path.open("w", newline="") as stream:
+                writer = csv.DictWriter(
+                    stream,
+                    ["epoch", "stage", "train_loss", "validation_loss", "chance_loss"],
+                )
+                writer.writeheader()
+                for epoch in range(1, 19):
+                    late = 0.5 if split == "by_simulation" else 0.2
+                    writer.writerow(
+                        {
+                            "epoch": epoch,
+                            "stage": ("cycle 1", "cycle 2", "fine-tuning")[(epoch - 1) // 6],
+                            "train_loss": math.log(3) * math.exp(-epoch / 6),
+                            "validation_loss": late + math.exp(-epoch / 5),
+                            "chance_loss": math.log(3),
+                        }
+                    )
+
+
+def write_evaluate(config: Config, folder: Path) -> None:
+    """evaluate/metrics.json, details.json, predictions.parquet, invented but agreeing."""
+    random = np.random.default_rng(0)
+    frictions = np.array(config.grid.frictions)
+    metrics, details, rows = {}, {}, []
+    for split, right in (("by_video", 0.9), ("by_simulation", 0.6), ("unseen_texture", 0.8)):
+        metrics[split], details[split] = {}, {}
+        for model, network in (
+            ("lrcn_baseline", "friction_baseline"),
+            ("lrcn_conditional", "friction_conditional"),
+        ):
+            true = np.repeat(np.arange(3), 12)
+            wrong = random.uniform(size=36) > right
+            predicted = np.where(wrong, random.integers(0, 3, 36), true)
+            error = np.round(np.abs(frictions[predicted] - frictions[true]), 9)
+            metrics[split][model] = {
+                "n": 36,
+                "friction_lt_0.1": float((error < 0.1).mean()),
+                "friction_lt_0.2": float((error < 0.2).mean()),
+                "mean_absolute_error": float(error.mean()),
+                "material_top1": 0.75 if model == "lrcn_baseline" else None,
+                "material_top2": 1.0 if model == "lrcn_baseline" else None,
+                "coverage_90": None,
+                "interval_width": None,
+                "seeds": [0],
+            }
+            details[split][network] = {
+                "simulations": 6,
+                "trained_on": "by_video" if split == "unseen_texture" else split,
+                "chance": {"uniform": 1 / 3, "majority": 1 / 3, "mean_absolute_error": 0.3},
+            }
+            rows += [
+                {
+                    "split": split,
+                    "network": network,
+                    "seed": 0,
+                    "true": f"f{a:02d}",
+                    "predicted": f"f{b:02d}",
+                    "true_value": float(frictions[a]),
+                    "predicted_value": float(frictions[b]),
+                }
+                for a, b in zip(true, predicted, strict=True)
+            ]
+    out = folder / "evaluate"
+    out.mkdir(parents=True)
+    (out / "metrics.json").write_text(json.dumps(metrics))
+    (out / "details.json").write_text(json.dumps(details))
+    write_sidecar(out / "metrics.json", provenance_record("evaluate"))
+    pq.write_table(pa.Table.from_pylist(rows), out / "predictions.parquet")
+
+
+def write_benchmarks(config: Config, folder: Path) -> None:
+    """benchmarks/*/*.tsv as Snakemake lays them out, invented."""
+    columns = ["s", "h:m:s", "max_rss", "max_vms", "max_uss", "max_pss", "io_in", "io_out"]
+    columns += ["mean_load", "cpu_time"]
+    jobs = {"calibrate": ["calibration"], "simulate": [one.id for one in simulations(config)]}
+    jobs |= {"render": [f"{one.id}_v00" for one in simulations(config)], "sample": ["sample"]}
+    jobs |= {"train": ["a", "b", "c"], "evaluate": ["evaluate"]}
+    for position, (stage, names) in enumerate(jobs.items()):
+        (folder / "benchmarks" / stage).mkdir(parents=True)
+        for name in names:
+            row = [20.0 + 9 * position, "0:00:20", 400.0 + 90 * position, 0, 0, 0, 0, 0, 95.0]
+            text = "\t".join(map(str, [*row, 18.5 + 9 * position]))
+            path = folder / "benchmarks" / stage / f"{name}.tsv"
+            path.write_text("\t".join(columns) + "\n" + text + "\n")
+
+
+def write_all(config: Config, folder: Path) -> None:
+    """Every stage's files."""
+    write_calibrate(config, folder)
+    write_simulate(config, folder)
+    write_render_and_sample(config, folder)
+    write_train(folder)
+    write_evaluate(config, folder)
+    write_benchmarks(config, folder)
