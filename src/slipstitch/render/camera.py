@@ -17,9 +17,9 @@ from slipstitch.render.catalogue import Viewpoint
 AIM_M = (0.15, 0.0, 0.07)
 
 # Where the cloth can be, in units of its length: this far from under the clamps, at this share of
-# their height. A sheet of length L held at height 0.75 L reaches 0.66 L along the floor; the rest
-# is room for stretch and for a yawed clamp.
-_REACH = ((0.0, 0.72), (0.35, 0.60), (1.0, 0.14))
+# their height. A taut sheet of length L held at height 0.75 L reaches 0.66 L along the floor; a
+# hanging one does not, which leaves room for stretch and for a yawed clamp.
+_REACH = ((0.0, 0.66), (0.35, 0.55), (1.0, 0.12))
 _HALF_WIDTH = 0.54
 _MARGIN = 1.03
 
@@ -103,7 +103,7 @@ def cloth_room(
 
 
 def crop_to(viewpoint: Viewpoint, room_m: np.ndarray, pixels: int) -> Camera:
-    """The viewpoint's camera, cropped to the smallest square around the corners of the room (N, 3)."""
+    """The viewpoint's camera, cropped to the smallest square around these points (N, 3)."""
     rotation, translation = pose(viewpoint)
     local = room_m @ rotation.T + translation
     image = local[:, :2] / local[:, 2:]

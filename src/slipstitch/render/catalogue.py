@@ -29,7 +29,7 @@ class Viewpoint:
     test_only: bool = False
 
 
-_CALIBRATED = Viewpoint(azimuth_deg=52.0, elevation_deg=24.0, distance_m=1.4)
+_CALIBRATED = Viewpoint(azimuth_deg=40.0, elevation_deg=24.0, distance_m=1.4)
 
 VIEWPOINTS: dict[str, Viewpoint] = {
     "calibrated": _CALIBRATED,

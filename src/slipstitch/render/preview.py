@@ -13,7 +13,7 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.render.shards import SCHEMA
 
-_SHEET_COLUMNS = 8
+_SHEET_COLUMNS = 9
 _SECONDS = 12.0
 _SMALLEST_VIDEO_PX = 224
 _GAP = 2
@@ -64,9 +64,10 @@ def preview(
     shards : sequence of paths
         Image shards; the frames that all of them have are shown.
     sheet : path, optional
-        PNG: one row for every viewpoint and texture, time from left to right.
+        PNG: for every viewpoint a row of the first texture through time, then, at one time, a row
+        of all textures.
     video : path, optional
-        MP4: the viewpoints side by side, the textures below each other.
+        MP4: the viewpoints side by side, the first texture.
 
     Raises
     ------
@@ -80,45 +81,39 @@ def preview(
             if key in videos:
                 raise BadInput(f"{path}: holds {'_'.join(key)}, which another shard holds too")
             videos[key] = {number: (data, path) for number, data in frames.items()}
-    common = sorted(
-        set.intersection(*(set(frames) for frames in videos.values())) if videos else ()
-    )
+    numbers = [set(frames) for frames in videos.values()]
+    common = sorted(set.intersection(*numbers)) if numbers else []
     if not common:
         raise BadInput(f"no frame is in all of {', '.join(map(str, shards))}")
-    order = sorted(videos, key=lambda key: (key[0], key[2], key[1]))
+    textures: dict[tuple[str, str], list[str]] = {}
+    for simulation, texture, view in sorted(videos):
+        textures.setdefault((simulation, view), []).append(texture)
 
-    def image(key: tuple[str, str, str], number: int) -> np.ndarray:
-        data, path = videos[key][number]
-        return _decode(data, f"{path}: {'_'.join(key)} frame {number}")
+    def image(simulation: str, texture: str, view: str, number: int) -> np.ndarray:
+        data, path = videos[simulation, texture, view][number]
+        return _decode(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
 
     record = provenance_record("render", inputs=shards, started=started)
     if sheet is not None:
-        chosen = [common[k] for k in _evenly(len(common), _SHEET_COLUMNS)]
-        rows = [[image(key, number) for number in chosen] for key in order]
+        if Path(sheet).suffix != ".png":
+            raise BadInput(f"{sheet}: a contact sheet's name must end in .png")
+        times = [common[k] for k in _evenly(len(common), _SHEET_COLUMNS)]
+        middle = common[len(common) // 2]
+        rows = [[image(s, all_[0], v, n) for n in times] for (s, v), all_ in textures.items()]
+        for (s, v), all_ in textures.items():
+            for k in range(0, len(all_) if len(all_) > 1 else 0, _SHEET_COLUMNS):
+                rows.append([image(s, t, v, middle) for t in all_[k : k + _SHEET_COLUMNS]])
         with atomic_path(sheet) as temporary:
-            if not cv2.imwrite(str(temporary), _tile(rows)):
-                raise BadInput(f"{sheet}: a contact sheet's name must end in .png")
+            temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
         write_sidecar(sheet, record)
     if video is not None:
         if Path(video).suffix != ".mp4":
             raise BadInput(f"{video}: a video's name must end in .mp4")
-        across = sorted({(key[0], key[2]) for key in order})
-        down = sorted({key[1] for key in order})
+        pictures = (
+            _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
+        )
         with atomic_path(video) as temporary:
-            _write_video(
-                temporary,
-                (
-                    _tile(
-                        [
-                            [image((simulation, texture, view), n) for simulation, view in across]
-                            for texture in down
-                            if all((s, texture, v) in videos for s, v in across)
-                        ]
-                    )
-                    for n in common
-                ),
-                rate_hz=max(1.0, len(common) / _SECONDS),
-            )
+            _write_video(temporary, pictures, rate_hz=max(1.0, len(common) / _SECONDS))
         write_sidecar(video, record)
 
 

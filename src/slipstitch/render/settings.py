@@ -14,7 +14,7 @@ class RenderSettings(BaseModel):
 
     pixels: int = Field(64, ge=16, le=1024, description="side of the square images")
     samples: int = Field(
-        4,
+        1,
         ge=1,
         le=4096,
         description="paths per pixel of the shading render, which has twice the resolution "

@@ -129,12 +129,19 @@ def _floral(u, v, rng):
             x, y, turn = rng.uniform(0, 1), rng.uniform(0, 1), rng.uniform(0, 2 * np.pi)
             radius = size * rng.uniform(0.7, 1.2)
             petals = 2 if code == "55733f" else 5
-            angle = np.arctan2(v - y, u - x) + turn
-            edge = radius * (0.6 + 0.4 * np.cos(petals * angle))
-            distance = np.hypot(u - x, v - y)
-            cloth = _mix(cloth, _colour(code), _step(edge - distance, 0.006))
+            # Only the flower's own square of the cloth.
+            (left, right), (top, bottom) = (
+                np.clip(np.rint(np.array([at - radius, at + radius]) * TEXELS), 0, TEXELS)
+                for at in (x, y)
+            )
+            square = np.s_[int(top) : int(bottom), int(left) : int(right)]
+            across, down = u[square] - x, v[square] - y
+            edge = radius * (0.6 + 0.4 * np.cos(petals * (np.arctan2(down, across) + turn)))
+            distance = np.hypot(across, down)
+            patch = _mix(cloth[square], _colour(code), _step(edge - distance, 0.006))
             if petals == 5:
-                cloth = _mix(cloth, _colour("f3e3a1"), _step(0.22 * radius - distance, 0.006))
+                patch = _mix(patch, _colour("f3e3a1"), _step(0.22 * radius - distance, 0.006))
+            cloth[square] = patch
     return cloth
 
 
