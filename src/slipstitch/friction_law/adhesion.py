@@ -8,7 +8,7 @@ from slipstitch.friction_law.mechanism import ContactMechanism, Parameter
 class Adhesion(ContactMechanism):
     """Adds a shear stress times the apparent area (Bowden and Tabor)."""
 
-    def added_force_N(self, values, contact, static):
+    def added_force(self, values, contact, static):
         return values["adhesion"] * np.asarray(contact.area_m2)
 
 

@@ -75,7 +75,7 @@ class FrictionLaw:
                     f"{', '.join(sorted(names))}; given: {', '.join(sorted(values)) or 'none'}"
                 )
 
-    def force_limit_N(self, contact: Contact, static: bool) -> np.ndarray:
+    def force_limit(self, contact: Contact, static: bool) -> np.ndarray:
         """Friction force at which the contact slips (static) or with which it slides (kinetic).
 
         Returns
@@ -89,7 +89,7 @@ class FrictionLaw:
         for identifier, values in self.mechanisms.items():
             mechanism = CONTACT_MECHANISMS[identifier]
             force = force * mechanism.factor(values, contact, static)
-            added = added + mechanism.added_force_N(values, contact, static)
+            added = added + mechanism.added_force(values, contact, static)
         return np.maximum(force + added, 0.0)
 
     def to_dict(self) -> dict:

@@ -1,4 +1,4 @@
-"""What every extension of the model has in common: a name, parameters, and what it needs to know."""
+"""What every extension of the model has: a name, parameters, and what it needs to know."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ContactMechanism(Mechanism):
         """Factor on the Coulomb force, 1 where the mechanism is silent."""
         return 1.0
 
-    def added_force_N(
+    def added_force(
         self, values: Mapping[str, float], contact: Contact, static: bool
     ) -> np.ndarray | float:
         """Force beside the Coulomb force, in newtons."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipstitch.friction_law import Contact, FrictionLaw
 from slipstitch.criticise.forward.bench import Bench
+from slipstitch.friction_law import Contact, FrictionLaw
 
 
-def reading_N(
+def cell_reading(
     law: FrictionLaw,
     contact: Contact,
     static: bool,
@@ -20,6 +20,6 @@ def reading_N(
 
     ``(1 + gain)(direction F - N sin tilt) + offset``, tilt positive where stage +x runs downhill.
     """
-    friction = law.force_limit_N(contact, static)
+    friction = law.force_limit(contact, static)
     along = direction * friction - np.asarray(contact.normal_force_N) * np.sin(tilt_downhill_rad)
     return (1.0 + bench.force_gain) * along + bench.force_offset_N

@@ -67,7 +67,7 @@ def sliding_state(
         flat = np.maximum(length - lifted, 1e-3)
         normal = (flat + point) * w * h
         touching = contact.with_load(normal, flat * h)
-        limit = law.force_limit_N(touching, static) - normal * np.sin(tilt_downhill_rad)
+        limit = law.force_limit(touching, static) - normal * np.sin(tilt_downhill_rad)
         excess = tension - limit / (w * h)
         # Newton with the flexible cloth's slope: more tension lifts cloth, which lowers friction.
         slope = 1.0 + limit / np.maximum(normal, 1e-12) / np.sqrt(1.0 + 2.0 * tension)
@@ -93,19 +93,23 @@ def rest_state(
     return (extent + flat) * h, flat * h
 
 
-def sticking_contact_m(
+def sticking_path(
     areal_weight_N_m2: float,
     bending_Nm: float,
     cloth_length_m: float,
-    height_m: float,
-    advance_m: np.ndarray,
+    height_m: np.ndarray,
     points: int = 40,
-) -> np.ndarray:
-    """Contact length of a cloth whose edge sticks while the clamp advances by ``advance_m``."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """How a cloth whose edge sticks lifts off while the clamp advances.
+
+    Returns
+    -------
+    advance_m, contact_m : (heights, points) each, advance rising from 0.
+    """
     tension = np.linspace(0.0, _table()[2], points) ** 2
-    stiffness = np.full(points, bending_Nm / (areal_weight_N_m2 * height_m**3))
-    lifted, extent, _ = lifted_part(stiffness, tension)
-    flat = cloth_length_m / height_m - lifted
+    h = np.asarray(height_m, float)[:, None]
+    stiffness = np.broadcast_to(bending_Nm / (areal_weight_N_m2 * h**3), (len(h), points))
+    lifted, extent, _ = lifted_part(stiffness, np.broadcast_to(tension, stiffness.shape))
+    flat = cloth_length_m / h - lifted
     distance = extent + flat
-    contact = np.interp(np.asarray(advance_m) / height_m, distance - distance[0], flat)
-    return contact * height_m
+    return (distance - distance[:, :1]) * h, flat * h

@@ -27,7 +27,7 @@ def slip_angle_rad(
     slope = np.full(weight_N.shape, np.arctan(max(law.coefficient, 1e-9)))
     for _ in range(iterations):
         normal = weight_N * np.cos(slope)
-        ratio = law.force_limit_N(contact.with_load(normal), static=True) / normal
+        ratio = law.force_limit(contact.with_load(normal), static=True) / normal
         update = np.minimum(np.arctan(ratio), LARGEST_ANGLE_RAD)
         change = np.max(np.abs(update - slope), initial=0.0)
         slope = update

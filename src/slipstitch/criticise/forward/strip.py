@@ -86,7 +86,7 @@ def slip_strain(
     for _ in range(iterations):
         _, load = foot(weight_number, ratio)
         normal = load * force_unit_N
-        limit = law.force_limit_N(contact.with_load(normal), static=True) / normal
+        limit = law.force_limit(contact.with_load(normal), static=True) / normal
         update = np.tan(np.clip(np.arctan(limit) - tilt_downhill_rad, 0.0, 1.5))
         change = np.max(np.abs(update - ratio), initial=0.0)
         ratio = update

@@ -1,6 +1,6 @@
 """Every mechanism that a verdict can name, in the order of the documentation.
 
-A further mechanism of the bench is one file like ``backlash.py`` and its name in the list below; one
+A further mechanism of the bench is one file like ``backlash.py`` and its name below; one
 of the contact goes into :mod:`slipstitch.friction_law`.
 """
 

@@ -1,0 +1,132 @@
+"""The alternatives that a fitted model is tested against: other mechanisms and generic shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipstitch.criticise.features import Measurements
+from slipstitch.criticise.features.assembly import INSTRUMENT_QUANTITIES
+from slipstitch.criticise.inference.covariance import Group
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.generic import generic_shapes
+from slipstitch.criticise.inference.structure import Test
+from slipstitch.criticise.mechanism import MECHANISMS
+
+WEAR_SETTLING_SLIDES = (1.0, 2.5, 6.0)
+# Size of the effect, as a noncentrality, that the shrunken rich model expects of a column.
+EXPECTED_NONCENTRALITY = 25.0
+
+
+@dataclass
+class Alternatives:
+    """Tests beside a fitted model, and the sensitivity d(feature)/d(ln mu) at it."""
+
+    tests: list[Test]
+    sensitivity: np.ndarray
+    untestable: dict[str, str]
+
+
+def sensitivity_of(fitted: Fit) -> np.ndarray:
+    """d(feature)/d(ln mu), (n,)."""
+    own = [j for j, p in enumerate(fitted.parameters) if p.name.startswith("mu_")]
+    return fitted.jacobian[:, own].sum(axis=1)
+
+
+def nuisance_columns(
+    measurements: Measurements, unrecorded: np.ndarray, sensitivity: np.ndarray
+) -> np.ndarray | None:
+    """A free level for the features whose driving covariate is unknown, a level a protocol."""
+    if not unrecorded.any():
+        return None
+    columns = []
+    static = measurements.rows["static"].to_numpy(bool)
+    for protocol in np.unique(measurements.protocol):
+        for kind in (True, False):
+            mine = unrecorded & (measurements.protocol == protocol) & (static == kind)
+            if mine.any() and np.any(sensitivity[mine] != 0):
+                columns.append(np.where(mine, sensitivity, 0.0))
+    return np.column_stack(columns) if columns else None
+
+
+def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> Alternatives:
+    """Every mechanism beyond the fitted causes, and every generic shape."""
+    sensitivity = sensitivity_of(fitted)
+    tests, untestable = [], {}
+    values = fitted.as_dict()
+    for name, mechanism in MECHANISMS.items():
+        if name in fitted.causes:
+            continue
+        unrecorded = measurements.unrecorded(name)
+        column_values = []
+        settings = WEAR_SETTLING_SLIDES if name == "wear" else (None,)
+        for setting in settings:
+            start = values | mechanism.null_values()
+            if setting is not None:
+                start["wear_r0"] = setting
+            causes = (*fitted.causes, name)
+            columns = []
+            for parameter in mechanism.parameters:
+                if parameter.name == "wear_r0":
+                    continue
+                step = 0.05 * parameter.scale
+                moved = start | {parameter.name: parameter.null + step}
+                change = (measurements.predict(moved, causes) - fitted.prediction) / step
+                columns.append(np.where(unrecorded, 0.0, change * parameter.scale))
+            column_values.append(np.column_stack(columns))
+        acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0) & keep
+        if not acting.any():
+            silent = unrecorded.any()
+            untestable[name] = (
+                "what drives it was not recorded" if silent else "no feature would show it"
+            )
+            continue
+        nuisance = nuisance_columns(measurements, unrecorded & keep, sensitivity)
+        for setting, columns in zip(settings, column_values, strict=True):
+            label = name if setting is None else f"{name}@{setting:g}"
+            tests.append(Test(label, "mechanism", name, columns, nuisance))
+    usable = keep & (sensitivity != 0)
+    usable &= ~measurements.rows["quantity"].isin(INSTRUMENT_QUANTITIES).to_numpy()
+    for shape in generic_shapes(measurements.rows, usable):
+        column = measurements.rows[shape.covariate]
+        empty = (column == "").to_numpy() if column.dtype == object else column.isna().to_numpy()
+        nuisance = nuisance_columns(measurements, empty & usable, sensitivity)
+        columns = shape.columns * np.where(usable, sensitivity, 0.0)[:, None]
+        tests.append(Test(shape.name, "generic", shape.covariate, columns, nuisance))
+    return Alternatives(tests, sensitivity, untestable)
+
+
+def rich_columns(
+    tests: list[Test], group: Group, variance: np.ndarray, fixed: np.ndarray
+) -> np.ndarray:
+    """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
+
+    Each is made orthogonal to the fixed columns and scaled to the noncentrality expected.
+    """
+    chosen, bumps = [], {}
+    for test in tests:
+        if test.family == "generic":
+            if "S-shaped" in test.name:
+                continue
+            if "bump" in test.name or "cycle" in test.name:
+                bumps[test.covariate] = bumps.get(test.covariate, 0) + 1
+                if bumps[test.covariate] % 3 != 1:
+                    continue
+        chosen.append(test.columns[group.index])
+    if not chosen:
+        return np.zeros((len(group.index), 0))
+    columns = np.column_stack(chosen)
+    factor = np.linalg.cholesky(variance)
+    white = np.linalg.solve(factor, columns)
+    if fixed.shape[1]:
+        q, _ = np.linalg.qr(np.linalg.solve(factor, fixed))
+        projected = white - q @ (q.T @ white)
+    else:
+        projected = white
+    norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
+    good = norm > 1e-3 * np.maximum(before, 1e-12)
+    # Correlated columns share the expectation: divide by their effective multiplicity.
+    unit = projected[:, good] / np.sqrt(norm[good])
+    shared = ((unit.T @ unit) ** 2).sum(axis=1)
+    return columns[:, good] * np.sqrt(EXPECTED_NONCENTRALITY / norm[good] / shared)

@@ -1,0 +1,478 @@
+"""The whole inference: scatter, outliers, test of the null, fits, selection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from slipstitch.criticise.features import Measurements
+from slipstitch.criticise.inference.alternatives import (
+    alternatives,
+    nuisance_columns,
+    rich_columns,
+    sensitivity_of,
+)
+from slipstitch.criticise.inference.covariance import (
+    Group,
+    Scatter,
+    estimate_scatter,
+    make_groups,
+    restricted_projection,
+)
+from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.structure import Outcome, Test, run_tests
+from slipstitch.criticise.mechanism import MECHANISMS
+
+START_SCATTER = Scatter(0.05, 0.03, 1.2)
+MECHANISM_SHARE, GENERIC_SHARE = 0.6, 0.4
+SIGNIFICANCE = 0.04
+LEFTOVER_SIGNIFICANCE = 0.02
+PAIR_SIGNIFICANCE = 0.01
+TIE_BIC = 6.0
+OUTLIER_T = 4.5
+OUTLIER_SHARE = 0.08
+SMALLEST_RUNS, SMALLEST_SPECIMENS = 8, 3
+
+
+@dataclass
+class Candidate:
+    """A fitted set of causes with its standing: credit over the null, BIC relative to the null."""
+
+    causes: tuple[str, ...]
+    fitted: Fit
+    credit: float
+    bic: float
+
+
+@dataclass
+class Excluded:
+    """A run, or one feature of it, that no model explains."""
+
+    run_id: str
+    reason: str
+    features: np.ndarray
+
+
+@dataclass
+class State:
+    """Scatter, weights and tests at one fitted model."""
+
+    keep: np.ndarray
+    groups: list[Group]
+    scatters: dict[str, Scatter]
+    weights: Weights
+    sensitivity: np.ndarray
+    tests: list[Test]
+    rich: dict[str, np.ndarray]
+    untestable: dict[str, str]
+
+
+@dataclass
+class Analysis:
+    """Everything that verdict, report and prediction need."""
+
+    measurements: Measurements
+    verdict: str
+    causes: tuple[str, ...]
+    alternatives: list[tuple[str, ...]]
+    null: Fit
+    chosen: Candidate | None
+    null_state: State
+    state: State
+    null_outcome: Outcome
+    left_over: Outcome | None
+    global_p: float
+    ranking: list[Candidate]
+    excluded: list[Excluded] = field(default_factory=list)
+    reason: str = ""
+
+
+def settle(
+    measurements: Measurements,
+    fitted: Fit,
+    keep: np.ndarray,
+    start: dict[str, Scatter] | None = None,
+) -> State:
+    """Estimate the scatter at a fitted model and set up the weights and tests there."""
+    sensitivity = sensitivity_of(fitted)
+    uncensored = keep & ~measurements.lower_bound
+    groups = make_groups(
+        measurements.protocol,
+        measurements.run,
+        measurements.specimen,
+        measurements.u,
+        sensitivity,
+        uncensored,
+    )
+    found = alternatives(measurements, fitted, keep)
+    residual = measurements.y - fitted.prediction
+    scatters, rich = {}, {}
+    for group in groups:
+        fixed = _fixed(group, sensitivity)
+        guess = (start or {}).get(group.protocol, START_SCATTER)
+        own = rich_columns(found.tests, group, group.variance(guess), fixed)
+        scatter = estimate_scatter(group, residual[group.index], fixed, own, guess)
+        rich[group.protocol] = rich_columns(found.tests, group, group.variance(scatter), fixed)
+        scatters[group.protocol] = scatter
+    weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
+    return State(keep, groups, scatters, weights, sensitivity, found.tests, rich, found.untestable)
+
+
+def _fixed(group: Group, sensitivity: np.ndarray) -> np.ndarray:
+    d = sensitivity[group.index]
+    size = np.linalg.norm(d)
+    return (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
+
+
+def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list[Excluded]:
+    """Runs (and single features) that lie far off under the rich model; the worst few only."""
+    found: list[tuple[float, Excluded]] = []
+    residual = measurements.y - fitted.prediction
+    for group in state.groups:
+        variance = group.variance(state.scatters[group.protocol])
+        rich = state.rich[group.protocol]
+        fixed = _fixed(group, state.sensitivity)
+        projection, _ = restricted_projection(variance + rich @ rich.T, fixed)
+        pulled = projection @ residual[group.index]
+        runs = measurements.run[group.index]
+        d = group.sensitivity
+        for run in np.unique(runs):
+            mine = np.flatnonzero(runs == run)
+            information = d[mine] @ projection[np.ix_(mine, mine)] @ d[mine]
+            name = str(measurements.rows["run_id"].iloc[group.index[mine[0]]])
+            if information > 1e-9:
+                t = d[mine] @ pulled[mine] / np.sqrt(information)
+                if abs(t) > OUTLIER_T:
+                    reason = f"run-level outlier, t={t:.1f}"
+                    found.append((abs(t), Excluded(name, reason, group.index[mine])))
+                    continue
+            for i in mine:
+                t = pulled[i] / np.sqrt(max(projection[i, i], 1e-12))
+                if abs(t) > OUTLIER_T + 0.5:
+                    quantity = measurements.rows["quantity"].iloc[group.index[i]]
+                    reason = f"outlier in {quantity}, t={t:.1f}"
+                    found.append((abs(t), Excluded(name, reason, group.index[[i]])))
+    found.sort(key=lambda item: -item[0])
+    return [item[1] for item in found]
+
+
+def settle_without_outliers(
+    measurements: Measurements, causes: tuple[str, ...], start: dict[str, float] | None
+) -> tuple[Fit, State, list[Excluded]]:
+    """Fit, estimate the scatter, set the worst outliers aside; repeat until none is left."""
+    keep = np.ones(len(measurements.y), bool)
+    excluded: list[Excluded] = []
+    runs = {
+        p: len(set(measurements.run[measurements.protocol == p]))
+        for p in np.unique(measurements.protocol)
+    }
+    spent = dict.fromkeys(runs, 0.0)
+    fitted = _first_fit(measurements, causes, keep, start)
+    state = settle(measurements, fitted, keep)
+    for _ in range(6):
+        new = []
+        for outlier in find_outliers(measurements, fitted, state):
+            protocol = measurements.protocol[outlier.features[0]]
+            whole = measurements.run == measurements.run[outlier.features[0]]
+            cost = len(outlier.features) / whole.sum()
+            if spent[protocol] + cost <= OUTLIER_SHARE * runs[protocol] + 1e-9:
+                spent[protocol] += cost
+                new.append(outlier)
+            if len(new) >= 3:
+                break
+        fitted = fit(measurements, state.weights, causes, fitted.as_dict())
+        if not new:
+            break
+        for outlier in new:
+            keep[outlier.features] = False
+        excluded += new
+        state = settle(measurements, fitted, keep, state.scatters)
+        fitted = fit(measurements, state.weights, causes, fitted.as_dict())
+    state = settle(measurements, fitted, keep, state.scatters)
+    fitted = fit(measurements, state.weights, causes, fitted.as_dict())
+    return fitted, state, excluded
+
+
+def _first_fit(measurements, causes, keep, start) -> Fit:
+    """A fit with usual scatters; sensitivities from a first guess of the coefficients."""
+    fitted = None
+    values = dict(start or {})
+    for _ in range(2):
+        named = {p.name: values.get(p.name, p.null) for p in measurements.null_parameters}
+        base = measurements.predict(named, ())
+        moved = measurements.predict({k: v + 0.01 for k, v in named.items()}, ())
+        sensitivity = (moved - base) / 0.01
+        groups = make_groups(
+            measurements.protocol,
+            measurements.run,
+            measurements.specimen,
+            measurements.u,
+            sensitivity,
+            keep & ~measurements.lower_bound,
+        )
+        scatters = {g.protocol: START_SCATTER for g in groups}
+        weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
+        fitted = fit(measurements, weights, causes, values)
+        values = fitted.as_dict()
+    return fitted
+
+
+def _observations(measurements: Measurements, keep: np.ndarray) -> int:
+    return len(np.unique(measurements.run[keep]))
+
+
+def candidate(
+    measurements: Measurements,
+    state: State,
+    causes: tuple[str, ...],
+    null: Fit,
+    inflation: dict[str, float],
+    start: dict[str, float] | None = None,
+) -> Candidate:
+    """Fit a set of causes and score it against the null (with the same nuisance levels)."""
+    unrecorded = np.zeros(len(measurements.y), bool)
+    for cause in causes:
+        unrecorded |= measurements.unrecorded(cause)
+    weights, base = state.weights, null
+    nuisance = nuisance_columns(measurements, unrecorded & state.keep, state.sensitivity)
+    if nuisance is not None:
+        weights = weights.with_nuisance(nuisance)
+        base = fit(measurements, weights, null.causes, null.as_dict())
+    values = null.as_dict() | (start or {})
+    best = None
+    settlings = (1.5, 5.0) if "wear" in causes and "wear_r0" not in (start or {}) else (None,)
+    for settling in settlings:
+        first = values if settling is None else values | {"wear_r0": settling, "wear": 0.02}
+        found = fit(measurements, weights, causes, first)
+        if best is None or found.chi2 < best.chi2:
+            best = found
+    share = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
+    credit = max(base.chi2 - best.chi2, 0.0) / share
+    extra = len(best.parameters) - len(base.parameters)
+    cost = extra * np.log(max(_observations(measurements, state.keep), 2))
+    return Candidate(causes, best, credit, cost - credit)
+
+
+def _inflation(outcome: Outcome) -> dict[str, float]:
+    result: dict[str, float] = {}
+    for test, value in zip(outcome.tests, outcome.inflation, strict=True):
+        if test.family == "mechanism":
+            result[test.covariate] = max(result.get(test.covariate, 1.0), float(value))
+    return result
+
+
+def combined_p(outcome: Outcome) -> float:
+    """Family-wise p over mechanisms and shapes, Bonferroni-weighted between the two."""
+    return float(
+        min(
+            1.0,
+            outcome.family_p.get("mechanism", 1.0) / MECHANISM_SHARE,
+            outcome.family_p.get("generic", 1.0) / GENERIC_SHARE,
+        )
+    )
+
+
+def test_at(
+    measurements: Measurements,
+    fitted: Fit,
+    state: State,
+    rng: np.random.Generator,
+    replicates: int,
+) -> Outcome:
+    """Tests of everything beyond the fitted model."""
+    residual = measurements.y - fitted.prediction
+    return run_tests(
+        state.tests,
+        fitted.jacobian,
+        residual,
+        state.groups,
+        state.scatters,
+        state.rich,
+        rng,
+        replicates,
+    )
+
+
+def analyse(
+    measurements: Measurements,
+    seed: int = 1,
+    replicates: int = 300,
+    report: Callable[[str], None] = lambda text: None,
+) -> Analysis:
+    """Reach a verdict.
+
+    Parameters
+    ----------
+    seed : of the simulated maxima; the same data and seed give the same verdict.
+    replicates : simulated data sets behind every family-wise p.
+    """
+    rng = np.random.default_rng(seed)
+    report("fit of the null")
+    null, null_state, excluded = settle_without_outliers(measurements, (), None)
+    report("test of the null")
+    outcome = test_at(measurements, null, null_state, rng, replicates)
+    global_p = combined_p(outcome)
+    inflation = _inflation(outcome)
+    testable = [
+        name
+        for name in MECHANISMS
+        if any(
+            t.covariate == name and t.family == "mechanism" and np.isfinite(p)
+            for t, p in zip(outcome.tests, outcome.log_p, strict=True)
+        )
+    ]
+
+    def result(verdict, causes=(), ties=(), chosen=None, state=null_state, left=None, why=""):
+        return Analysis(
+            measurements,
+            verdict,
+            tuple(causes),
+            list(ties),
+            null,
+            chosen,
+            null_state,
+            state,
+            outcome,
+            left,
+            global_p,
+            ranking,
+            excluded,
+            why,
+        )
+
+    report("fits of single mechanisms")
+    ranking = [candidate(measurements, null_state, (name,), null, inflation) for name in testable]
+    ranking.sort(key=lambda c: c.bic)
+    runs = _observations(measurements, null_state.keep)
+    specimens = len(np.unique(measurements.specimen[null_state.keep]))
+    if runs < SMALLEST_RUNS or specimens < SMALLEST_SPECIMENS:
+        why = (
+            f"{runs} runs of {specimens} specimens; at least {SMALLEST_RUNS} of "
+            f"{SMALLEST_SPECIMENS} are needed"
+        )
+        return result("insufficient", why=why)
+    if global_p > SIGNIFICANCE:
+        return result("none")
+    if not ranking:
+        return result("unknown", left=outcome, why="no mechanism can be tested with these data")
+
+    # The scatter at the best model, for all models alike: sensitivities at a poor fit mislead.
+    report("selection")
+    state, base = null_state, null
+    for _ in range(2):
+        best = ranking[0]
+        if best.bic > -2:
+            break
+        state = settle(measurements, best.fitted, null_state.keep, state.scatters)
+        base = fit(measurements, state.weights, (), null.as_dict())
+        starts = {c.causes: c.fitted.as_dict() for c in ranking}
+        ranking = [
+            candidate(measurements, state, c.causes, base, inflation, starts[c.causes])
+            for c in ranking
+        ]
+        ranking.sort(key=lambda c: c.bic)
+        if ranking[0].causes == best.causes:
+            break
+    singles = list(ranking)
+    best = singles[0]
+    left_state = settle(measurements, best.fitted, state.keep, state.scatters)
+    left = test_at(measurements, best.fitted, left_state, rng, replicates)
+    pairs = _pairs(measurements, state, base, singles, left, left_state, inflation, rng)
+    accepted = [p for p in pairs if _pair_counts(p, singles)]
+    ranking = sorted(singles + pairs, key=lambda c: c.bic)
+    chosen = best
+    if accepted and accepted[0].bic < best.bic:
+        chosen = accepted[0]
+        left_state = settle(measurements, chosen.fitted, state.keep, state.scatters)
+        left = test_at(measurements, chosen.fitted, left_state, rng, replicates)
+    chosen_p = combined_p(left)
+    if chosen.bic > -2:
+        why = "no mechanism improves on the null by enough to be named"
+        return result("unknown", chosen=None, state=null_state, left=outcome, why=why)
+    if chosen_p < LEFTOVER_SIGNIFICANCE:
+        why = "structure is left that no one or two mechanisms remove"
+        return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
+    if not _explains(outcome, chosen, measurements, state):
+        why = "a shape outside the library describes the data better than any mechanism"
+        return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
+    rivals = [c for c in singles if c.bic - chosen.bic < TIE_BIC and c.bic < 0]
+    if len(chosen.causes) == 2:
+        rivals += [c for c in accepted if c.bic - chosen.bic < TIE_BIC]
+    rivals = [chosen] + [c for c in rivals if c.causes != chosen.causes]
+    if len(rivals) > 1:
+        ties = [c.causes for c in rivals]
+        return result("confounded", (), ties, chosen, left_state, left)
+    return result("cause", chosen.causes, [chosen.causes], chosen, left_state, left)
+
+
+def _explains(outcome: Outcome, chosen: Candidate, measurements, state) -> bool:
+    """Does the chosen model beat the best generic shape (its place or period counted)?"""
+    runs = np.log(max(_observations(measurements, state.keep), 2))
+    best = np.inf
+    for i, test in enumerate(outcome.tests):
+        if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
+            continue
+        scanned = 1 if ("bump" in test.name or "cycle" in test.name) else 0
+        best = min(best, (outcome.degrees[i] + scanned) * runs - outcome.statistic[i])
+    return chosen.bic <= best + 2.0
+
+
+def _pair_counts(pair: Candidate, singles: list[Candidate]) -> bool:
+    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?"""
+    alone = [c for c in singles if c.causes[0] in pair.causes]
+    if not alone:
+        return False
+    top = max(alone, key=lambda c: c.credit)
+    extra = len(pair.fitted.parameters) - len(top.fitted.parameters)
+    threshold = chi_square.isf(PAIR_SIGNIFICANCE / max(len(singles) - 1, 1), max(extra, 1))
+    return pair.credit - top.credit > threshold and pair.bic < top.bic
+
+
+def _pairs(measurements, state, base, singles, left, left_state, inflation, rng, most=10):
+    """The most promising pairs, fitted: screened by score tests beside the leading singles."""
+    promise: dict[tuple[str, ...], float] = {}
+    testable = {c.causes[0] for c in singles}
+
+    def offer(single, outcome):
+        for i, test in enumerate(outcome.tests):
+            if test.family != "mechanism" or test.covariate not in testable:
+                continue
+            if not np.isfinite(outcome.log_p[i]):
+                continue
+            pair = tuple(sorted((single.causes[0], test.covariate)))
+            promise[pair] = max(promise.get(pair, 0.0), single.credit + outcome.statistic[i])
+
+    offer(singles[0], left)
+    if combined_p(left) < 0.3:
+        for single in singles[1:5]:
+            other = settle_fast(measurements, single.fitted, state)
+            outcome = run_tests(
+                other,
+                single.fitted.jacobian,
+                measurements.y - single.fitted.prediction,
+                state.groups,
+                state.scatters,
+                state.rich,
+                rng,
+                replicates=2,
+            )
+            outcome.statistic = outcome.statistic * outcome.inflation
+            offer(single, outcome)
+    else:
+        most = 4
+    starts = {c.causes[0]: c.fitted.as_dict() for c in singles}
+    order = sorted(promise, key=lambda pair: -promise[pair])[:most]
+    fitted = []
+    for pair in order:
+        first = max(pair, key=lambda name: next(c.credit for c in singles if c.causes[0] == name))
+        fitted.append(candidate(measurements, state, pair, base, inflation, starts[first]))
+    return sorted(fitted, key=lambda c: c.bic)
+
+
+def settle_fast(measurements, fitted, state) -> list[Test]:
+    """Mechanism tests beside another fitted model, at the scatter already known."""
+    found = alternatives(measurements, fitted, state.keep)
+    return [test for test in found.tests if test.family == "mechanism"]

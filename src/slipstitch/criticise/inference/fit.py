@@ -1,0 +1,195 @@
+"""Least-squares fits of a set of causes at a given covariance; bounds enter as probabilities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import log_ndtr
+
+from slipstitch.criticise.features import Measurements
+from slipstitch.criticise.inference.covariance import Group, Scatter
+from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.friction_law import Parameter
+
+
+def parameters_of(measurements: Measurements, causes: tuple[str, ...]) -> list[Parameter]:
+    """Parameters of the null and of the causes, in order."""
+    own = [p for cause in causes for p in MECHANISMS[cause].parameters]
+    return [*measurements.null_parameters, *own]
+
+
+@dataclass
+class Weights:
+    """Whitening of the kept, uncensored features and the total sd of those that are bounds."""
+
+    groups: list[Group]
+    factors: list[np.ndarray]
+    bounds: np.ndarray
+    bound_sd: np.ndarray
+    nuisance: np.ndarray | None = None  # orthonormal, whitened; projected out of everything
+
+    @classmethod
+    def build(
+        cls,
+        groups: list[Group],
+        scatters: dict[str, Scatter],
+        measurements: Measurements,
+        sensitivity: np.ndarray,
+        keep: np.ndarray,
+    ) -> Weights:
+        factors = [
+            cholesky(g.variance(scatters[g.protocol]), lower=True, check_finite=False)
+            for g in groups
+        ]
+        bounds = np.flatnonzero(measurements.lower_bound & keep)
+        sd = np.empty(len(bounds))
+        for i, b in enumerate(bounds):
+            s = scatters.get(measurements.protocol[b], Scatter(0.05, 0.03, 1.2))
+            d = sensitivity[b]
+            sd[i] = np.sqrt((s.kappa * measurements.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
+        return cls(groups, factors, bounds, np.maximum(sd, 1e-9))
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """Stacked L^-1 of the groups' rows of ``values`` (n, ...)."""
+        parts = [
+            solve_triangular(f, values[g.index], lower=True, check_finite=False)
+            for g, f in zip(self.groups, self.factors, strict=True)
+        ]
+        return np.concatenate(parts) if parts else np.zeros((0, *values.shape[1:]))
+
+    def with_nuisance(self, columns: np.ndarray) -> Weights:
+        """The same weights with nuisance columns (n, q) fitted freely and silently."""
+        white = self.whiten(columns)
+        size = np.linalg.norm(white, axis=0)
+        q, _ = np.linalg.qr(white[:, size > 1e-9] / size[size > 1e-9])
+        return Weights(self.groups, self.factors, self.bounds, self.bound_sd, q)
+
+    def projected(self, white: np.ndarray) -> np.ndarray:
+        """Whitened rows without what the nuisance columns can carry."""
+        if self.nuisance is None:
+            return white
+        return white - self.nuisance @ (self.nuisance.T @ white)
+
+    def residual(self, measurements: Measurements, prediction: np.ndarray) -> np.ndarray:
+        """Whitened residuals; a bound adds sqrt(-2 ln P(truth above it))."""
+        white = self.projected(self.whiten(measurements.y - prediction))
+        if not len(self.bounds):
+            return white
+        z = (prediction[self.bounds] - measurements.y[self.bounds]) / self.bound_sd
+        return np.concatenate([white, np.sqrt(np.maximum(-2 * log_ndtr(z), 0.0))])
+
+
+@dataclass
+class Fit:
+    """A fitted set of causes."""
+
+    causes: tuple[str, ...]
+    parameters: list[Parameter]
+    values: np.ndarray
+    chi2: float
+    prediction: np.ndarray
+    jacobian: np.ndarray
+    whitened_jacobian: np.ndarray
+    converged: bool
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def as_dict(self) -> dict[str, float]:
+        """Parameter values by name (mu as logarithms)."""
+        return {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
+
+
+def jacobian(
+    measurements: Measurements,
+    causes: tuple[str, ...],
+    parameters: list[Parameter],
+    values: np.ndarray,
+    prediction: np.ndarray,
+) -> np.ndarray:
+    """d(prediction)/d(parameters), (n, p), by differences of a hundredth of each scale."""
+    columns = []
+    for j, parameter in enumerate(parameters):
+        step = 0.02 * parameter.scale
+        if values[j] + step > parameter.upper:
+            step = -step
+        moved = values.copy()
+        moved[j] += step
+        named = {p.name: float(v) for p, v in zip(parameters, moved, strict=True)}
+        columns.append((measurements.predict(named, causes) - prediction) / step)
+    return np.column_stack(columns) if columns else np.zeros((len(prediction), 0))
+
+
+def fit(
+    measurements: Measurements,
+    weights: Weights,
+    causes: tuple[str, ...],
+    start: dict[str, float] | None = None,
+    iterations: int = 14,
+) -> Fit:
+    """Levenberg-Marquardt from ``start`` (missing parameters start at their null values).
+
+    A very weak prior (ten scales wide, or three for logarithms of mu's) keeps parameters finite
+    that the data do not determine.
+    """
+    parameters = parameters_of(measurements, causes)
+    lower = np.array([p.lower for p in parameters])
+    upper = np.array([p.upper for p in parameters])
+    scale = np.array([p.scale for p in parameters])
+    null = np.array([p.null for p in parameters])
+    start = start or {}
+    values = np.array([start.get(p.name, p.null) for p in parameters])
+    width = np.array([3.0 if p.name.startswith("mu_") else 30 * p.scale for p in parameters])
+    width = np.where([p.name == "wear_r0" for p in parameters], 4.0, width)
+
+    def evaluate(v):
+        named = {p.name: float(x) for p, x in zip(parameters, v, strict=True)}
+        prediction = measurements.predict(named, causes)
+        residual = weights.residual(measurements, prediction)
+        prior = (v - null) / width
+        return prediction, residual, float(residual @ residual), float(prior @ prior)
+
+    prediction, residual, chi2, prior = evaluate(values)
+    damping, converged = 1e-3, False
+    for _ in range(iterations):
+        columns = jacobian(measurements, causes, parameters, values, prediction)
+        white = _whitened_jacobian(measurements, weights, columns, prediction)
+        gradient = white.T @ residual - (values - null) / width**2
+        curvature = white.T @ white + np.diag(1 / width**2)
+        improved = False
+        for _ in range(6):
+            ridge = damping * np.diag(np.maximum(np.diag(curvature), 1.0 / scale**2 * 1e-6))
+            step = np.linalg.solve(curvature + ridge, gradient)
+            trial = np.clip(values + np.clip(step, -12 * scale, 12 * scale), lower, upper)
+            new = evaluate(trial)
+            if new[2] + new[3] <= chi2 + prior + 1e-9:
+                improved = True
+                break
+            damping *= 8
+        if not improved:
+            converged = True
+            break
+        gain = chi2 + prior - new[2] - new[3]
+        values, (prediction, residual, chi2, prior) = trial, new
+        damping = max(damping / 6, 1e-7)
+        if gain < 1e-3:
+            converged = True
+            break
+    columns = jacobian(measurements, causes, parameters, values, prediction)
+    white = _whitened_jacobian(measurements, weights, columns, prediction)
+    curvature = white.T @ white + np.diag(1 / width**2)
+    covariance = np.linalg.inv(curvature)
+    return Fit(causes, parameters, values, chi2, prediction, columns, white, converged, covariance)
+
+
+def _whitened_jacobian(measurements, weights, columns, prediction):
+    """Derivative of minus the residual vector."""
+    white = weights.projected(weights.whiten(columns))
+    if not len(weights.bounds):
+        return white
+    b = weights.bounds
+    z = (prediction[b] - measurements.y[b]) / weights.bound_sd
+    log_p = log_ndtr(z)
+    root = np.sqrt(np.maximum(-2 * log_p, 1e-12))
+    hazard = np.exp(-0.5 * z**2 - log_p) / np.sqrt(2 * np.pi)
+    return np.concatenate([white, (hazard / root / weights.bound_sd)[:, None] * columns[b]])
