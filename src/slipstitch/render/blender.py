@@ -6,6 +6,7 @@ Lambertian reflector, which is what lets `slipstitch.render.composition` put tex
 
 import contextlib
 import os
+import struct
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slipstitch.errors import SlipstitchError
 from slipstitch.render.camera import Camera
 from slipstitch.render.exr import read_exr
 
@@ -42,8 +44,8 @@ _FILL_FROM = (-0.30, -0.80, 0.52)
 
 
 @contextlib.contextmanager
-def _stdout_to_stderr() -> Iterator[None]:
-    """Blender prints its progress to file descriptor 1, where our results belong."""
+def _silent_stdout() -> Iterator[None]:
+    """Keep what Blender prints on file descriptor 1 from standard output, which is for results."""
     sys.stdout.flush()
     keep = os.dup(1)
     null = os.open(os.devnull, os.O_WRONLY)
@@ -73,7 +75,7 @@ class ClothScene:
     """
 
     def __init__(self, faces: np.ndarray, uv: np.ndarray, *, threads: int = 1):
-        with _stdout_to_stderr():
+        with _silent_stdout():
             import bpy
 
             bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -256,6 +258,11 @@ class ClothScene:
             blue. The image is the sum of the two.
         uv : ndarray (pixels, pixels, 3) float32
             Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
+
+        Raises
+        ------
+        SlipstitchError
+            If Blender could not write the image, as on a full disk.
         """
         self._mesh.vertices.foreach_set("co", np.asarray(positions_m, dtype=np.float32).ravel())
         self._mesh.update()
@@ -266,9 +273,14 @@ class ClothScene:
         with tempfile.TemporaryDirectory(prefix="slipstitch-", dir=_scratch()) as folder:
             path = Path(folder) / "frame.exr"
             self._scene.render.filepath = str(path)
-            with _stdout_to_stderr():
+            with _silent_stdout():
                 self._bpy.ops.render.render(write_still=True)
-            channels = read_exr(path)
+            try:
+                channels = read_exr(path)
+            except (OSError, struct.error, ValueError, IndexError) as error:
+                raise SlipstitchError(
+                    f"Blender's image could not be read back from {folder} (is it full?): {error}"
+                ) from None
         layer = self._scene.view_layers[0].name
         radiance = np.stack(
             [

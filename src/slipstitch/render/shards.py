@@ -13,7 +13,7 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import provenance_record, start_clock, write_parquet
 from slipstitch.render.camera import Camera, cloth_room, crop_to
 from slipstitch.render.catalogue import VIEWPOINTS
-from slipstitch.render.composition import LIGHT_OVERSAMPLING, compose, make_layers
+from slipstitch.render.composition import LIGHT_OVERSAMPLING, Layers, compose, make_layers
 from slipstitch.render.settings import RenderSettings
 from slipstitch.sample.frames import sampled_frames
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory
@@ -59,14 +59,7 @@ def shots(
         rows = np.arange(count)
     else:
         rows = sampled_frames(count, frames_sampled)
-    size = np.ptp(trajectory.rest_positions_m, axis=0)
-    uv = trajectory.uv
-    # Along u and along v, whatever plane the rest mesh lies in.
-    width, length = (
-        float(np.linalg.norm(_along(trajectory.rest_positions_m, uv, axis))) for axis in (0, 1)
-    )
-    if not (size.max() > 0 and width > 0 and length > 0):
-        raise BadInput("the cloth of the trajectory has no extent")
+    width, length = _size(trajectory)
     x, z = trajectory.stage_x_m, trajectory.stage_z_m
     result = []
     for row in rows:
@@ -77,15 +70,20 @@ def shots(
     return result
 
 
-def _along(rest_m: np.ndarray, uv: np.ndarray, axis: int) -> np.ndarray:
-    """Vector (3,) over which one texture coordinate runs from 0 to 1 (least squares)."""
-    design = np.column_stack([uv, np.ones(len(uv))])
-    return np.linalg.lstsq(design, rest_m, rcond=None)[0][axis]
+def _size(trajectory: Trajectory) -> tuple[float, float]:
+    """Width and length (m) of the cloth at rest, over which u and v run from 0 to 1.
+
+    By least squares, whatever plane the rest mesh lies in.
+    """
+    design = np.column_stack([trajectory.uv, np.ones(len(trajectory.uv))])
+    along = np.linalg.lstsq(design, trajectory.rest_positions_m, rcond=None)[0]
+    width, length = np.linalg.norm(along[:2], axis=1)
+    return float(width), float(length)
 
 
 def render_layers(
     trajectory: Trajectory, wanted: list[Shot], settings: RenderSettings
-) -> Iterator[tuple[Shot, "object"]]:
+) -> Iterator[tuple[Shot, Layers]]:
     """Render the frames one by one; each comes with its `Layers`."""
     from slipstitch.render.blender import FLOOR_M, ClothScene
 
@@ -161,6 +159,8 @@ def render_shard(
     trajectory = read_trajectory(trajectory_path)
     if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
         raise BadInput(f"{trajectory_path}: texture coordinates lie outside 0 ... 1")
+    if min(_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
+        raise BadInput(f"{trajectory_path}: the cloth has no extent or hangs below the floor")
     wanted = shots(trajectory, viewpoint, settings, frames_sampled)
     simulation = Path(trajectory_path).stem
     names = settings.texture_ids()
