@@ -230,7 +230,9 @@ def _simulations(results: Results) -> dict[str, Any]:
         "profiles": _svg(pictures.profiles(list(first.values()))),
         "tails": _svg(pictures.tails(trajectories)),
         "residual": max((one.residual for one in trajectories), default=None),
-        "tolerance": config.simulation.friction_tolerance,
+        "tolerance": max(
+            (one.tolerance for one in trajectories if one.tolerance is not None), default=None
+        ),
         "cpu_median": cpu[len(cpu) // 2] if cpu else None,
         "cpu_largest": cpu[-1] if cpu else None,
         "duration": max((float(one.time_s[-1]) for one in trajectories), default=None),

@@ -82,13 +82,13 @@ def calibration(data: Mapping[str, Any]) -> str:
     return _svg(calibration_figure(data))
 
 
-# What the profiles show: the end of the drop, both strokes' middles and ends (paper, Sec. 4.1).
+# What the profiles show: the paper's protocol (Sec. 4.1) lowers for 7 s, each stroke takes 31 s.
 MOMENTS = (
     (7.0, "lowered", "#9a9a9a"),
-    (22.5, "forward", BLUE),
-    (38.0, "turning", GREEN),
-    (53.5, "back", ORANGE),
-    (69.0, "turning again", PINK),
+    (12.0, "forward, starting", BLUE),
+    (37.5, "forward, steady", GREEN),
+    (43.0, "back, starting", ORANGE),
+    (68.5, "back, steady", PINK),
 )
 
 
@@ -105,14 +105,18 @@ def profiles(trajectories: Sequence[Trajectory]) -> str | None:
         return None
     materials = list(dict.fromkeys(one.simulation.material for one in trajectories))
     frictions = sorted({one.simulation.friction for one in trajectories})
-    figure = _figure(2.25 * len(frictions) + 0.3, 1.75 * len(materials) + 0.5)
+    width = max(2.25 * len(frictions) + 0.3, 7.0)
+    figure = _figure(width, 1.75 * len(materials) + 0.5)
     panels = figure.subplots(
         len(materials), len(frictions), sharex=True, sharey=True, squeeze=False
     )
     reach = max(float(np.abs(one.centre_m[:, :, 0]).max()) for one in trajectories)
     reach = 1e3 * min(reach, 0.2) + 8
     used = {}
-    for axes in panels.flat:
+    drawn = {(one.simulation.material, one.simulation.friction) for one in trajectories}
+    for (row, column), axes in np.ndenumerate(panels):
+        if (materials[row], frictions[column]) not in drawn:
+            axes.text(0.0, 80.0, "not run", ha="center", color=FAINT, fontsize=8)
         axes.set_aspect("equal")
         axes.axhline(0.0, color=THEORY, lw=0.8)
         axes.set(xlim=(-reach, reach), ylim=(-8, 175))
@@ -140,7 +144,7 @@ def profiles(trajectories: Sequence[Trajectory]) -> str | None:
         row[0].set_ylabel(f"{material}\nheight, mm", fontsize=8)
     figure.supxlabel("ahead of the clamps, mm", fontsize=8)
     figure.legend(
-        used.values(), used.keys(), loc="outside upper center", ncols=len(used), frameon=False,
+        used.values(), used.keys(), loc="outside upper center", ncols=5 if width > 9 else 3, frameon=False,
         fontsize=8,
     )  # fmt: skip
     return _svg(figure)
@@ -161,7 +165,7 @@ def tails(trajectories: Sequence[Trajectory]) -> str | None:
     frictions = sorted({one.simulation.friction for one in trajectories})
     columns = min(3, len(materials))
     rows = math.ceil(len(materials) / columns)
-    figure = _figure(3.2 * columns + 0.6, 2.3 * rows + 0.6)
+    figure = _figure(max(3.2 * columns + 0.6, 6.0), 2.3 * rows + 0.6)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[len(materials) :]:
         axes.set_axis_off()

@@ -37,6 +37,8 @@ class Trajectory:
         clamps, and height, in m.
     residual : float
         Largest residual of an accepted step.
+    tolerance : float or None
+        What it had to stay below, from the run's own settings.
     newton_iterations : int
         Newton iterations of the whole run.
     cpu_s : float or None
@@ -49,6 +51,7 @@ class Trajectory:
     stage_z_m: np.ndarray
     centre_m: np.ndarray
     residual: float
+    tolerance: float | None
     newton_iterations: int
     cpu_s: float | None
 
@@ -167,6 +170,7 @@ class Results:
             stage_z_m=run.stage_z_m,
             centre_m=centre,
             residual=float(np.max(solver["residual"].to_numpy())),
+            tolerance=(run.metadata.get("settings") or {}).get("friction_tolerance"),
             newton_iterations=int(np.sum(solver["newton_iterations"].to_numpy())),
             cpu_s=(run.metadata.get("provenance") or {}).get("cpu_s"),
         )
