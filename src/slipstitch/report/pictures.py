@@ -144,8 +144,8 @@ def profiles(trajectories: Sequence[Trajectory]) -> str | None:
         row[0].set_ylabel(f"{material}\nheight, mm", fontsize=8)
     figure.supxlabel("ahead of the clamps, mm", fontsize=8)
     figure.legend(
-        used.values(), used.keys(), loc="outside upper center", ncols=5 if width > 9 else 3, frameon=False,
-        fontsize=8,
+        used.values(), used.keys(), loc="outside upper center", ncols=5 if width > 9 else 3,
+        frameon=False, fontsize=8,
     )  # fmt: skip
     return _svg(figure)
 
