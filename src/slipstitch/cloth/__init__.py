@@ -5,7 +5,7 @@ Knows nothing of files, Snakemake or Blender.
 
 import warp
 
-warp.config.quiet = True  # standard output belongs to results
+warp.config.log_level = warp.LOG_WARNING  # standard output belongs to results
 
 from slipstitch.cloth.mesh import ClothMesh, rectangle  # noqa: E402
 from slipstitch.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402

@@ -11,7 +11,7 @@ that a node of the cloth can bear; a step that does not get there is halved and 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import cvxopt
 import numpy as np
@@ -56,12 +56,18 @@ class SolverSettings:
         node at friction coefficient 1.
     """
 
-    friction_tolerance: float = 1.0e-3
+    friction_tolerance: float = 1.0e-4
     friction_floor: float = 0.05
     newton_iterations_max: int = 40
     halvings_max: int = 8
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7
+
+    @classmethod
+    def of(cls, settings: object) -> SolverSettings:
+        """Take what another settings object has under the same names."""
+        names = [one.name for one in fields(cls) if hasattr(settings, one.name)]
+        return cls(**{name: getattr(settings, name) for name in names})
 
 
 @dataclass
@@ -384,7 +390,7 @@ class ClothSolver:
         size = residual.size
         operator = scipy.sparse.linalg.LinearOperator((size, size), matvec=product, dtype=float)
         y, _ = scipy.sparse.linalg.gmres(
-            operator, -residual.ravel(), rtol=1e-2, restart=20, maxiter=1
+            operator, -residual.ravel(), rtol=0.1, restart=20, maxiter=1
         )
         return self._symmetric_solve(y).reshape(-1, 3)
 
@@ -499,10 +505,18 @@ class ClothSolver:
             command.launch()
         return True
 
-    def start(self) -> None:
-        """Take the present positions as the beginning of the motion (strains, anchors)."""
+    def start(self, preload_N: np.ndarray | float = 0.0) -> None:
+        """Take the present positions as the beginning of the motion (strains, anchors).
+
+        Parameters
+        ----------
+        preload_N : ndarray, shape (V, 2), or 0
+            Tangential force that the floor's friction bears at the beginning, as the force of
+            the cloth on the floor: what it bears after a slow tilt, say.
+        """
         self._x.assign(self.positions_m)
-        self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
+        anchor = self.positions_m[:, :2] - preload_N / self.tangential_stiffness_N_m
+        self._anchor.assign(np.ascontiguousarray(anchor))
         for command in self._remember:
             command.launch()
 

@@ -58,16 +58,6 @@ def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbat
     )
 
 
-def solver_settings(settings: SimulationSettings) -> SolverSettings:
-    """The numerical settings of a simulation, as the cloth's solver takes them."""
-    return SolverSettings(
-        friction_tolerance=settings.friction_tolerance,
-        newton_iterations_max=settings.newton_iterations_max,
-        halvings_max=settings.halvings_max,
-        damping_s=settings.damping_s,
-    )
-
-
 def simulate_drop_and_drag(
     material: str,
     friction: float,
@@ -135,7 +125,7 @@ def simulate_drop_and_drag(
         hung_m,
         friction=friction,
         fixed=np.repeat(pinned[:, None], 3, axis=1),
-        settings=solver_settings(settings),
+        settings=SolverSettings.of(settings),
         rest_curvature_per_m=perturbation.natural_curl_per_m,
     )
     solver.start()

@@ -22,7 +22,7 @@ class SimulationSettings(BaseModel):
     frames: int = Field(300, ge=1, le=100_000, description="recorded frames, the first at 0 s")
     frame_rate_hz: float = Field(2.4, gt=0, le=1000, description="frame k is at k / this rate")
     friction_tolerance: float = Field(
-        1.0e-3,
+        1.0e-4,
         gt=0,
         lt=1,
         description="largest out-of-balance force on a vertex in an accepted step, over "

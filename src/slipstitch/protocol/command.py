@@ -1,0 +1,45 @@
+"""slipstitch protocol: one known-answer experiment in the simulator, beside theory."""
+
+import argparse
+
+SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
+EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("name", metavar="NAME", help="incline, flat-drag or strip-drag")
+    parser.add_argument("--out", required=True, help="JSON file of measured and theory's values")
+    parser.add_argument("--friction", type=float, help="friction coefficient")
+    parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
+    parser.add_argument(
+        "--gravity-length-m", type=float, help="strip-drag: (B/w)^(1/3), in m (default 0.02)"
+    )
+    parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
+    parser.add_argument("--vertices", type=int, help="strip-drag: vertices along the strip")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run it, write the result, print it."""
+    import json
+
+    from slipstitch.config.load import resolve_config
+    from slipstitch.protocol import run_protocol
+    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+
+    started = start_clock()
+    given = {"time_step_s": arguments.time_step, "vertices_per_side": arguments.vertices}
+    overrides = {key: value for key, value in given.items() if value is not None}
+    settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
+    names = ("friction", "slope_deg", "gravity_length_m")
+    options = {name: getattr(arguments, name) for name in names}
+    options = {name: value for name, value in options.items() if value is not None}
+    result = run_protocol(arguments.name, options, settings)
+    text = json.dumps(result, indent=1)
+    with atomic_path(arguments.out) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    record = provenance_record(
+        "protocol", config={"options": options, "simulation": settings}, started=started
+    )
+    write_sidecar(arguments.out, record)
+    print(text)

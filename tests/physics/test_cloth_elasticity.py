@@ -1,0 +1,151 @@
+"""The cloth's forces against energies and closed forms computed apart from its kernels."""
+
+import numpy as np
+import pytest
+
+from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth.bending import hinge_geometry
+from slipstitch.errors import BadInput
+from slipstitch.material import ElasticTables, isotropic_tables, load_fabric
+
+HINGE_N_M = 5e-5
+
+
+def _solver(tables, rows=5, columns=5, size_m=0.02, **options):
+    mesh = rectangle(rows, columns, size_m, size_m)
+    rest_m = np.column_stack([mesh.rest_uv_m, np.full(mesh.vertex_count, 1.0)])
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    solver = ClothSolver(mesh, tables, rest_m, friction=0.3, fixed=fixed, **options)
+    solver.start()
+    solver._inverse_step_squared.fill_(0.0)  # forces only, no inertia
+    return solver, rest_m
+
+
+def _angle(x, hinge):
+    """Dihedral angle by vectors in the plane across the edge."""
+    a, b, c, d = x[hinge]
+    along = (b - a) / np.linalg.norm(b - a)
+    first, second = (p - a - np.dot(p - a, along) * along for p in (c, d))
+    return np.pi - np.arccos(
+        np.clip(first @ second / np.linalg.norm(first) / np.linalg.norm(second), -1, 1)
+    )
+
+
+def _energy(solver, x, k):
+    """Gravity, membrane and hinges, straight from the definitions."""
+    mesh = solver.mesh
+    energy = 9.81 * (solver.mass_kg * x[:, 2]).sum()
+    for face, area in zip(mesh.faces, mesh.face_areas_m2(), strict=True):
+        rest = (mesh.rest_uv_m[face[1:]] - mesh.rest_uv_m[face[0]]).T
+        F = (x[face[1:]] - x[face[0]]).T @ np.linalg.inv(rest)
+        G = (F.T @ F - np.eye(2)) / 2
+        energy += area * (
+            0.5 * k[0] * G[0, 0] ** 2
+            + k[1] * G[0, 0] * G[1, 1]
+            + 0.5 * k[2] * G[1, 1] ** 2
+            + k[3] * G[0, 1] ** 2
+        )
+    length, area, _ = hinge_geometry(mesh)
+    angles = np.array([_angle(x, hinge) for hinge in mesh.hinges])
+    return energy + (HINGE_N_M * length**2 / (8 * area) * angles**2).sum()
+
+
+def test_forces_are_minus_the_gradient_of_the_energy():
+    solver, rest_m = _solver(isotropic_tables(0.2, 100.0, HINGE_N_M, 0.3), 4, 4)
+    x = rest_m + np.random.default_rng(0).normal(size=rest_m.shape) * 3e-4
+    k = isotropic_tables(0.2, 100.0, HINGE_N_M, 0.3).stretching_N_m[0, 0, 0]
+    gradient = np.zeros_like(x)
+    for index in np.ndindex(x.shape):
+        step = np.zeros_like(x)
+        step[index] = 1e-7
+        gradient[index] = (_energy(solver, x + step, k) - _energy(solver, x - step, k)) / 2e-7
+    np.testing.assert_allclose(solver._evaluate(x), gradient, atol=2e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("fabric", ["gray-interlock", "11oz-black-denim", "white-dots-on-blk"])
+@pytest.mark.parametrize("strain", [0.01, 0.05, 0.2])
+def test_homogeneous_stretch_gives_the_stress_of_the_fabric_law(fabric, strain):
+    """Uniform deformation x = F u: the force on an edge is the first Piola stress times length.
+
+    The reference interpolates the sampled law with SciPy, not with the kernel.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    from slipstitch.material.law import sample_stretching
+
+    tables = ElasticTables.of_fabric(load_fabric(fabric))
+    size_m = 0.02
+    solver, rest_m = _solver(tables, size_m=size_m)
+    F = np.array([[1 + strain, 0.02], [0.0, 1 - 0.3 * strain]])
+    x = rest_m.copy()
+    x[:, :2] = rest_m[:, :2] @ F.T
+    force_N = -solver._evaluate(x)
+
+    nodes = -0.25 + np.arange(30) / 30
+    law = RegularGridInterpolator(
+        (nodes, nodes, np.arange(30) / 30), sample_stretching(load_fabric(fabric).stretching_N_m)
+    )
+    G = (F.T @ F - np.eye(2)) / 2
+    k = law([G[0, 0], G[1, 1], abs(G[0, 1])])[0]
+    S = np.array(
+        [
+            [k[0] * G[0, 0] + k[1] * G[1, 1], k[3] * G[0, 1]],
+            [k[3] * G[0, 1], k[2] * G[1, 1] + k[1] * G[0, 0]],
+        ]
+    )
+    edge = np.isclose(solver.mesh.rest_uv_m[:, 0], size_m)
+    pull_N = -force_N[edge, :2].sum(axis=0)  # what holds this edge against the cloth
+    np.testing.assert_allclose(pull_N, (F @ S)[:, 0] * size_m, rtol=1e-9, atol=1e-12)
+
+
+def test_a_cylinder_bends_with_a_quarter_of_the_hinge_stiffness():
+    """Bending energy of a sheet rolled to radius R: (ke / 4) area / (2 R^2)."""
+    solver, rest_m = _solver(isotropic_tables(0.0 + 1e-9, 100.0, HINGE_N_M), 41, 41, 0.2)
+    radius_m = 0.5
+    v = solver.mesh.rest_uv_m[:, 1]
+    x = rest_m.copy()
+    x[:, 1] = radius_m * np.sin(v / radius_m)
+    x[:, 2] = 1 + radius_m * np.cos(v / radius_m)
+    length, area, _ = hinge_geometry(solver.mesh)
+    angles = np.array([_angle(x, hinge) for hinge in solver.mesh.hinges])
+    energy_J = (HINGE_N_M * length**2 / (8 * area) * angles**2).sum()
+    per_area = energy_J / 0.04
+    assert per_area == pytest.approx(HINGE_N_M / 4 / 2 / radius_m**2, rel=0.03)
+
+
+def test_the_tangent_is_the_derivative_of_the_force_where_stress_is_tensile():
+    """Membrane alone, held at its border and stretched: there the tangent is exact."""
+    mesh = rectangle(5, 5, 0.02, 0.02)
+    rest_m = np.column_stack([1.05 * mesh.rest_uv_m, np.full(25, 1.0)])
+    inner = np.isin(np.arange(25), [6, 7, 8, 11, 12, 13, 16, 17, 18])
+    x = rest_m + np.random.default_rng(1).normal(size=rest_m.shape) * 2e-5
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(0.2, 100.0, 1e-12, 0.3),
+        x,
+        friction=0.3,
+        fixed=np.repeat(~inner[:, None], 3, axis=1),
+        settings=SolverSettings(damping_s=0.0),
+    )
+    solver.start()
+    solver._inverse_step_squared.fill_(0.0)
+    direction = np.where(inner[:, None], np.random.default_rng(2).normal(size=x.shape), 0.0)
+    step = 1e-8
+    ahead, behind = (solver._evaluate(x + sign * step * direction) for sign in (1, -1))
+    solver._evaluate(x)
+    solver._factorise()
+    recovered = solver._symmetric_solve((ahead - behind).ravel() / (2 * step)).reshape(x.shape)
+    np.testing.assert_allclose(recovered, direction, atol=1e-5 * np.abs(direction).max())
+
+
+def test_a_mesh_needs_two_rows_and_columns():
+    with pytest.raises(BadInput, match="1 x 5 vertices: at least 2 x 2"):
+        rectangle(1, 5, 0.2, 0.2)
+
+
+def test_the_mesh_is_its_own_mirror_image():
+    """Else the mesh, not physics, would decide to which side a symmetric cloth turns."""
+    mesh = rectangle(9, 9, 0.2, 0.2)
+    number = np.arange(81).reshape(9, 9)[:, ::-1].ravel()
+    faces = {frozenset(face) for face in mesh.faces.tolist()}
+    assert {frozenset(number[list(face)].tolist()) for face in faces} == faces

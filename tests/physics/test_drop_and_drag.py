@@ -1,0 +1,117 @@
+"""The drop-and-drag run: the stage's path, the run's invariants, its bits."""
+
+import numpy as np
+import pytest
+
+from slipstitch.protocol.stage import StagePath
+from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
+from slipstitch.simulate.settings import SimulationSettings
+
+SMALL = SimulationSettings(vertices_per_side=21, frames=12)
+FRICTION = 0.3
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulate_drop_and_drag("11oz-black-denim", FRICTION, 3, SMALL)
+
+
+def test_the_stage_follows_the_protocol_of_the_paper():
+    path = StagePath()
+    assert path.duration_s == pytest.approx(131.0)
+    x, z = path.position_m(np.array([0.0, 7.0, 38.0, 69.0, 100.0, 131.0]))
+    np.testing.assert_allclose(x, [0, 0, 0.3, 0, 0.3, 0], atol=1e-12)
+    np.testing.assert_allclose(z, [0.21, 0.15, 0.15, 0.15, 0.15, 0.15])
+
+
+def test_the_stage_never_exceeds_its_speed_and_acceleration():
+    time_s = np.linspace(0, 131, 131 * 50 + 1)
+    x, z = StagePath().position_m(time_s)
+    for along in (x, z):
+        speed = np.gradient(along, time_s)
+        assert np.abs(speed).max() <= 0.010 * (1 + 1e-6)
+        assert np.abs(np.gradient(speed, time_s)).max() <= 0.010 * (1 + 1e-3)
+
+
+def test_a_short_stroke_never_reaches_full_speed():
+    path = StagePath(drop_m=0.0025)
+    assert path.drop_duration_s == pytest.approx(1.0)
+    assert path.position_m(0.5)[1] == pytest.approx(0.21 - 0.00125)
+
+
+def test_every_accepted_step_is_converged(run):
+    _, columns = run
+    assert columns["residual"].max() <= SMALL.friction_tolerance
+    assert (columns["newton_iterations"][1:] > 0).all()
+
+
+def test_the_clamps_follow_the_stage(run):
+    trajectory, _ = run
+    moved = (
+        trajectory.positions_m[:, trajectory.pinned] - trajectory.positions_m[0, trajectory.pinned]
+    )
+    np.testing.assert_allclose(
+        moved[..., 0], trajectory.stage_x_m[:, None] + 0 * moved[..., 0], atol=1e-6
+    )
+    height = trajectory.stage_z_m - trajectory.stage_z_m[0]
+    np.testing.assert_allclose(moved[..., 2], height[:, None] + 0 * moved[..., 2], atol=1e-6)
+
+
+def test_tabs_hold_a_centimetre_at_each_corner(run):
+    trajectory, _ = run
+    u = trajectory.uv[trajectory.pinned, 0] * 0.2
+    assert (trajectory.uv[trajectory.pinned, 1] == 0).all()
+    np.testing.assert_allclose(np.sort(u), [0, 0.01, 0.19, 0.2], atol=1e-9)
+
+
+def test_the_floor_holds_the_cloth_to_within_ten_micrometres(run):
+    trajectory, _ = run
+    assert trajectory.positions_m[..., 2].min() > -1e-5
+    assert trajectory.positions_m[-1, :, 2].min() < 1e-4  # and it did get there
+
+
+def test_the_hanging_cloth_is_free_of_the_floor_and_hardly_stretched(run):
+    trajectory, _ = run
+    first = trajectory.positions_m[0]
+    assert 0.005 < first[:, 2].min() < 0.012
+    # 0.324 kg/m2 over 0.2 m against some 2000 N/m: a stretch well below a per mille.
+    assert np.ptp(first[:, 2]) == pytest.approx(0.2, rel=5e-3)
+
+
+def test_the_same_seed_gives_the_same_bits(run):
+    trajectory, columns = run
+    again, columns_again = simulate_drop_and_drag("11oz-black-denim", FRICTION, 3, SMALL)
+    assert trajectory.positions_m.tobytes() == again.positions_m.tobytes()
+    assert (columns["newton_iterations"] == columns_again["newton_iterations"]).all()
+
+
+def test_replicates_differ_in_what_a_bench_cannot_hold_constant(run):
+    trajectory, _ = run
+    other, _ = simulate_drop_and_drag(
+        "11oz-black-denim", FRICTION, 4, SMALL.model_copy(update={"frames": 2})
+    )
+    assert trajectory.metadata["perturbation"] != other.metadata["perturbation"]
+    assert np.abs(trajectory.positions_m[0] - other.positions_m[0]).max() > 1e-5
+
+
+def test_perturbations_have_the_stated_spread():
+    drawn = [draw_perturbation(SMALL, seed) for seed in range(2000)]
+    assert np.std([p.yaw_deg for p in drawn]) == pytest.approx(SMALL.yaw_sd_deg, rel=0.1)
+    assert np.std([p.height_m for p in drawn]) == pytest.approx(SMALL.height_sd_m, rel=0.1)
+    assert np.std([p.bending_factor for p in drawn]) == pytest.approx(0.03, rel=0.1)
+    leaning = np.mean([p.natural_curl_per_m > 0 for p in drawn])
+    assert leaning == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("curl", [-1.0, 1.0])
+def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch):
+    """Without it the flat cloth is an unstable equilibrium that rounding would decide."""
+    import slipstitch.simulate.drop_and_drag as module
+
+    straight = module.BenchPerturbation(0.0, 0.0, 1.0, 1.0, 1.0, 0.5 * curl)
+    monkeypatch.setattr(module, "draw_perturbation", lambda settings, seed: straight)
+    trajectory, _ = simulate_drop_and_drag(
+        "11oz-black-denim", FRICTION, 0, SMALL.model_copy(update={"frames": 8})
+    )
+    bulge = trajectory.positions_m[-1, :, 0]
+    assert np.sign(bulge[np.abs(bulge).argmax()]) == -curl
