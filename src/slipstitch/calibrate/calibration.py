@@ -180,5 +180,6 @@ def calibrate_to_file(config, out: str | os.PathLike, picture: str | os.PathLike
             picture = picture.with_suffix(f".failed{picture.suffix}")
         with atomic_path(picture) as temporary:
             draw_calibration(calibration, temporary, picture.suffix.lstrip(".") or "png")
+        write_sidecar(picture, record)
     write_calibration(calibration, out, record)
     return calibration
