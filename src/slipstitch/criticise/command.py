@@ -1,0 +1,56 @@
+"""slipstitch criticise: what the model gets wrong in measured data, and why."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+# The matrices are small: threads only get in each other's way. Must precede numpy's import.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+SUMMARY = "say what the model gets wrong in a measured case, and why"
+EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument(
+        "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
+    )
+    parser.add_argument("--out", required=True, metavar="FILE", help="verdict as JSON")
+    parser.add_argument("--report", metavar="FILE", help="the verdict as an HTML page")
+    parser.add_argument("--model", metavar="FILE", help="the extended model as YAML")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
+    parser.add_argument(
+        "--replicates",
+        type=int,
+        default=300,
+        help="simulated data sets behind each family-wise p (default 300)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Criticise one case; exit code 0 whatever the verdict."""
+    from slipstitch import __version__
+    from slipstitch.criticise.case import read_case
+    from slipstitch.criticise.features import assemble
+    from slipstitch.criticise.inference.analysis import analyse
+    from slipstitch.criticise.verdict import sentence, verdict_of
+    from slipstitch.errors import BadInput
+    from slipstitch.provenance import atomic_path
+
+    if arguments.replicates < 50:
+        raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+    case = read_case(arguments.case)
+    for name in case.ignored_files:
+        print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
+    analysis = analyse(assemble(case), arguments.seed, arguments.replicates)
+    verdict = verdict_of(case, analysis, arguments.seed, __version__)
+    with atomic_path(Path(arguments.out)) as temporary:
+        temporary.write_text(json.dumps(verdict, indent=1) + "\n", encoding="utf-8")
+    print(sentence(verdict))
+    return 0

@@ -1,0 +1,155 @@
+"""Gain of the extended model on specimens it has not seen, the selection repeated without them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from slipstitch.criticise.inference.analysis import Analysis, Candidate
+from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter
+from slipstitch.criticise.inference.fit import Fit
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Held-out log score and relative error of null and extended model."""
+
+    estimate: float
+    low: float
+    high: float
+    null_score: float
+    rmse_null: float
+    rmse_extended: float
+    groups: int
+
+
+def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
+    """Scatter under a model taken at its word (no shrunken alternatives): for prediction."""
+    state = analysis.state
+    residual = analysis.measurements.y - fitted.prediction
+    result = {}
+    for group in state.groups:
+        d = group.sensitivity
+        size = np.linalg.norm(d)
+        fixed = (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
+        nothing = np.zeros((len(d), 0))
+        result[group.protocol] = estimate_scatter(group, residual[group.index], fixed, nothing)
+    return result
+
+
+@dataclass
+class _Linear:
+    """A fitted candidate with what each specimen contributes to its normal equations."""
+
+    fitted: Fit
+    extra: int
+    curvature: np.ndarray
+    gradient: np.ndarray
+    squares: np.ndarray
+
+
+def _linear(analysis: Analysis, fitted: Fit, parts, extra: int) -> _Linear:
+    p = len(fitted.values)
+    curvature = np.zeros((len(parts), p, p))
+    gradient, squares = np.zeros((len(parts), p)), np.zeros(len(parts))
+    residual = analysis.measurements.y - fitted.prediction
+    for i, (index, inverse) in enumerate(parts):
+        weighted = inverse @ fitted.jacobian[index]
+        curvature[i] = fitted.jacobian[index].T @ weighted
+        gradient[i] = weighted.T @ residual[index]
+        squares[i] = residual[index] @ inverse @ residual[index]
+    return _Linear(fitted, extra, curvature, gradient, squares)
+
+
+def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
+    """Leave one specimen out; in every fold the best of ``candidates`` by BIC, or the null.
+
+    Refits are one Gauss-Newton step from the fit to all data, which is exact for what one
+    specimen can move.
+    """
+    m, state = analysis.measurements, analysis.state
+    parts, rows_of = [], []
+    for group in state.groups:
+        specimens = m.specimen[group.index]
+        for specimen in np.unique(specimens):
+            mine = np.flatnonzero(specimens == specimen)
+            variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
+            parts.append((group.index[mine], np.linalg.inv(variance)))
+            rows_of.append(group.index[mine])
+    runs = np.log(max(len(np.unique(m.run[state.keep])), 2))
+    null = _linear(analysis, analysis.null, parts, 0)
+    others = [
+        _linear(analysis, c.fitted, parts, len(c.fitted.values) - len(analysis.null.values))
+        for c in candidates
+    ]
+    plain_null = plain_scatters(analysis, analysis.null)
+    reference = analysis.chosen.fitted if analysis.chosen is not None else analysis.null
+    plain_extended = plain_scatters(analysis, reference)
+    differences, scores, sizes = [], [], []
+    errors = np.zeros(2)
+    weight = 0.0
+    for i, rows in enumerate(rows_of):
+        fits = [_without(model, i) for model in (null, *others)]
+        cost = [
+            fit[0] + model.extra * runs for fit, model in zip(fits, (null, *others), strict=True)
+        ]
+        best = int(np.argmin(cost))
+        pair = []
+        for which, plain in ((0, plain_null), (best, plain_extended if best else plain_null)):
+            model = (null, *others)[which]
+            pair.append(_score(analysis, model.fitted, fits[which], rows, plain))
+        differences.append(pair[1][0] - pair[0][0])
+        scores.append(pair[0][0])
+        sizes.append(len(rows))
+        d = np.abs(state.sensitivity[rows])
+        scale = np.hypot(d, m.u[rows])
+        errors += [np.sum((pair[k][1] / scale) ** 2) for k in (0, 1)]
+        weight += len(rows)
+    differences, sizes = np.array(differences), np.array(sizes, float)
+    total = sizes.sum()
+    estimate = differences.sum() / total
+    spread = np.sum((differences - estimate * sizes) ** 2)
+    count = len(sizes)
+    error = np.sqrt(spread * count / max(count - 1, 1)) / total
+    reach = student.ppf(0.975, max(count - 1, 1)) * error
+    rmse = np.sqrt(errors / weight)
+    return Gain(
+        float(estimate),
+        float(estimate - reach),
+        float(estimate + reach),
+        float(np.sum(scores) / total),
+        float(rmse[0]),
+        float(rmse[1]),
+        count,
+    )
+
+
+def _without(model: _Linear, left: int):
+    """Sum of squares on the other specimens, change of the parameters, their covariance."""
+    curvature = model.curvature.sum(axis=0) - model.curvature[left]
+    gradient = model.gradient.sum(axis=0) - model.gradient[left]
+    squares = model.squares.sum() - model.squares[left]
+    scale = np.array([p.scale for p in model.fitted.parameters])
+    ridge = np.diag(1.0 / (30 * scale) ** 2)
+    covariance = np.linalg.inv(curvature + ridge)
+    step = covariance @ gradient
+    return squares - gradient @ step, step, covariance
+
+
+def _score(analysis: Analysis, fitted: Fit, folded, rows, scatters):
+    """Log density and error of the rows of a specimen that was not seen."""
+    m, state = analysis.measurements, analysis.state
+    _, step, covariance = folded
+    columns = fitted.jacobian[rows]
+    error = m.y[rows] - fitted.prediction[rows] - columns @ step
+    scatter = scatters[m.protocol[rows[0]]]
+    d = state.sensitivity[rows]
+    variance = (
+        (scatter.kappa * m.u[rows]) ** 2
+        + d**2 * (scatter.specimen**2 + scatter.run**2)
+        + np.einsum("ij,jk,ik->i", columns, covariance, columns)
+    )
+    log_density = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
+    return float(log_density.sum()), error

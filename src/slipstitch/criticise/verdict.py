@@ -1,0 +1,229 @@
+"""The verdict as plain data, in the layout of docs/measurements.md."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+from slipstitch.criticise.case import Case
+from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
+from slipstitch.criticise.inference.generic import LABELS
+from slipstitch.criticise.inference.separation import separations
+from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.mechanism import MECHANISMS
+
+SPEC_VERSION = 1
+CLOSE_BIC = 25.0
+# Parameters that scale something: their intervals are symmetric in the logarithm of 1 + e.
+RELATIVE = ("mass_error", "bending_error", "force_gain")
+
+
+def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> dict:
+    """Everything a machine may want to know of a case's verdict."""
+    chosen = analysis.chosen
+    candidates = [c for c in analysis.ranking if c.bic < min(_best(analysis) + CLOSE_BIC, 0.0)]
+    named = analysis.verdict in ("cause", "confounded")
+    gain = held_out_gain(analysis, candidates[:12] if named else [])
+    fitted = chosen.fitted if named and chosen is not None else analysis.null
+    left = analysis.left_over or analysis.null_outcome
+    return {
+        "case": case.name,
+        "spec_version": SPEC_VERSION,
+        "verdict": analysis.verdict,
+        "causes": list(analysis.causes),
+        "alternatives": [list(c) for c in analysis.alternatives],
+        "separate_by": [
+            {
+                "between": [list(s.between[0]), list(s.between[1])],
+                "measure": s.measure,
+                "expected_delta_loglik": s.expected_delta_loglik,
+            }
+            for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
+        ],
+        "reason": analysis.reason,
+        "parameters": parameters_with_intervals(analysis, fitted),
+        "null": {
+            "log_score_per_row": round(gain.null_score, 5),
+            "rmse": round(gain.rmse_null, 5),
+            "global_p": round(analysis.global_p, 5),
+        },
+        "residual_tests": residual_tests(left),
+        "null_tests": residual_tests(analysis.null_outcome),
+        "gain": _gain(gain),
+        "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
+        "ranking": _ranking(analysis),
+        "not_testable": dict(sorted(_untestable(analysis).items())),
+        "scatter": {
+            p: {
+                "specimen": round(s.specimen, 5),
+                "run": round(s.run, 5),
+                "instrument_factor": round(s.kappa, 4),
+            }
+            for p, s in analysis.state.scatters.items()
+        },
+        "models": {
+            "null": _model(analysis, analysis.null),
+            "extended": _model(analysis, fitted),
+        },
+        "nominal": case.nominal,
+        "ignored_files": list(case.ignored_files),
+        "seed": seed,
+        "code_version": code_version,
+    }
+
+
+def _best(analysis: Analysis) -> float:
+    return min((c.bic for c in analysis.ranking), default=0.0)
+
+
+def _gain(gain: Gain) -> dict:
+    return {
+        "metric": "log_score_per_row",
+        "estimate": round(gain.estimate, 5),
+        "ci95": [round(gain.low, 5), round(gain.high, 5)],
+        "rmse_null": round(gain.rmse_null, 5),
+        "rmse_extended": round(gain.rmse_extended, 5),
+        "grouping": "specimen_id",
+        "n_groups": gain.groups,
+        "selection_nested": True,
+    }
+
+
+def _ranking(analysis: Analysis) -> list[dict]:
+    entries = [([], 0.0)] + [(list(c.causes), c.bic) for c in analysis.ranking]
+    entries.sort(key=lambda entry: entry[1])
+    best = entries[0][1]
+    return [{"model": m, "delta_bic": round(float(b - best), 3)} for m, b in entries]
+
+
+def _untestable(analysis: Analysis) -> dict[str, str]:
+    result = dict(analysis.null_state.untestable)
+    outcome = analysis.null_outcome
+    for name in MECHANISMS:
+        own = [i for i, t in enumerate(outcome.tests) if t.covariate == name]
+        if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
+            result[name] = "cannot be told from the friction coefficient with these data"
+    return result
+
+
+def residual_tests(outcome: Outcome) -> list[dict]:
+    """The strongest shape of each covariate, p adjusted for all that was looked at."""
+    best: dict[str, int] = {}
+    for i, test in enumerate(outcome.tests):
+        if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
+            continue
+        if test.covariate not in best or outcome.log_p[i] > outcome.log_p[best[test.covariate]]:
+            best[test.covariate] = i
+    return [
+        {
+            "covariate": covariate,
+            "name": LABELS[covariate],
+            "p_adjusted": round(float(outcome.adjusted[i]), 5),
+            "shape": outcome.tests[i].name.split(": ", 1)[1],
+        }
+        for covariate, i in sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])
+    ]
+
+
+def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
+    """Estimates with 95 % intervals in the units of the specification."""
+    m = analysis.measurements
+    specimens = len(np.unique(m.specimen[analysis.state.keep]))
+    reach = float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
+    inflation = {}
+    for test, value in zip(
+        analysis.null_outcome.tests, analysis.null_outcome.inflation, strict=True
+    ):
+        if test.family == "mechanism":
+            inflation[test.covariate] = max(inflation.get(test.covariate, 1.0), float(value))
+    owner = {p.name: c for c in fitted.causes for p in MECHANISMS[c].parameters}
+    result: dict[str, dict] = {}
+    for j, parameter in enumerate(fitted.parameters):
+        value = float(fitted.values[j])
+        share = inflation.get(owner.get(parameter.name, ""), 1.0)
+        error = float(np.sqrt(fitted.covariance[j, j] * share))
+        if parameter.name.startswith("mu_"):
+            estimate, interval = (
+                np.exp(value),
+                np.exp([value - reach * error, value + reach * error]),
+            )
+        elif parameter.name in RELATIVE:
+            half = reach * error / (1 + value)
+            estimate = value
+            interval = (1 + value) * np.exp([-half, half]) - 1
+        else:
+            estimate, interval = value, np.array([value - reach * error, value + reach * error])
+        result[parameter.name] = _entry(estimate, interval, parameter.unit)
+    if "tilt" in fitted.causes:
+        result = {k: v for k, v in result.items() if not k.startswith("tilt_")} | _tilt(
+            fitted, reach, inflation.get("tilt", 1.0)
+        )
+    return result
+
+
+def _tilt(fitted: Fit, reach: float, share: float) -> dict[str, dict]:
+    names = [p.name for p in fitted.parameters]
+    index = [names.index("tilt_along"), names.index("tilt_across")]
+    x, y = fitted.values[index]
+    covariance = fitted.covariance[np.ix_(index, index)] * share
+    size = float(np.hypot(x, y))
+    along = np.array([x, y]) / max(size, 1e-12)
+    across = np.array([-y, x]) / max(size, 1e-12)
+    error = float(np.sqrt(along @ covariance @ along))
+    turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
+    azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
+    return {
+        "tilt": _entry(size, [max(size - reach * error, 0.0), size + reach * error], "deg"),
+        "tilt_azimuth": _entry(azimuth, [azimuth - reach * turn, azimuth + reach * turn], "deg"),
+    }
+
+
+def _entry(estimate, interval, unit) -> dict:
+    return {
+        "estimate": float(f"{estimate:.6g}"),
+        "ci95": [float(f"{interval[0]:.6g}"), float(f"{interval[1]:.6g}")],
+        "unit": unit,
+    }
+
+
+def _model(analysis: Analysis, fitted: Fit) -> dict:
+    """What prediction needs: values, their covariance and the scatter of new specimens."""
+    return {
+        "causes": list(fitted.causes),
+        "parameters": [p.name for p in fitted.parameters],
+        "values": [float(v) for v in fitted.values],
+        "covariance": [[float(v) for v in row] for row in fitted.covariance],
+        "scatter": {
+            protocol: [s.specimen, s.run, s.kappa]
+            for protocol, s in plain_scatters(analysis, fitted).items()
+        },
+    }
+
+
+def sentence(verdict: dict) -> str:
+    """The verdict in one sentence."""
+    kind = verdict["verdict"]
+    if kind == "none":
+        return (
+            "The plain Coulomb model describes these measurements: no structure is left "
+            f"(family-wise p = {verdict['null']['global_p']:.2g})."
+        )
+    if kind == "insufficient":
+        return f"Too little was measured to judge the model: {verdict['reason']}."
+    if kind == "unknown":
+        shape = next(iter(verdict["residual_tests"]), None)
+        where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
+        return f"The model is wrong and no known mechanism explains how{where}."
+    if kind == "confounded":
+        rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
+        return f"The model is wrong, but these data cannot tell which of these is why: {rivals}."
+    titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
+    numbers = ", ".join(
+        f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"
+        + ("" if p["unit"] == "1" else f" {p['unit']}")
+        for name, p in verdict["parameters"].items()
+        if not name.startswith("mu_")
+    )
+    return f"The model is wrong because {titles} ({numbers})."

@@ -1,0 +1,38 @@
+"""slipstitch predict: what the null and the extended model expect of a new case."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+SUMMARY = "predict a new case with a verdict's null and extended models"
+EXAMPLE = "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("verdict", metavar="VERDICT", help="JSON written by slipstitch criticise")
+    parser.add_argument(
+        "case",
+        metavar="CASE_DIR",
+        help="folder of the new case; measured values in it are not looked at",
+    )
+    parser.add_argument("--out", required=True, metavar="FILE", help="predictions as CSV")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write one line a run and quantity."""
+    from pathlib import Path
+
+    from slipstitch.criticise.case import read_case
+    from slipstitch.predict.predictive import predictions, read_verdict
+    from slipstitch.provenance import atomic_path
+
+    verdict = read_verdict(Path(arguments.verdict))
+    table = predictions(verdict, read_case(arguments.case, with_measurements=False))
+    with atomic_path(Path(arguments.out)) as temporary:
+        table.to_csv(temporary, index=False)
+    print(f"{len(table)} predictions written to {arguments.out}")

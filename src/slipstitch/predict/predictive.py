@@ -1,0 +1,84 @@
+"""Predictive means and total standard deviations for runs of new specimens."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from slipstitch.criticise.case import Case
+from slipstitch.criticise.features import Measurements, assemble
+from slipstitch.criticise.inference.fit import jacobian, parameters_of
+from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.errors import BadInput
+
+UNKNOWN_COEFFICIENT_LOG_SD = 1.0
+USUAL_SCATTER = (0.05, 0.03, 1.2)
+
+
+def read_verdict(path: Path) -> dict:
+    """The verdict file.
+
+    Raises
+    ------
+    BadInput
+        If it is missing or holds no models.
+    """
+    try:
+        verdict = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file") from None
+    except ValueError as error:
+        raise BadInput(f"{path}: not valid JSON: {error}") from None
+    models = verdict.get("models") if isinstance(verdict, dict) else None
+    if not isinstance(models, dict) or not {"null", "extended"} <= set(models):
+        raise BadInput(f"{path}: models: missing; a file of slipstitch criticise is needed")
+    for model in models.values():
+        for cause in model["causes"]:
+            if cause not in MECHANISMS:
+                raise BadInput(f"{path}: models: unknown mechanism '{cause}'")
+    return verdict
+
+
+def predictions(verdict: dict, case: Case) -> pd.DataFrame:
+    """One line a run and quantity: run_id, quantity, null and extended mean and total sd."""
+    design = assemble(case, measured=False)
+    table = design.rows[["run_id", "quantity"]].copy()
+    for name, label in (("null", "null"), ("extended", "ext")):
+        mean, sd = predict_model(verdict["models"][name], design)
+        table[f"{label}_mean"], table[f"{label}_sd"] = mean, sd
+    return table
+
+
+def predict_model(model: dict, design: Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and sd (instrument, run, specimen and parameters together) of a model, (n,) each."""
+    causes = tuple(model["causes"])
+    known = dict(zip(model["parameters"], model["values"], strict=True))
+    parameters = parameters_of(design, causes)
+    values = np.array([known.get(p.name, p.null) for p in parameters])
+    covariance = np.zeros((len(parameters), len(parameters)))
+    position = {name: j for j, name in enumerate(model["parameters"])}
+    full = np.array(model["covariance"])
+    for a, p in enumerate(parameters):
+        if p.name not in position:
+            covariance[a, a] = UNKNOWN_COEFFICIENT_LOG_SD**2
+            continue
+        for b, q in enumerate(parameters):
+            if q.name in position:
+                covariance[a, b] = full[position[p.name], position[q.name]]
+    named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
+    mean = design.predict(named, causes)
+    columns = jacobian(design, causes, parameters, values, mean)
+    coefficients = [j for j, p in enumerate(parameters) if p.name.startswith("mu_")]
+    sensitivity = columns[:, coefficients].sum(axis=1)
+    scatter = np.array(
+        [model["scatter"].get(protocol, USUAL_SCATTER) for protocol in design.protocol]
+    )
+    variance = (
+        (scatter[:, 2] * design.u) ** 2
+        + sensitivity**2 * (scatter[:, 0] ** 2 + scatter[:, 1] ** 2)
+        + np.einsum("ij,jk,ik->i", columns, covariance, columns)
+    )
+    return mean, np.sqrt(variance)
