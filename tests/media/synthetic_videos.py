@@ -45,13 +45,13 @@ def config(**sections) -> Config:
         },
         "sample": {"frames": 6},
         "train": {
-            "channels": [32, 64],
+            "channels": [64, 128],
             "convolutions": [1, 1],
             "lstm_units": 64,
             "dropout": 0.1,
-            "epochs_per_cycle": 6,
+            "epochs_per_cycle": 20,
             "fine_tuning_epochs": 2,
-            "batch_size": 4,
+            "batch_size": 2,
             "precision": "float32",
         },
     }

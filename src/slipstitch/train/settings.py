@@ -77,7 +77,7 @@ class TrainSettings(BaseModel):
         0.05,
         ge=0.0,
         lt=1.0,
-        description="a run fails whose training loss never falls below (1 - margin) times chance; "
+        description="a run fails whose training loss stays above (1 - margin) times chance; "
         "null: never, for runs that are too short to learn",
     )
     plateau_epochs: int = Field(

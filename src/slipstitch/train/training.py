@@ -217,7 +217,8 @@ def train_network(
     BadInput
         If dataset, material model or arguments do not fit.
     PlateauError
-        If the training loss has never fallen below chance by `settings.plateau_margin`.
+        If the training loss is not below chance by `settings.plateau_margin` in the end, or after
+        `settings.plateau_epochs`.
     DivergedError
         If the loss is not finite.
     """
@@ -451,11 +452,14 @@ def _validation(network, videos, labels, condition, chosen, bfloat16, settings) 
 
 
 def _check_plateau(history, chance, classes, network_name, split, settings) -> None:
-    best = min(row["train_loss"] for row in history)
-    if settings.plateau_margin is not None and best > (1.0 - settings.plateau_margin) * chance:
+    """Fail if the loss of the last epochs, as many as a cycle has, is still that of guessing."""
+    recent = history[-settings.epochs_per_cycle :]
+    videos = sum(row["videos"] for row in recent)
+    loss = sum(row["train_loss"] * row["videos"] for row in recent) / videos
+    if settings.plateau_margin is not None and loss > (1.0 - settings.plateau_margin) * chance:
         raise PlateauError(
             f"{network_name} {split}: after {len(history)} epochs the training loss is still "
-            f"{best:.4f}, at chance ({chance:.4f} for {classes} classes): nothing was learnt, no "
+            f"{loss:.4f}, at chance ({chance:.4f} for {classes} classes): nothing was learnt, no "
             f"model is written (initialisation {settings.initialisation!r}, "
             f"train.epochs_per_cycle {settings.epochs_per_cycle})"
         )

@@ -1,0 +1,174 @@
+"""Trained networks go through the tables: every number can be recomputed from the predictions."""
+
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.command import main
+from slipstitch.config import write_config
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.evaluation import find_models, write_evaluation
+from slipstitch.evaluate.metrics import FIELDS
+from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.provenance import read_provenance
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.train.settings import NETWORKS, SPLITS
+from slipstitch.train.training import train_network
+
+
+def _synthetic_videos():
+    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
+    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+CONFIG = _synthetic_videos().config(
+    render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15", "calibrated_+5"]}
+)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    """A dataset with test-only textures and views, and all networks of both splits."""
+    folder = tmp_path_factory.mktemp("chain")
+    shards = _synthetic_videos().write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    for split in SPLITS:
+        for network in NETWORKS:
+            material = folder / "train" / split / "material_baseline" / "seed0"
+            train_network(
+                CONFIG.train,
+                folder / "sample",
+                network,
+                split,
+                0,
+                folder / "train" / split / network / "seed0",
+                view_order=CONFIG.render.viewpoints,
+                material_model=material if network == "friction_conditional" else None,
+            )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluated(chain):
+    out = chain / "evaluate"
+    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    write_evaluation(
+        EvaluateSettings(), chain / "sample", chain / "train", *names, calibrated="calibrated"
+    )
+    return out
+
+
+def content(path):
+    return json.loads(path.read_text())
+
+
+def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluated):
+    metrics = content(evaluated / "metrics.json")
+    assert list(metrics) == ["by_video", "by_simulation", "unseen_texture", "view_-15", "view_+5"]
+    for models in metrics.values():
+        assert list(models) == ["lrcn_baseline", "lrcn_conditional"]
+        for model, row in models.items():
+            assert tuple(row) == FIELDS
+            assert (row["material_top1"] is None) == (model == "lrcn_conditional")
+            assert row["seeds"] == [0] and row["coverage_90"] is None
+
+
+def test_the_test_sets_hold_what_they_should(evaluated):
+    metrics = content(evaluated / "metrics.json")
+    n = {split: models["lrcn_baseline"]["n"] for split, models in metrics.items()}
+    # 8 simulations, 2 + 1 textures, 2 + 2 views; 32 trainable videos, 3 of them test by video;
+    # by simulation 1 of the 2 held out of each friction tests: 2 simulations of 4 videos.
+    assert n == {
+        "by_video": 3,
+        "by_simulation": 8,
+        "unseen_texture": 16,
+        "view_-15": 16,
+        "view_+5": 16,
+    }
+
+
+def test_networks_beat_chance_on_held_out_simulations(evaluated):
+    entry = content(evaluated / "details.json")["by_simulation"]["friction_baseline"]
+    assert entry["chance"]["uniform"] == entry["chance"]["majority"] == 0.5
+    assert entry["mean"]["friction_lt_0.1"] > 0.5
+    assert entry["mean"]["mean_absolute_error"] < entry["chance"]["mean_absolute_error"]
+
+
+def test_the_tables_follow_from_the_predictions(evaluated):
+    rows = pq.read_table(evaluated / "predictions.parquet").to_pylist()
+    metrics = content(evaluated / "metrics.json")
+    details = content(evaluated / "details.json")
+    for model, network in (
+        ("lrcn_baseline", "friction_baseline"),
+        ("lrcn_conditional", "friction_conditional"),
+    ):
+        for split in metrics:
+            chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
+            right = np.mean([row["true"] == row["predicted"] for row in chosen])
+            assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
+            assert metrics[split][model]["n"] == len(chosen)
+            counts = np.array(details[split][network]["confusion"])
+            assert counts.trace() / counts.sum() == pytest.approx(right)
+    assert all(sum(row["probabilities"]) == pytest.approx(1.0) for row in rows)
+    held_out = {row["simulation"] for row in rows if row["split"] == "by_simulation"}
+    manifest = pq.read_table(evaluated.parent / "sample" / "manifest.parquet").to_pylist()
+    trained = {row["simulation"] for row in manifest if row["split_by_simulation"] == "train"}
+    assert held_out and not held_out & trained
+
+
+def test_every_file_says_where_it_comes_from(evaluated):
+    for name in ("metrics.json", "details.json", "predictions.parquet"):
+        record = read_provenance(evaluated / name)
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 6
+
+
+def test_the_command_prints_the_table(chain, tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["evaluate", "--config", str(tmp_path / "config.json")]
+    words += ["--dataset", str(chain / "sample"), "--models", str(chain / "train")]
+    words += ["--out", str(tmp_path / "metrics.json")]
+    assert main([*words, "--predictions", str(tmp_path / "predictions.parquet")]) == 0
+    said = capsys.readouterr().out
+    assert "by_simulation    lrcn_conditional" in said
+    assert content(tmp_path / "metrics.json") == content(chain / "evaluate" / "metrics.json")
+
+
+def test_a_folder_without_models_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no model in it"):
+        find_models(tmp_path)
+
+
+def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
+    source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
+    shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
+    with pytest.raises(BadInput, match="not what its folder says"):
+        find_models(tmp_path)
+
+
+def test_a_conditional_network_without_its_material_network_is_refused(chain, tmp_path):
+    models = tmp_path / "train"
+    shutil.copytree(chain / "train", models)
+    shutil.rmtree(models / "by_video" / "material_baseline")
+    with pytest.raises(BadInput, match="has no material_baseline beside it"):
+        _evaluate(chain / "sample", models, tmp_path)
+
+
+def test_models_of_another_dataset_are_refused(chain, tmp_path):
+    config = CONFIG.model_copy(update={"seed": 9})
+    shards = sorted((chain / "render").glob("*.parquet"))
+    write_dataset(config, shards, tmp_path / "sample")
+    with pytest.raises(BadInput, match="was trained on another dataset"):
+        _evaluate(tmp_path / "sample", chain / "train", tmp_path)
+
+
+def _evaluate(dataset, models, out):
+    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    write_evaluation(EvaluateSettings(), dataset, models, *names, calibrated="calibrated")

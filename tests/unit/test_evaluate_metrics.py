@@ -1,0 +1,88 @@
+"""The scores mean what the paper's tables mean."""
+
+import numpy as np
+import pytest
+
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.metrics import (
+    FIELDS,
+    chance,
+    confusion,
+    constant_error,
+    entry,
+    friction_scores,
+    material_scores,
+    steps_off,
+    top_k,
+)
+
+GRID = np.arange(16) * 0.1
+
+
+def certain(predicted, classes):
+    """Probabilities that leave no doubt."""
+    return np.eye(classes)[predicted]
+
+
+def test_on_the_papers_grid_below_0_1_is_the_class_and_below_0_2_a_neighbour_at_most():
+    for true in range(16):
+        off = steps_off(GRID, np.full(16, GRID[true]), 0.1)
+        assert off.tolist() == [abs(true - predicted) for predicted in range(16)]
+
+
+def test_friction_scores_of_known_answers():
+    truth = np.array([0, 5, 5, 10])
+    scores = friction_scores(certain([0, 6, 8, 10], 16), truth, GRID, 0.1)
+    assert scores == {
+        "friction_lt_0.1": 0.5,
+        "friction_lt_0.2": 0.75,
+        "mean_absolute_error": pytest.approx(0.1),
+    }
+
+
+def test_a_coarse_grid_counts_only_the_exact_class():
+    coefficients = np.array([0.1, 0.3, 0.6, 1.0])
+    scores = friction_scores(certain([0, 1, 2], 4), np.array([0, 0, 2]), coefficients, 0.1)
+    assert scores["friction_lt_0.1"] == scores["friction_lt_0.2"] == pytest.approx(2 / 3)
+
+
+def test_top_1_and_top_2():
+    shares = np.array([[0.5, 0.3, 0.2], [0.1, 0.3, 0.6], [0.4, 0.35, 0.25]])
+    truth = np.array([0, 1, 2])
+    assert material_scores(shares, truth) == {
+        "material_top1": pytest.approx(1 / 3),
+        "material_top2": pytest.approx(2 / 3),
+    }
+    assert top_k(shares, truth, 3) == 1.0
+
+
+def test_chance_and_the_best_constant():
+    truth = np.array([0, 0, 0, 1, 2])
+    assert chance(truth, 4) == {"uniform": 0.25, "majority": 0.6}
+    coefficients = np.array([0.1, 0.3, 0.6, 1.0])
+    assert constant_error(truth, coefficients) == pytest.approx((0.2 + 0.5) / 5)
+
+
+def test_confusion_has_true_classes_in_rows():
+    assert confusion(certain([1, 1, 0], 2), np.array([0, 1, 1])) == [[0, 1], [1, 1]]
+
+
+def test_an_entry_has_every_field_and_null_where_nothing_is_known():
+    one = entry(7, [0, 1], {"friction_lt_0.1": 0.5})
+    assert tuple(one) == FIELDS
+    assert one["n"] == 7 and one["seeds"] == [0, 1] and one["coverage_90"] is None
+
+
+@pytest.mark.parametrize(
+    ("shares", "truth"),
+    [
+        (np.array([[0.5, 0.6]]), np.array([0])),
+        (np.array([[np.nan, 1.0]]), np.array([0])),
+        (np.array([[0.5, 0.5]]), np.array([2])),
+        (np.array([[0.5, 0.5]]), np.array([0, 1])),
+        (np.zeros((0, 2)), np.zeros(0, int)),
+    ],
+)
+def test_what_is_no_prediction_is_refused(shares, truth):
+    with pytest.raises(BadInput):
+        material_scores(shares, truth)

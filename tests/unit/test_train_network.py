@@ -1,0 +1,150 @@
+"""The network is the paper's as far as it is known, and computes what it says."""
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from slipstitch.errors import BadInput
+from slipstitch.train.network import (
+    LRCN,
+    chance_loss,
+    computes_bfloat16,
+    cross_entropy,
+    probabilities,
+)
+from slipstitch.train.settings import TrainSettings
+
+
+def _synthetic_videos():
+    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
+    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+synthetic = _synthetic_videos()
+
+
+def network(pixels=16, classes=4, condition_classes=0, **changes):
+    torch.manual_seed(0)
+    return LRCN(TrainSettings(**changes), classes, pixels, condition_classes)
+
+
+def frames(videos=2, count=5, pixels=16):
+    torch.manual_seed(1)
+    return torch.randint(0, 256, (videos, count, pixels, pixels, 3), dtype=torch.uint8)
+
+
+@pytest.mark.parametrize("convolutions", [[1, 2, 2, 1], [2, 2, 1, 1], [1, 1, 2, 2]])
+def test_at_full_width_and_224_pixels_it_costs_what_the_papers_net_costs(convolutions):
+    net = network(224, 16, width=1.0, convolutions=convolutions)
+    assert net.multiply_accumulates == pytest.approx(6.56e9, rel=5e-4)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"readout": "flatten"},
+        {"outputs": "all"},
+        {"padding": "valid", "channels": [64, 128], "convolutions": [1, 1]},
+        {"pool_last_block": False},
+        {"batch_norm": False},
+        {"fc_units": 64},
+        {"initialisation": "glorot"},
+        {"initialisation": "pytorch"},
+    ],
+)
+def test_every_switch_gives_probabilities(changes):
+    net = network(**changes).eval()
+    logits = net(frames())
+    assert logits.shape == (2, 5 if changes.get("outputs") == "all" else 1, 4)
+    shares = probabilities(logits)
+    assert torch.allclose(shares.sum(1), torch.ones(2)) and shares.min() > 0
+
+
+def test_frames_too_small_for_the_blocks_are_refused():
+    with pytest.raises(BadInput, match="16 pixels are too few"):
+        network(16, padding="valid")
+
+
+def test_the_answer_depends_on_the_order_of_the_frames():
+    net = network().eval()
+    video = frames(count=8)
+    assert not torch.allclose(net(video), net(video.flip(1)))
+
+
+def test_a_video_does_not_see_its_neighbours_in_the_batch():
+    net = network().eval()
+    video = frames(3)
+    assert torch.allclose(net(video)[1:2], net(video[1:2]), atol=1e-5)
+
+
+def test_the_condition_reaches_the_answer():
+    net = network(condition_classes=3).eval()
+    video = frames()
+    first = net(video, torch.tensor([0, 0]))
+    second = net(video, torch.tensor([0, 2]))
+    assert torch.equal(first[0], second[0]) and not torch.allclose(first[1], second[1])
+
+
+def test_he_initialisation_keeps_the_signal_through_the_convolutions_and_pytorchs_loses_it():
+    """Why a network with another initialisation stays at chance: its features are all but zero."""
+    size = {}
+    for kind in ("he", "pytorch"):
+        net = network(32, batch_norm=False, initialisation=kind)
+        net.mean.fill_(127.5)
+        net.deviation.fill_(74.0)
+        images = frames(2, 3, 32).flatten(0, 1).permute(0, 3, 1, 2).float()
+        size[kind] = net.convolutions((images - 127.5) / 74.0).std().item()
+    assert size["he"] > 0.3 and size["pytorch"] < 0.1
+
+
+def test_chance_is_ln_k_for_equal_classes_and_less_for_unequal_ones():
+    assert chance_loss([0, 1, 2, 3] * 5) == pytest.approx(math.log(4))
+    assert chance_loss([0, 0, 0, 1]) == pytest.approx(0.5623351446)
+
+
+def gradients_cosine(batch_norm: bool) -> float:
+    """Cosine between the gradients in bfloat16 and in float32, over all weights, at 64 pixels."""
+    net = network(64, batch_norm=batch_norm, dropout=0.0)
+    net.mean.fill_(40.0)
+    net.deviation.fill_(60.0)
+    drawn = [
+        [synthetic.draw(64, math.sin(0.7 * t), 0.1 * v, 0.5 + 0.05 * v, v, 0) for t in range(10)]
+        for v in range(4)
+    ]
+    video = torch.from_numpy(np.array(drawn))
+    gradients = []
+    for bfloat16 in (False, True):
+        net.zero_grad()
+        loss = cross_entropy(net(video, None, bfloat16), torch.tensor([0, 1, 2, 3]))
+        loss.backward()
+        gradients.append(torch.cat([weight.grad.flatten() for weight in net.parameters()]))
+    return torch.nn.functional.cosine_similarity(*gradients, dim=0).item()
+
+
+needs_bfloat16 = pytest.mark.skipif(
+    not computes_bfloat16("auto"), reason="needs a processor with AVX512-BF16"
+)
+
+
+@needs_bfloat16
+def test_gradients_in_bfloat16_agree_with_float32():
+    assert gradients_cosine(batch_norm=False) >= 0.999
+
+
+@needs_bfloat16
+def test_batch_normalisation_costs_some_of_the_agreement():
+    """It takes mean and trend out of the gradients; what is left is small against the rounding."""
+    assert gradients_cosine(batch_norm=True) >= 0.97
+
+
+def test_auto_precision_follows_the_processor():
+    assert computes_bfloat16("auto") == torch.cpu._is_avx512_bf16_supported()
+    assert computes_bfloat16("bfloat16") and not computes_bfloat16("float32")
