@@ -106,8 +106,8 @@ def _configuration(arguments: argparse.Namespace, by_hand: bool):
             overrides[key.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:
             raise BadInput(f"--set {text}: the value cannot be read") from None
-    if by_hand:  # nothing is sampled from it: any number of frames will do
-        mappings.append({"sample": {"frames": 1}})
+    if by_hand:  # nothing is sampled from it: the least that is allowed
+        mappings.append({"sample": {"frames": 2}})
         sources.append("sample")
     mappings.append({"simulation": overrides})
     sources.append("--set")
