@@ -7,6 +7,9 @@ from snakemake.utils import min_version
 min_version("9.0")
 
 
+report: "workflow/report/workflow.rst"
+
+
 # Scales: --configfile config/smoke.yaml and config/paper.yaml merge over this one.
 configfile: Path(workflow.basedir) / "config.yaml"
 

@@ -10,7 +10,11 @@ rule calibrate:
 rule calibrate_settings:
     output:
         checks="results/calibrate/calibration.json",
-        picture="results/calibrate/calibration.png",
+        picture=report(
+            "results/calibrate/calibration.png",
+            caption="../workflow/report/calibration.rst",
+            category="Physics",
+        ),
     log:
         "results/logs/calibrate/calibration.log",
     benchmark:

@@ -13,7 +13,11 @@ rule evaluate_all:
         dataset=rules.sample.input,
         networks=rules.train.input,
     output:
-        metrics="results/evaluate/metrics.json",
+        metrics=report(
+            "results/evaluate/metrics.json",
+            caption="../workflow/report/evaluation.rst",
+            category="Tables",
+        ),
         predictions="results/evaluate/predictions.parquet",
         details="results/evaluate/details.json",
     log:

@@ -48,7 +48,12 @@ rule preview_one:
     input:
         expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
     output:
-        sheet="results/render/preview/{simulation}.png",
+        sheet=report(
+            "results/render/preview/{simulation}.png",
+            caption="../workflow/report/preview.rst",
+            category="Simulations",
+            labels={"simulation": "{simulation}"},
+        ),
         film="results/render/preview/{simulation}.mp4",
     log:
         "results/logs/render/preview_{simulation}.log",

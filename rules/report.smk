@@ -16,7 +16,11 @@ rule report_page:
         networks=rules.train.input,
         evaluation=rules.evaluate.input,
     output:
-        "results/report/index.html",
+        report(
+            "results/report/index.html",
+            caption="../workflow/report/page.rst",
+            category="Report",
+        ),
     log:
         "results/logs/report/report.log",
     benchmark:

@@ -35,7 +35,12 @@ rule train_one:
     output:
         model="results/train/{split}/{network}/seed{seed}/model.safetensors",
         card="results/train/{split}/{network}/seed{seed}/model.json",
-        history="results/train/{split}/{network}/seed{seed}/history.csv",
+        history=report(
+            "results/train/{split}/{network}/seed{seed}/history.csv",
+            caption="../workflow/report/training.rst",
+            category="Training",
+            labels={"split": "{split}", "network": "{network}", "seed": "{seed}"},
+        ),
     log:
         "results/logs/train/{split}_{network}_seed{seed}.log",
     benchmark:
