@@ -1,7 +1,7 @@
 """Composed images against direct renders of the same textures, at the resolution of training.
 
-Nothing was tuned on these frames, this viewpoint or these textures. The reference is Cycles with
-the texture itself on the cloth, 256 paths a pixel.
+The renderer was tuned on other frames, and never on the turned viewpoints. The reference is Cycles
+with the texture itself on the cloth, 256 paths a pixel.
 """
 
 import importlib.util
@@ -57,7 +57,7 @@ def compare(pixels, viewpoint, frames, textures):
 
 
 def test_a_composed_image_is_the_direct_one_at_64_pixels():
-    measured = compare(64, "calibrated_+10", {70}, ["houndstooth"])
+    measured = compare(64, "frontal", {40}, ["houndstooth"])
     assert min(measured.values()) >= DEMAND_DB, measured
 
 
@@ -65,8 +65,8 @@ def test_a_composed_image_is_the_direct_one_at_64_pixels():
 @pytest.mark.parametrize("pixels", [64, 112])
 @pytest.mark.parametrize("viewpoint", ["calibrated_+10", "calibrated_-15", "frontal", "side"])
 def test_composed_images_are_the_direct_ones(pixels, viewpoint):
-    measured = compare(pixels, viewpoint, {5, 73, 201}, ["houndstooth", "chevron"])
-    print({key: round(value, 1) for key, value in measured.items()})
+    measured = compare(pixels, viewpoint, {17, 97, 233}, ["houndstooth", "chevron"])
+    print(pixels, viewpoint, {key: round(value, 1) for key, value in measured.items()})
     assert min(measured.values()) >= DEMAND_DB, measured
 
 

@@ -44,7 +44,7 @@ def test_texture_coordinates_are_those_of_the_point_that_the_ray_meets():
     point = corners[0] + found.uv[:, :1] * (corners[1] - corners[0])
     point = point + found.uv[:, 1:] * (corners[3] - corners[0])
     y, x = np.divmod(found.seen, 64)
-    np.testing.assert_allclose(view.project(point), np.column_stack(ray_places(x, y)), atol=1e-9)
+    np.testing.assert_allclose(view.project(point), np.column_stack(ray_places(x, y, 4)), atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [0, 1])
@@ -76,8 +76,9 @@ def test_a_quadrilateral_is_met_by_the_same_rays_as_its_two_triangles():
     np.testing.assert_array_equal(inside, np.flatnonzero(sees_quad(corners[::-1], camera())))
 
 
-def test_the_rays_of_a_tile_share_no_row_and_no_column():
-    y, x = np.divmod(np.arange(16), 4)
-    for places in ray_places(x, y):
-        # 16 places, evenly a sixteenth of the tile apart, each within its own pixel.
-        np.testing.assert_allclose(np.sort(places), -0.5 + (np.arange(16) + 0.5) / 4)
+@pytest.mark.parametrize("tile", [4, 8])
+def test_the_rays_of_a_tile_share_no_row_and_no_column(tile):
+    y, x = np.divmod(np.arange(tile**2), tile)
+    for places in ray_places(x, y, tile):
+        # Evenly spread over the tile, each within its own pixel.
+        np.testing.assert_allclose(np.sort(places), -0.5 + (np.arange(tile**2) + 0.5) / tile)

@@ -19,7 +19,7 @@ that light came by is taken as the texture's mean nearby (on the cloth) or all o
 
 Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths
 a pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16
-rays a pixel (`slipstitch.render.visibility`).
+rays a pixel, 64 in small images (`slipstitch.render.visibility`).
 """
 
 from dataclasses import dataclass
@@ -29,14 +29,11 @@ import cv2
 import numpy as np
 
 from slipstitch.render.camera import Camera
-from slipstitch.render.textures import texture
-from slipstitch.render.visibility import TILE, sees_quad, visible_cloth
+from slipstitch.render.textures import TEXELS, texture
+from slipstitch.render.visibility import sees_quad, visible_cloth
 
 #: The shading render has this many times the pixels of the image along each side.
 LIGHT_OVERSAMPLING = 2
-# Rays per pixel along each side that ask what is seen.
-_RAYS = TILE
-_LIGHT_STEP = _RAYS // LIGHT_OVERSAMPLING
 
 # Smoothing of the lamp's light and of the dome's, in pixels of the shading render. The lamp's has
 # the edges of shadows in it, the dome's is smooth but noisier.
@@ -106,14 +103,16 @@ def make_layers(
         At the resolution of the image.
     """
     light = np.stack([separate(part) for part in radiance])
-    fine = camera.at_resolution(camera.pixels * _RAYS)
-    found = visible_cloth(positions_m, faces, vertex_uv, fine)
+    rays = _rays_per_side(camera.pixels)
+    step = rays // LIGHT_OVERSAMPLING
+    fine = camera.at_resolution(camera.pixels * rays)
+    found = visible_cloth(positions_m, faces, vertex_uv, fine, rays)
     y, x = np.divmod(found.seen, fine.pixels)
-    floor = sees_quad(floor_m, fine).astype(np.float32)
+    floor = sees_quad(floor_m, fine, rays).astype(np.float32)
     # Light comes from pixels that see nothing but one surface.
     cover = uv[..., 2]
     on_cloth = cover > 0.999
-    of_floor = _shrink(floor, _LIGHT_STEP)
+    of_floor = _shrink(floor, step)
     on_floor = (of_floor > 0.999) & (cover < 0.001)
     elsewhere = (of_floor < 0.001) & (cover < 0.001)
     cloth_light = _smooth_on_cloth(light, uv, on_cloth)
@@ -123,16 +122,21 @@ def make_layers(
     other = 1 - floor
     for share in (floor, other):
         share.ravel()[found.seen] = 0
-    still = floor_light * _shrink(floor, _LIGHT_STEP)
+    still = floor_light * _shrink(floor, step)
     background = np.median(light[:, 0].sum(axis=0)[elsewhere]) if elsewhere.any() else 0.0
-    still[0] += background * _shrink(other, _LIGHT_STEP)
+    still[0] += background * _shrink(other, step)
     still = np.stack([_shrink(part, LIGHT_OVERSAMPLING) for part in still])
-    light = cloth_light[:, y // _LIGHT_STEP, x // _LIGHT_STEP] / np.float32(_RAYS**2)
-    pixel = (y // _RAYS) * camera.pixels + x // _RAYS
+    light = cloth_light[:, y // step, x // step] / np.float32(rays**2)
+    pixel = (y // rays) * camera.pixels + x // rays
     order = np.argsort(pixel, kind="stable")
     return Layers(
         camera.pixels, still.reshape(3, -1), pixel[order], found.uv[order], light[:, order]
     )
+
+
+def _rays_per_side(pixels: int) -> int:
+    """Rays along each side of a pixel: small images show more of the texture in each."""
+    return 8 if pixels <= 80 else 4
 
 
 def _shrink(image: np.ndarray, step: int) -> np.ndarray:
@@ -195,15 +199,14 @@ def _smooth_along(
 
 
 @cache
-def _prepared(name: str, texels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _prepared(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A texture's texels (M, 3), its neighbourhood means (64^2, 3) and its mean (3,)."""
     full = texture(name)
-    fine = cv2.resize(full, (texels, texels), interpolation=cv2.INTER_AREA)
     coarse = cv2.resize(full, (_COARSE_TEXELS,) * 2, interpolation=cv2.INTER_AREA)
     coarse = cv2.GaussianBlur(
         coarse, (0, 0), _NEIGHBOURHOOD * _COARSE_TEXELS, borderType=cv2.BORDER_REFLECT
     )
-    return fine.reshape(-1, 3), coarse.reshape(-1, 3), full.mean(axis=(0, 1))
+    return full.reshape(-1, 3), coarse.reshape(-1, 3), full.mean(axis=(0, 1))
 
 
 def _texel(uv: np.ndarray, texels: int) -> np.ndarray:
@@ -213,14 +216,12 @@ def _texel(uv: np.ndarray, texels: int) -> np.ndarray:
 
 def compose(layers: Layers, names: list[str]) -> list[np.ndarray]:
     """The frame with each of these textures, as 8-bit sRGB images (pixels, pixels, 3)."""
-    # About two texels a ray where the cloth fills the image.
-    texels = 256 if layers.pixels <= 96 else 512
-    texel, coarse_texel = _texel(layers.uv, texels), _texel(layers.uv, _COARSE_TEXELS)
+    texel, coarse_texel = _texel(layers.uv, TEXELS), _texel(layers.uv, _COARSE_TEXELS)
     scene, first, second = layers.light[..., None]
     pixel, start = np.unique(layers.pixel, return_index=True)
     images = []
     for name in names:
-        fine, coarse, mean = _prepared(name, texels)
+        fine, coarse, mean = _prepared(name)
         linear = layers.still[1:].T @ np.stack([mean, mean**2]) + layers.still[0][:, None]
         if len(pixel):
             value = coarse[coarse_texel]

@@ -10,22 +10,22 @@ import numpy as np
 
 from slipstitch.render.camera import Camera
 
-#: A camera's rays come in tiles of this many a side, within which no two share a row or a column.
-TILE = 4
-_SHUFFLE = np.array([1, 3, 0, 2])
+# A camera's rays come in tiles of 4 or 8 a side, within which no two share a row or a column.
+_SHUFFLE = {4: np.array([1, 3, 0, 2]), 8: np.array([1, 4, 7, 2, 5, 0, 3, 6])}
 
 
-def ray_places(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
     """Image coordinates of the rays of the pixels (x, y).
 
-    Each tile of 4 x 4 rays is sheared so that its 16 rays lie on 16 different columns and 16
-    different rows: an edge along a row or a column is then resolved in 16 steps, not 4
+    Each tile of n x n rays is sheared so that its rays lie on n^2 different columns and n^2
+    different rows: an edge along a row or a column is then resolved in n^2 steps, not n
     (multi-jittered sampling: Chiu, Shirley & Wang 1994, with the correlated shuffle of Kensler
     2013, which keeps slanting edges well resolved too).
     """
+    shuffle = _SHUFFLE[tile]
     return (
-        x + (_SHUFFLE[y % TILE] + 0.5) / TILE - 0.5,
-        y + (_SHUFFLE[x % TILE] + 0.5) / TILE - 0.5,
+        x + (shuffle[y % tile] + 0.5) / tile - 0.5,
+        y + (shuffle[x % tile] + 0.5) / tile - 0.5,
     )
 
 
@@ -46,7 +46,7 @@ class Visibility:
 
 
 def visible_cloth(
-    positions_m: np.ndarray, faces: np.ndarray, uv: np.ndarray, camera: Camera
+    positions_m: np.ndarray, faces: np.ndarray, uv: np.ndarray, camera: Camera, tile: int = 4
 ) -> Visibility:
     """Cast one ray through every pixel, at its place in `ray_places`, at the cloth's triangles.
 
@@ -58,6 +58,8 @@ def visible_cloth(
     uv : ndarray (V, 2)
         Interpolated over each triangle with perspective.
     camera : Camera
+    tile : int
+        4 or 8, see `ray_places`.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def visible_cloth(
     origin, a, b = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     scale = np.divide(1, area, out=np.full_like(area, np.nan), where=np.abs(area) > 1e-12)
-    place_x, place_y = ray_places(x, y)
+    place_x, place_y = ray_places(x, y, tile)
     dx, dy = place_x - origin[triangle, 0], place_y - origin[triangle, 1]
     second = dx * (b[:, 1] * scale)[triangle] - dy * (b[:, 0] * scale)[triangle]
     third = dy * (a[:, 0] * scale)[triangle] - dx * (a[:, 1] * scale)[triangle]
@@ -103,7 +105,7 @@ def visible_cloth(
     return Visibility(seen, np.einsum("nk,nkd->nd", blend, uv[faces[triangle[front]]]))
 
 
-def sees_quad(corners_m: np.ndarray, camera: Camera) -> np.ndarray:
+def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:
     """Whether each pixel's ray meets a convex quadrilateral.
 
     Parameters
@@ -111,6 +113,8 @@ def sees_quad(corners_m: np.ndarray, camera: Camera) -> np.ndarray:
     corners_m : ndarray (4, 3)
         In order around the quadrilateral, all in front of the camera.
     camera : Camera
+    tile : int
+        4 or 8, see `ray_places`.
 
     Returns
     -------
@@ -120,7 +124,7 @@ def sees_quad(corners_m: np.ndarray, camera: Camera) -> np.ndarray:
     edges = np.roll(corners, -1, axis=0) - corners
     turn = np.sign(edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0])
     place = np.arange(camera.pixels)
-    place_x, place_y = ray_places(place[None, :], place[:, None])
+    place_x, place_y = ray_places(place[None, :], place[:, None], tile)
     inside = np.ones((camera.pixels, camera.pixels), dtype=bool)
     for (x, y), (along_x, along_y) in zip(corners, edges, strict=True):
         inside &= turn * (along_x * (place_y - y) - along_y * (place_x - x)) >= 0
