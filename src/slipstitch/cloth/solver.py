@@ -381,18 +381,39 @@ class ClothSolver:
             return self._symmetric_solve(-residual.ravel()).reshape(-1, 3)
         difference = difference[changed]
 
-        def product(y):
-            displacement = self._symmetric_solve(y).reshape(-1, 3)[changed]
+        def product(y: np.ndarray, displacement: np.ndarray) -> np.ndarray:
             result = y.copy().reshape(-1, 3)
-            result[changed] += np.einsum("nij,nj->ni", difference, displacement)
+            moved = displacement.reshape(-1, 3)[changed]
+            result[changed] += np.einsum("nij,nj->ni", difference, moved)
             return result.ravel()
 
-        size = residual.size
-        operator = scipy.sparse.linalg.LinearOperator((size, size), matvec=product, dtype=float)
-        y, _ = scipy.sparse.linalg.gmres(
-            operator, -residual.ravel(), rtol=0.1, restart=20, maxiter=1
+        return self._krylov(product, residual, 20)
+
+    def _krylov(self, product, residual: np.ndarray, products_max: int) -> np.ndarray:
+        """Solve K A^-1 y = -r by GMRES, return A^-1 y.
+
+        Parameters
+        ----------
+        product : callable
+            K d from y and d = A^-1 y, all flat.
+        """
+        last: list[np.ndarray] = []
+
+        def apply(y):
+            displacement = self._symmetric_solve(y)
+            last[:] = [y.copy(), displacement]
+            return product(y, displacement)
+
+        operator = scipy.sparse.linalg.LinearOperator(
+            (residual.size, residual.size), matvec=apply, dtype=float
         )
-        return self._symmetric_solve(y).reshape(-1, 3)
+        y, _ = scipy.sparse.linalg.gmres(
+            operator, -residual.ravel(), rtol=0.1, restart=products_max, maxiter=1
+        )
+        # SciPy ends with a product at the solution: its A^-1 y is the answer.
+        if not np.array_equal(last[0], y):
+            last[1] = self._symmetric_solve(y)
+        return last[1].reshape(-1, 3)
 
     def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Newton correction with the exact tangent, by a Jacobian-free Krylov method.
@@ -402,20 +423,13 @@ class ClothSolver:
         """
         self._products = 0
 
-        def product(y):
+        def product(y: np.ndarray, displacement: np.ndarray) -> np.ndarray:
             self._products += 1
-            direction = self._symmetric_solve(y)
-            step = DIFFERENCE_M / np.abs(direction).max()
-            moved = self._evaluate(x + step * direction.reshape(-1, 3))
+            step = DIFFERENCE_M / np.abs(displacement).max()
+            moved = self._evaluate(x + step * displacement.reshape(-1, 3))
             return (moved - residual).ravel() / step
 
-        operator = scipy.sparse.linalg.LinearOperator(
-            (residual.size, residual.size), matvec=product, dtype=float
-        )
-        y, _ = scipy.sparse.linalg.gmres(
-            operator, -residual.ravel(), rtol=0.1, restart=15, maxiter=1
-        )
-        return self._symmetric_solve(y).reshape(-1, 3)
+        return self._krylov(product, residual, 15)
 
     def _relative(self, residual: np.ndarray) -> float:
         """Largest nodal out-of-balance force over friction coefficient times nodal weight."""
@@ -479,8 +493,8 @@ class ClothSolver:
                 or (rate > REFACTOR_RATE and not exact)
                 or self._products > PRODUCTS_MAX
             ):
-                self._x.assign(x)
-                self._evaluate(x)
+                if exact:  # what was evaluated last is then not x
+                    self._evaluate(x)
                 self._factorise()
                 self._products = 0
             exact = rate > EXACT_RATE and error < EXACT_BELOW
