@@ -1,0 +1,119 @@
+"""slipstitch simulate and slipstitch protocol at the command line."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.command import main
+from slipstitch.provenance import read_metadata, read_provenance
+from slipstitch.simulate.trajectory import read_trajectory
+
+TINY = ["--set", "vertices_per_side=9", "--set", "frames=3", "--set", "settle_s=0.2"]
+
+
+def run(*words) -> int:
+    try:
+        return main([str(word) for word in words]) or 0
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+@pytest.fixture(scope="module")
+def trajectory_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("simulate") / "x.parquet"
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
+    assert run("simulate", *words, *TINY, "--out", path) == 0
+    return path
+
+
+def test_one_row_a_frame_with_the_documented_columns(trajectory_file):
+    table = pq.read_table(trajectory_file)
+    assert table.num_rows == 3
+    assert table.schema.field("positions_m").type == pa.list_(pa.float32(), 3 * 81)
+    for column in ("frame", "time_s", "stage_x_m", "stage_z_m", "newton_iterations", "residual"):
+        assert column in table.column_names
+    np.testing.assert_allclose(table["time_s"].to_numpy(), np.arange(3) / 2.4)
+
+
+def test_the_metadata_holds_mesh_settings_and_provenance(trajectory_file):
+    metadata = read_metadata(trajectory_file)
+    assert np.shape(metadata["rest_positions_m"]) == (81, 3)
+    assert np.shape(metadata["faces"]) == (128, 3)
+    assert metadata["settings"]["vertices_per_side"] == 9
+    assert metadata["material"] == "gray-interlock"
+    assert metadata["solver"]["largest_residual"] <= metadata["settings"]["friction_tolerance"]
+    assert read_provenance(trajectory_file)["stage"] == "simulate"
+
+
+def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_path):
+    other = tmp_path / "other.parquet"
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "1"]
+    assert run("simulate", *words, *TINY, "--out", other) == 0
+    assert (
+        read_trajectory(other).metadata["perturbation"]
+        != (read_trajectory(trajectory_file).metadata["perturbation"])
+    )
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--material", "silk", "--friction", "0.3"], "unknown material 'silk'"),
+        (["--material", "gray-interlock", "--friction", "-1"], "friction -1.0: must be"),
+        (["--material", "gray-interlock", "--friction", "nan"], "friction nan: must be"),
+        (["--material", "gray-interlock"], "either --material and --friction, or --simulation"),
+        (["--simulation", "m00_f00_r00"], "--simulation needs --config"),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "time_step_s=0"],
+            "simulation.time_step_s: must be greater than 0",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "timestep=1"],
+            "simulation.timestep: unknown key",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "vertices_per_side=1"],
+            "vertices_per_side: must be at least 5",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "frames"],
+            "--set frames: must be KEY=VALUE",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--seed", "-4"],
+            "--seed -4: must be at least 0",
+        ),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(words, message, tmp_path, capfd):
+    out = tmp_path / "x.parquet"
+    assert run("simulate", *words, "--out", out) == 2
+    captured = capfd.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(tmp_path, capfd):
+    broken = tmp_path / "calibration.json"
+    broken.write_text("{")
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--calibration", broken]
+    assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
+    assert "snakemake --cores 2 calibrate" in capfd.readouterr().err
+
+
+def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp_path, capfd):
+    out = tmp_path / "flat.json"
+    assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0
+    result = json.loads(out.read_text())
+    assert set(result) == {"pull_over_weight", "theory_pull_over_weight"}
+    assert json.loads(capfd.readouterr().out) == result
+
+
+def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
+    assert run("protocol", "tilt", "--out", tmp_path / "x.json") == 2
+    assert "allowed: incline, flat-drag, strip-drag" in capfd.readouterr().err
