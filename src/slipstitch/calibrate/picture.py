@@ -94,7 +94,7 @@ def draw_strip_drag(axes: Axes, calibration: Mapping[str, Any], quantity: str) -
         return False
     frictions = [run["options"]["friction"] for run in runs]
     gravity_length = runs[0]["options"]["gravity_length_m"]
-    grid = np.linspace(0.02, 1.15 * max(frictions), 31)
+    grid = np.linspace(0.02, 1.15 * max(frictions), 21)
     stiff = [
         steady_strip_drag(
             value, STRIP_LENGTH_M, STRIP_HEIGHT_M, gravity_length, holder_angle_rad=None
