@@ -1,5 +1,6 @@
 """Trained networks go through the tables: every number can be recomputed from the predictions."""
 
+import contextlib
 import importlib.util
 import json
 import shutil
@@ -60,9 +61,10 @@ def chain(tmp_path_factory):
 def evaluated(chain):
     out = chain / "evaluate"
     names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
-    write_evaluation(
-        EvaluateSettings(), chain / "sample", chain / "train", *names, calibrated="calibrated"
-    )
+    with contextlib.chdir(chain):  # records name files by their path from the working folder
+        write_evaluation(
+            EvaluateSettings(), chain / "sample", chain / "train", *names, calibrated="calibrated"
+        )
     return out
 
 

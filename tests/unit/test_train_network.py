@@ -113,13 +113,13 @@ def test_chance_is_ln_k_for_equal_classes_and_less_for_unequal_ones():
 def gradients_cosine(batch_norm: bool) -> float:
     """Cosine between the gradients in bfloat16 and in float32, over all weights, at 64 pixels."""
     net = network(64, batch_norm=batch_norm, dropout=0.0)
-    net.mean.fill_(40.0)
-    net.deviation.fill_(60.0)
     drawn = [
-        [synthetic.draw(64, math.sin(0.7 * t), 0.1 * v, 0.5 + 0.05 * v, v, 0) for t in range(10)]
+        [synthetic.draw(64, math.sin(0.42 * t), 0.1 * v, 0.5, v, 0) for t in range(30)]
         for v in range(4)
     ]
     video = torch.from_numpy(np.array(drawn))
+    net.mean.fill_(video.float().mean())
+    net.deviation.fill_(video.float().std())
     gradients = []
     for bfloat16 in (False, True):
         net.zero_grad()
