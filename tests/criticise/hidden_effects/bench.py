@@ -13,10 +13,25 @@ import pandas as pd
 from hidden_effects.elastica import hanging_cloth, pushed_strip
 
 G = 9.80665
-LIBRARY = (
-    "load_power adhesion static_kinetic ageing rate anisotropy nap wear humidity tilt mass_error "
-    "bending_error backlash camera_scale force_offset force_gain time_lag"
-).split()
+LIBRARY = [
+    "load_power",
+    "adhesion",
+    "static_kinetic",
+    "ageing",
+    "rate",
+    "anisotropy",
+    "nap",
+    "wear",
+    "humidity",
+    "tilt",
+    "mass_error",
+    "bending_error",
+    "backlash",
+    "camera_scale",
+    "force_offset",
+    "force_gain",
+    "time_lag",
+]
 OUTSIDE = ("patch", "thermal_cycle", "threefold", "load_bump", "operator", "dwell_peak")
 NEEDS_PROTOCOL = {
     "backlash": ("drag",),
@@ -184,9 +199,7 @@ def _incline(rng, world, noise, options, switch):
         for _ in range(60):
             mid = 0.5 * (low + high)
             load = weight * np.cos(mid)
-            limit = world.friction(
-                load, a, row, row["orientation_deg"], True, row["dwell_s"], None
-            )
+            limit = world.friction(load, a, row, row["orientation_deg"], True, row["dwell_s"], None)
             if weight * np.sin(mid) > limit:
                 high = mid
             else:
@@ -249,9 +262,7 @@ def _drag(rng, world, noise, options, switch):
     table = _common(rng, "c", rng.integers(5, 9), rng.integers(3, 6), noise, options)
     n = len(table)
     table["stage_azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
-    table["area_cm2"] = (
-        rng.choice([50.0, 100.0, 200.0], n) if options["area"] != "fixed" else 100.0
-    )
+    table["area_cm2"] = rng.choice([50.0, 100.0, 200.0], n) if options["area"] != "fixed" else 100.0
     masses = [0.0, 10.0, 30.0, 100.0] if options["load"] != "fixed" else [20.0]
     table["added_mass_g"] = rng.choice(masses, n)
     speeds = [1.0, 3.0, 10.0, 30.0] if options["speed"] != "fixed" else [10.0]
@@ -333,33 +344,43 @@ def _drop_drag(rng, world, noise, options, switch):
     h = table["height_mm"].to_numpy() * 1e-3
     beta, length = bending / (weight * h**3), nominal["cloth_length_m"] / h
 
+    def excess(mid, static):
+        lifted, _, point = hanging_cloth(beta, mid)
+        c = np.maximum(length - lifted, 1e-4)
+        normal = (c + point) * weight * h
+        limit = np.array(
+            [
+                world.friction(
+                    normal[i],
+                    c[i] * h[i],
+                    row,
+                    row["orientation_deg"],
+                    static,
+                    row["dwell_s"],
+                    row["speed_mm_s"],
+                )
+                for i, row in table.iterrows()
+            ]
+        )
+        limit = limit - normal * np.sin(world.downhill(table["stage_azimuth_deg"]))
+        return mid - limit / (weight * h)
+
     def steady(static):
-        low, high = np.zeros(n), np.full(n, 9.0)
-        for _ in range(40):
-            mid = 0.5 * (low + high)
-            lifted, _, point = hanging_cloth(beta, mid)
-            c = np.maximum(length - lifted, 1e-4)
-            normal = (c + point) * weight * h
-            limit = np.array(
-                [
-                    world.friction(
-                        normal[i],
-                        c[i] * h[i],
-                        row,
-                        row["orientation_deg"],
-                        static,
-                        row["dwell_s"],
-                        row["speed_mm_s"],
-                    )
-                    for i, row in table.iterrows()
-                ]
-            )
-            limit = limit - normal * np.sin(world.downhill(table["stage_azimuth_deg"]))
-            over = mid * weight * h > limit
-            high, low = np.where(over, mid, high), np.where(over, low, mid)
-            if np.max(high - low) < 1e-5:
+        low, high = np.full(n, 1e-4), np.full(n, 8.0)
+        excess_low, excess_high = excess(low, static), excess(high, static)
+        side = np.zeros(n)
+        for _ in range(30):  # regula falsi, Illinois
+            mid = (low * excess_high - high * excess_low) / (excess_high - excess_low)
+            value = excess(mid, static)
+            up = value > 0
+            high, excess_high = np.where(up, mid, high), np.where(up, value, excess_high)
+            low, excess_low = np.where(up, low, mid), np.where(up, excess_low, value)
+            excess_low = np.where(up & (side > 0), excess_low / 2, excess_low)
+            excess_high = np.where(~up & (side < 0), excess_high / 2, excess_high)
+            side = np.where(up, 1, -1)
+            if np.max(np.abs(value)) < 1e-6:
                 break
-        return 0.5 * (low + high)
+        return mid
 
     eta_static, eta_moving = steady(True), steady(False)
     fractions = np.linspace(0, 1, 28) ** 2
@@ -383,9 +404,7 @@ def _drop_drag(rng, world, noise, options, switch):
         forward = past <= pause
         te = np.where(forward, np.where(x_then < slip, 0.0, x_then - follow), reach - follow)
         behind = np.where(forward, np.where(x_then < slip, x_then, follow), x_then - te)
-        c = np.where(
-            forward & (x_then >= slip), contact, np.interp(behind, advance, flat[i])
-        )
+        c = np.where(forward & (x_then >= slip), contact, np.interp(behind, advance, flat[i]))
         c = np.where(~forward & (behind < 0), flat[i, 0], c)
         m = len(times)
         u = noise["u_pos"] * noise["understated"] * switch
@@ -419,11 +438,12 @@ COVARIATE_OF = {
 }
 
 
-def make_case(seed, kind, folder, noise_free=False):
+def make_case(seed, kind, folder, noise_free=False, draw=0):
     """Write a case; ``kind`` is null, single, pair, outside, unrecorded or ambiguous.
 
     ``noise_free`` writes the same case without scatter, outliers, texture or noise (what the
-    effect alone does), from the same draws of design and effect.
+    effect alone does), from the same draws of design and effect; another ``draw`` is a fresh
+    campaign of the same world.
 
     Returns the truth: kind, effects, nominal, noise, coefficients.
     """
@@ -500,7 +520,7 @@ def make_case(seed, kind, folder, noise_free=False):
     tables = {}
     for i, name in enumerate(names):
         if name in protocols:
-            own = np.random.default_rng([seed, 11, i])
+            own = np.random.default_rng([seed, 11, i, draw])
             tables |= BUILDERS[name](own, world, noise, options, switch)
     truth = {
         "seed": seed,

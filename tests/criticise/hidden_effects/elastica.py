@@ -44,9 +44,7 @@ def pushed_strip(weight, ratio):
                 size = 1e-6 * np.maximum(np.abs(unknown[j]), 1e-3)
                 moved = unknown.copy()
                 moved[j] = moved[j] + size
-                f, p, q = (
-                    (foot0, moved[0], moved[1]) if fixed_foot else (moved[0], moved[1], ratio)
-                )
+                f, p, q = (foot0, moved[0], moved[1]) if fixed_foot else (moved[0], moved[1], ratio)
                 other = shoot(f, p, q)
                 jacobian[0, j] = (other[0] - end[0]) / size
                 jacobian[1, j] = (other[2] - end[2]) / size

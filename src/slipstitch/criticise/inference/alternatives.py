@@ -15,8 +15,10 @@ from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.mechanism import MECHANISMS
 
 WEAR_SETTLING_SLIDES = (1.0, 2.5, 6.0)
-# Size of the effect, as a noncentrality, that the shrunken rich model expects of a column.
-EXPECTED_NONCENTRALITY = 25.0
+# Size of the effect, as a noncentrality, that the shrunken rich model expects of a column; a
+# column that stands out by more than STANDS_OUT is given the room that it asks for.
+EXPECTED_NONCENTRALITY = 6.0
+STANDS_OUT = 12.0
 
 
 @dataclass
@@ -98,11 +100,16 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
 
 
 def rich_columns(
-    tests: list[Test], group: Group, variance: np.ndarray, fixed: np.ndarray
+    tests: list[Test],
+    group: Group,
+    variance: np.ndarray,
+    fixed: np.ndarray,
+    residual: np.ndarray,
 ) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 
-    Each is made orthogonal to the fixed columns and scaled to the noncentrality expected.
+    Each is scaled to the noncentrality expected of it, seen orthogonal to the fixed columns.
+    ``residual`` is of the group's features.
     """
     chosen, bumps = [], {}
     for test in tests:
@@ -119,9 +126,11 @@ def rich_columns(
     columns = np.column_stack(chosen)
     factor = np.linalg.cholesky(variance)
     white = np.linalg.solve(factor, columns)
+    error = np.linalg.solve(factor, residual)
     if fixed.shape[1]:
         q, _ = np.linalg.qr(np.linalg.solve(factor, fixed))
         projected = white - q @ (q.T @ white)
+        error = error - q @ (q.T @ error)
     else:
         projected = white
     norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
@@ -129,4 +138,6 @@ def rich_columns(
     # Correlated columns share the expectation: divide by their effective multiplicity.
     unit = projected[:, good] / np.sqrt(norm[good])
     shared = ((unit.T @ unit) ** 2).sum(axis=1)
-    return columns[:, good] * np.sqrt(EXPECTED_NONCENTRALITY / norm[good] / shared)
+    seen = (unit.T @ error) ** 2
+    expected = np.where(seen > STANDS_OUT, seen, EXPECTED_NONCENTRALITY / shared)
+    return columns[:, good] * np.sqrt(expected / norm[good])

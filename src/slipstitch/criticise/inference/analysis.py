@@ -113,9 +113,11 @@ def settle(
     for group in groups:
         fixed = _fixed(group, sensitivity)
         guess = (start or {}).get(group.protocol, START_SCATTER)
-        own = rich_columns(found.tests, group, group.variance(guess), fixed)
+        own = rich_columns(found.tests, group, group.variance(guess), fixed, residual[group.index])
         scatter = estimate_scatter(group, residual[group.index], fixed, own, guess)
-        rich[group.protocol] = rich_columns(found.tests, group, group.variance(scatter), fixed)
+        rich[group.protocol] = rich_columns(
+            found.tests, group, group.variance(scatter), fixed, residual[group.index]
+        )
         scatters[group.protocol] = scatter
     weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
     return State(keep, groups, scatters, weights, sensitivity, found.tests, rich, found.untestable)
@@ -160,7 +162,10 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
 
 
 def settle_without_outliers(
-    measurements: Measurements, causes: tuple[str, ...], start: dict[str, float] | None
+    measurements: Measurements,
+    causes: tuple[str, ...],
+    start: dict[str, float] | None,
+    fitted: Fit | None = None,
 ) -> tuple[Fit, State, list[Excluded]]:
     """Fit, estimate the scatter, set the worst outliers aside; repeat until none is left."""
     keep = np.ones(len(measurements.y), bool)
@@ -170,7 +175,8 @@ def settle_without_outliers(
         for p in np.unique(measurements.protocol)
     }
     spent = dict.fromkeys(runs, 0.0)
-    fitted = _first_fit(measurements, causes, keep, start)
+    if fitted is None:
+        fitted = _first_fit(measurements, causes, keep, start)
     state = settle(measurements, fitted, keep)
     for _ in range(6):
         new = []
@@ -366,7 +372,7 @@ def analyse(
         best = ranking[0]
         if best.bic > -2:
             break
-        state = settle(measurements, best.fitted, null_state.keep, state.scatters)
+        _, state, excluded = settle_without_outliers(measurements, best.causes, None, best.fitted)
         base = fit(measurements, state.weights, (), null.as_dict())
         starts = {c.causes: c.fitted.as_dict() for c in ranking}
         ranking = [

@@ -73,8 +73,8 @@ def scatter_prior(scatter: Scatter) -> float:
     z = np.log(scatter.kappa / KAPPA_MEDIAN) / KAPPA_LOG_SD
     return float(
         -0.5 * z * z
-        + 0.5 * np.log(scatter.specimen / (scatter.specimen + 0.02))
-        + 0.5 * np.log(scatter.run / (scatter.run + 0.02))
+        + np.log(scatter.specimen / (scatter.specimen + 0.015))
+        + np.log(scatter.run / (scatter.run + 0.015))
     )
 
 
@@ -149,7 +149,8 @@ def estimate_scatter(
 
 def scatter_grid(centre: Scatter) -> list[Scatter]:
     """Scatters around an estimate, among which a bootstrap replicate chooses its own."""
-    steps = (0.4, 0.7, 1.0, 1.35, 1.8)
-    base_s, base_r = max(centre.specimen, 0.008), max(centre.run, 0.008)
+    steps = np.array([0.4, 0.7, 1.0, 1.35, 1.8])
+    specimen = np.union1d(max(centre.specimen, 0.008) * steps, [centre.specimen])
+    run = np.union1d(max(centre.run, 0.008) * steps, [centre.run])
     kappas = np.clip(centre.kappa * np.array([0.85, 1.0, 1.18]), *KAPPA_LIMITS)
-    return [Scatter(base_s * a, base_r * b, float(k)) for a in steps for b in steps for k in kappas]
+    return [Scatter(float(a), float(b), float(k)) for a in specimen for b in run for k in kappas]
