@@ -22,21 +22,28 @@ class Cost:
 
 # One core of a 2-core x86-64 virtual machine unless the source says otherwise.
 COSTS = {
-    "calibrate_s": Cost(60.0, "CPU s", "not measured yet: an allowance"),
+    "calibrate_s": Cost(
+        20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
+    ),
     "simulate_step_s": Cost(
-        0.010, "CPU s a time step of 41 x 41 vertices", "not measured yet: the aim of the solver"
+        0.030,
+        "CPU s a time step of 41 x 41 vertices",
+        "smoke chain, busy machine: 5 ms at 21 x 21 (mean of 4), 300 frames, scaled up; "
+        "41 x 41, first 20 s, gray-interlock at 0.6: 47 ms",
     ),
     "trajectory_bytes": Cost(
-        11.0, "bytes a vertex and frame", "three float32, hardly compressible"
+        15.6, "bytes a vertex and frame", "smoke chain, 441 vertices, 300 frames"
     ),
-    "render_start_s": Cost(2.0, "CPU s a Blender process", "not measured yet: an allowance"),
+    "render_start_s": Cost(
+        1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
+    ),
     "render_frame_s": Cost(
         0.15, "CPU s a frame at 112 px, 4 samples", "not measured yet: the aim of the renderer"
     ),
     "texture_s": Cost(0.010, "CPU s an image", "not measured yet: the aim of the renderer"),
-    "image_bytes": Cost(1.5, "bytes a pixel of PNG", "not measured yet: an allowance"),
-    "preview_s": Cost(3.0, "CPU s a simulation", "not measured yet: an allowance"),
-    "preview_bytes": Cost(400e3, "bytes a simulation", "not measured yet: an allowance"),
+    "image_bytes": Cost(1.45, "bytes a pixel of PNG", "smoke chain, 32 px: mean of 128 images"),
+    "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
+    "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
     "sample_s": Cost(0.001, "CPU s an image", "not measured yet: an allowance"),
     "train_frame_s": Cost(
         0.0023,
@@ -44,8 +51,8 @@ COSTS = {
         "not measured yet: 0.75 h for 92160 passes of 30 frames on two cores",
     ),
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
-    "report_s": Cost(20.0, "CPU s", "not measured yet: an allowance"),
-    "report_bytes": Cost(20e6, "bytes", "not measured yet: an allowance"),
+    "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
+    "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
 MEMORY_MB = {
