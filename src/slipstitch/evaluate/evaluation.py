@@ -35,7 +35,6 @@ from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
 from slipstitch.train.settings import NETWORKS, SPLITS
 from slipstitch.train.training import (
     check_material_model,
-    classes_of,
     labels_of,
     predict,
     set_up_torch,
@@ -65,17 +64,17 @@ PREDICTIONS_SCHEMA = pa.schema(
 
 
 @dataclass(frozen=True)
-class TestSet:
+class EvaluationSet:
     """Videos that test the networks trained on one split."""
 
     name: str
     trained_on: str
     holds: Callable[[dict[str, Any]], bool]
 
-    __test__ = False  # no test class of pytest's
 
-
-def test_sets(rows: list[dict[str, Any]], calibrated: str, viewpoints: str) -> list[TestSet]:
+def evaluation_sets(
+    rows: list[dict[str, Any]], calibrated: str, viewpoints: str
+) -> list[EvaluationSet]:
     """The test sets that a dataset has, in the order of the tables.
 
     by_video, by_simulation: the split's test videos in training textures and views.
@@ -100,7 +99,7 @@ def test_sets(rows: list[dict[str, Any]], calibrated: str, viewpoints: str) -> l
         )
 
     sets = [
-        TestSet(
+        EvaluationSet(
             split,
             split,
             lambda row, column=f"split_{split}": (
@@ -110,14 +109,14 @@ def test_sets(rows: list[dict[str, Any]], calibrated: str, viewpoints: str) -> l
         for split in SPLITS
     ]
     sets.append(
-        TestSet(
+        EvaluationSet(
             "unseen_texture", "by_video", lambda row: counts(row) and row["texture_role"] == "test"
         )
     )
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     for turn in sorted(turns):
         sets.append(
-            TestSet(
+            EvaluationSet(
                 f"view_{turn:+.0f}",
                 "by_video",
                 lambda row, turn=turn: (
@@ -128,9 +127,6 @@ def test_sets(rows: list[dict[str, Any]], calibrated: str, viewpoints: str) -> l
             )
         )
     return [one for one in sets if any(map(one.holds, rows))]
-
-
-test_sets.__test__ = False
 
 
 def find_models(folder: str | os.PathLike) -> dict[tuple[str, str, int], TrainedModel]:
@@ -246,7 +242,7 @@ def evaluate(
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
     predictions: list[dict[str, Any]] = []
-    for test in test_sets(videos.rows, calibrated, settings.viewpoints):
+    for test in evaluation_sets(videos.rows, calibrated, settings.viewpoints):
         chosen = np.array([test.holds(row) for row in videos.rows])
         part = Videos(
             [row for row, use in zip(videos.rows, chosen, strict=True) if use],
@@ -321,7 +317,9 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
     return result
 
 
-def _rows(part: Videos, test: TestSet, key, model: TrainedModel, shares) -> list[dict[str, Any]]:
+def _rows(
+    part: Videos, test: EvaluationSet, key, model: TrainedModel, shares
+) -> list[dict[str, Any]]:
     card = model.card
     truth = labels_of(part.rows, card["classes"], card["target"])
     check_probabilities(shares, truth)
@@ -345,17 +343,6 @@ def _rows(part: Videos, test: TestSet, key, model: TrainedModel, shares) -> list
         }
         for row, true, likely in zip(part.rows, truth, shares, strict=True)
     ]
-
-
-def check_classes(dataset_rows: list[dict[str, Any]], expected: dict[str, list]) -> None:
-    """Refuse a dataset whose classes are not the configured ones."""
-    for kind, values in expected.items():
-        key = "name" if kind == "material" else "value"
-        found = [one[key] for one in classes_of(dataset_rows, kind)]
-        if found != list(values):
-            raise BadInput(
-                f"the dataset has {len(found)} {kind} classes, the configuration {len(values)}"
-            )
 
 
 def write_evaluation(
