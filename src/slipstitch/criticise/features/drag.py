@@ -51,9 +51,11 @@ class DragBlock(Block):
         direction = np.where(np.isin(quantity, BACK), -1.0, 1.0)
         moving = 1e3 * cell_reading(face, motion, False, direction, tilt, bench)
         slipping = 1e3 * cell_reading(face, rest, True, direction, tilt, bench)
-        # The departure is seen once the trace is the threshold below the line.
+        # A slider that starts below its kinetic friction is pulled on to it; a departure is seen
+        # once the trace is the threshold below the line.
+        slipping = direction * np.maximum(direction * slipping, direction * moving)
         drop = direction * (slipping - moving)
-        seen = slipping + direction * np.maximum(1e3 * self.threshold_N - np.maximum(drop, 0), 0)
+        seen = slipping + direction * np.maximum(1e3 * self.threshold_N - drop, 0)
         seen = sampled(seen, self.grid_step, self.grid_point)
         result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
         relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
@@ -85,32 +87,42 @@ class Texture:
 def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: float) -> Texture:
     """Texture from all runs' plateaus: (readings, uncertainty, level) of each.
 
-    The white part (instrument noise) is left out: the autocovariance at lag 0 is extrapolated
-    from lags 1 and beyond.
+    Raw autocovariances are summed and divided by the summed squares of the levels, so that weak
+    runs, all noise, do not count. The white part (instrument noise) is left out: the lags from 1
+    on are fitted by an exponential. The mean's own variance is given back.
     """
-    lags = 12
-    total, weight = np.zeros(lags), np.zeros(lags)
-    for readings, _, level in plateaus:
-        if len(readings) < 2 * lags or level == 0:
+    longest = max((len(readings) for readings, _, _ in plateaus), default=0)
+    lags = int(min(max(longest // 3, 2), 80))
+    total, weight, span = np.zeros(lags), np.zeros(lags), 0.0
+    white = 0.0
+    for readings, u, level in plateaus:
+        count = len(readings)
+        if count < 3 * 4:
             continue
-        x = np.arange(len(readings))
-        residual = (readings - np.polyval(np.polyfit(x, readings, 0), x)) / abs(level)
-        for lag in range(lags):
-            total[lag] += residual[: len(residual) - lag] @ residual[lag:]
-            weight[lag] += len(residual)
-    if weight[0] == 0:
+        residual = readings - readings.mean()
+        for lag in range(min(lags, count // 2)):
+            total[lag] += residual[: count - lag] @ residual[lag:]
+            weight[lag] += (count - lag) * level**2
+        white += count * (1.5 * u) ** 4
+        span = max(span, count * step_mm)
+    if weight[0] == 0 or lags < 3:
         return Texture(0.0, 1.0)
-    covariance = total / weight
-    noise = np.mean([(u / level) ** 2 for _, u, level in plateaus if level]) / weight[0] ** 0.25
-    usable = np.flatnonzero(covariance[1:] > max(0.05 * covariance[0], noise * 0.1))
-    if len(usable) == 0 or usable[0] != 0:
+    covariance = np.divide(total, weight, out=np.zeros(lags), where=weight > 0)
+    doubt = 3.0 * np.sqrt(white) / weight[0]
+    if covariance[1] <= doubt:
         return Texture(0.0, 1.0)
-    run = usable[: np.argmin(np.append(np.diff(usable) == 1, False)) + 1] + 1
-    if len(run) < 2:
-        return Texture(float(np.sqrt(covariance[1])), step_mm)
-    slope, intercept = np.polyfit(run, np.log(covariance[run]), 1)
-    length = step_mm / max(-slope, 1e-3)
-    return Texture(float(np.sqrt(np.exp(intercept))), float(min(length, 60 * step_mm)))
+    below = np.flatnonzero(covariance[1:] < max(0.25 * covariance[1], doubt))
+    last = int(below[0]) + 1 if len(below) else lags
+    used = np.arange(1, max(last, 3))
+    used = used[covariance[used] > 0]
+    if len(used) >= 2:
+        slope, intercept = np.polyfit(used, np.log(covariance[used]), 1)
+        slope = min(slope, -1e-3)
+    else:  # gone within two samples
+        slope, intercept = -1.5, np.log(covariance[1]) + 1.5
+    length = float(-step_mm / slope)
+    variance = np.exp(intercept) * (1.0 + 2.0 * length / max(span, length))
+    return Texture(float(np.sqrt(min(variance, 2.0 * covariance[0]))), length)
 
 
 @dataclass(frozen=True)

@@ -48,11 +48,11 @@ class DropDragBlock(Block):
         distance, contact = sliding_state(face, *fabric, self.in_motion, False, tilt)
         slip_distance, _ = sliding_state(face, *fabric, self.at_rest, True, tilt)
         lag = 1e3 * (distance - rest_distance)
-        slip = 1e3 * (slip_distance - rest_distance)
+        slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
         scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
         late = np.where(np.isnan(late), 0.0, late)
         edge_mm = scale * (self.stage_mm - lag - late)
-        jump = np.maximum(slip - lag, 0.0) * scale
+        jump = (slip - lag) * scale
         values = {
             "lag_mm": self.stage_mm - edge_mm,
             "edge_slope": np.full(n, scale),

@@ -15,9 +15,9 @@ from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.mechanism import MECHANISMS
 
 WEAR_SETTLING_SLIDES = (1.0, 2.5, 6.0)
-# Size of the effect, as a noncentrality, that the shrunken rich model expects of a column; a
-# column that stands out by more than STANDS_OUT is given the room that it asks for.
-EXPECTED_NONCENTRALITY = 6.0
+# Noncentrality, a run, that the shrunken rich model expects of all columns together; a column
+# that stands out by more than STANDS_OUT is given the room that it asks for.
+EXPECTED_SHARE = 0.25
 STANDS_OUT = 12.0
 
 
@@ -72,9 +72,12 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
             for parameter in mechanism.parameters:
                 if parameter.name == "wear_r0":
                     continue
-                step = 0.05 * parameter.scale
-                moved = start | {parameter.name: parameter.null + step}
-                change = (measurements.predict(moved, causes) - fitted.prediction) / step
+                step = 0.1 * parameter.scale
+                ends = [
+                    measurements.predict(start | {parameter.name: parameter.null + s}, causes)
+                    for s in (step, -step)
+                ]
+                change = (ends[0] - ends[1]) / (2 * step)
                 columns.append(np.where(unrecorded, 0.0, change * parameter.scale))
             column_values.append(np.column_stack(columns))
         acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0) & keep
@@ -137,7 +140,8 @@ def rich_columns(
     good = norm > 1e-3 * np.maximum(before, 1e-12)
     # Correlated columns share the expectation: divide by their effective multiplicity.
     unit = projected[:, good] / np.sqrt(norm[good])
-    shared = ((unit.T @ unit) ** 2).sum(axis=1)
     seen = (unit.T @ error) ** 2
-    expected = np.where(seen > STANDS_OUT, seen, EXPECTED_NONCENTRALITY / shared)
+    runs = np.trace(group.same_run / group.same_run.sum(axis=0))
+    usual = EXPECTED_SHARE * runs / max(good.sum(), 1)
+    expected = np.where(seen > STANDS_OUT, seen, usual)
     return columns[:, good] * np.sqrt(expected / norm[good])

@@ -32,7 +32,8 @@ SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.02
 PAIR_SIGNIFICANCE = 0.01
 TIE_BIC = 6.0
-OUTLIER_T = 4.5
+OUTLIER_T = 4.2
+SUSPECT_T = 2.6
 OUTLIER_SHARE = 0.08
 SMALLEST_RUNS, SMALLEST_SPECIMENS = 8, 3
 
@@ -130,35 +131,70 @@ def _fixed(group: Group, sensitivity: np.ndarray) -> np.ndarray:
 
 
 def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list[Excluded]:
-    """Runs (and single features) that lie far off under the rich model; the worst few only."""
+    """Runs (and single features) that lie far off under the rich model, the worst first.
+
+    Suspects are left out of the scatter by which they are judged.
+    """
     found: list[tuple[float, Excluded]] = []
     residual = measurements.y - fitted.prediction
     for group in state.groups:
-        variance = group.variance(state.scatters[group.protocol])
-        rich = state.rich[group.protocol]
-        fixed = _fixed(group, state.sensitivity)
-        projection, _ = restricted_projection(variance + rich @ rich.T, fixed)
-        pulled = projection @ residual[group.index]
-        runs = measurements.run[group.index]
-        d = group.sensitivity
-        for run in np.unique(runs):
-            mine = np.flatnonzero(runs == run)
-            information = d[mine] @ projection[np.ix_(mine, mine)] @ d[mine]
-            name = str(measurements.rows["run_id"].iloc[group.index[mine[0]]])
-            if information > 1e-9:
-                t = d[mine] @ pulled[mine] / np.sqrt(information)
-                if abs(t) > OUTLIER_T:
-                    reason = f"run-level outlier, t={t:.1f}"
-                    found.append((abs(t), Excluded(name, reason, group.index[mine])))
-                    continue
-            for i in mine:
-                t = pulled[i] / np.sqrt(max(projection[i, i], 1e-12))
-                if abs(t) > OUTLIER_T + 0.5:
-                    quantity = measurements.rows["quantity"].iloc[group.index[i]]
-                    reason = f"outlier in {quantity}, t={t:.1f}"
-                    found.append((abs(t), Excluded(name, reason, group.index[[i]])))
+        scatter, rich = state.scatters[group.protocol], state.rich[group.protocol]
+        suspects = _deviations(measurements, group, scatter, rich, residual, state)
+        suspects = [s for s in suspects if s[0] > SUSPECT_T]
+        if not suspects:
+            continue
+        suspects = suspects[: 2 + int(OUTLIER_SHARE * len(group.index))]
+        suspicious = np.concatenate([s[2] for s in suspects])
+        kept = np.flatnonzero(~np.isin(group.index, suspicious))
+        if len(kept) < 0.6 * len(group.index):
+            continue
+        rest = Group(
+            group.protocol,
+            group.index[kept],
+            group.u[kept],
+            group.sensitivity[kept],
+            group.same_specimen[np.ix_(kept, kept)],
+            group.same_run[np.ix_(kept, kept)],
+        )
+        scatter = estimate_scatter(
+            rest, residual[rest.index], _fixed(rest, state.sensitivity), rich[kept], scatter
+        )
+        for t, signed, features, what in _deviations(
+            measurements, group, scatter, rich, residual, state
+        ):
+            limit = OUTLIER_T if what == "run-level outlier" else OUTLIER_T + 0.6
+            if t > limit:
+                name = str(measurements.rows["run_id"].iloc[features[0]])
+                found.append((t, Excluded(name, f"{what}, t={signed:.1f}", features)))
     found.sort(key=lambda item: -item[0])
     return [item[1] for item in found]
+
+
+def _deviations(measurements, group, scatter, rich, residual, state):
+    """(|t|, t, features, what) of every run and of single features, the worst first."""
+    variance = group.variance(scatter)
+    projection, _ = restricted_projection(
+        variance + rich @ rich.T, _fixed(group, state.sensitivity)
+    )
+    pulled = projection @ residual[group.index]
+    runs, d = measurements.run[group.index], group.sensitivity
+    quantities = measurements.rows["quantity"].to_numpy()[group.index]
+    result = []
+    for run in np.unique(runs):
+        mine = np.flatnonzero(runs == run)
+        information = d[mine] @ projection[np.ix_(mine, mine)] @ d[mine]
+        worst = 0.0
+        if information > 1e-9:
+            t = float(d[mine] @ pulled[mine] / np.sqrt(information))
+            worst = abs(t)
+            result.append((worst, t, group.index[mine], "run-level outlier"))
+        if len(mine) == 1:
+            continue
+        for i in mine:
+            t = float(pulled[i] / np.sqrt(max(projection[i, i], 1e-12)))
+            if abs(t) > worst + 1.0:
+                result.append((abs(t), t, group.index[[i]], f"outlier in {quantities[i]}"))
+    return sorted(result, key=lambda item: -item[0])
 
 
 def settle_without_outliers(
@@ -437,7 +473,7 @@ def _pair_counts(pair: Candidate, singles: list[Candidate]) -> bool:
     return pair.credit - top.credit > threshold and pair.bic < top.bic
 
 
-def _pairs(measurements, state, base, singles, left, left_state, inflation, rng, most=10):
+def _pairs(measurements, state, base, singles, left, left_state, inflation, rng, most=5):
     """The most promising pairs, fitted: screened by score tests beside the leading singles."""
     promise: dict[tuple[str, ...], float] = {}
     testable = {c.causes[0] for c in singles}
@@ -452,8 +488,9 @@ def _pairs(measurements, state, base, singles, left, left_state, inflation, rng,
             promise[pair] = max(promise.get(pair, 0.0), single.credit + outcome.statistic[i])
 
     offer(singles[0], left)
+    beside_best = sorted(promise, key=lambda pair: -promise[pair])[:6]
     if combined_p(left) < 0.3:
-        for single in singles[1:5]:
+        for single in singles[1:4]:
             other = settle_fast(measurements, single.fitted, state)
             outcome = run_tests(
                 other,
@@ -468,11 +505,11 @@ def _pairs(measurements, state, base, singles, left, left_state, inflation, rng,
             outcome.statistic = outcome.statistic * outcome.inflation
             offer(single, outcome)
     else:
-        most = 4
+        beside_best, most = beside_best[:3], 0
+    others = sorted(set(promise) - set(beside_best), key=lambda pair: (-promise[pair], pair))
     starts = {c.causes[0]: c.fitted.as_dict() for c in singles}
-    order = sorted(promise, key=lambda pair: -promise[pair])[:most]
     fitted = []
-    for pair in order:
+    for pair in beside_best + others[:most]:
         first = max(pair, key=lambda name: next(c.credit for c in singles if c.causes[0] == name))
         fitted.append(candidate(measurements, state, pair, base, inflation, starts[first]))
     return sorted(fitted, key=lambda c: c.bic)

@@ -107,16 +107,21 @@ def jacobian(
     values: np.ndarray,
     prediction: np.ndarray,
 ) -> np.ndarray:
-    """d(prediction)/d(parameters), (n, p), by differences of a hundredth of each scale."""
+    """d(prediction)/d(parameters), (n, p), by central differences of a tenth of each scale.
+
+    Central, because slips have a kink where static and kinetic friction are equal: the null.
+    """
     columns = []
     for j, parameter in enumerate(parameters):
-        step = 0.02 * parameter.scale
-        if values[j] + step > parameter.upper:
-            step = -step
-        moved = values.copy()
-        moved[j] += step
-        named = {p.name: float(v) for p, v in zip(parameters, moved, strict=True)}
-        columns.append((measurements.predict(named, causes) - prediction) / step)
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved[j] = np.clip(
+                moved[j] + sign * 0.1 * parameter.scale, parameter.lower, parameter.upper
+            )
+            named = {p.name: float(v) for p, v in zip(parameters, moved, strict=True)}
+            ends.append((moved[j], measurements.predict(named, causes)))
+        columns.append((ends[0][1] - ends[1][1]) / (ends[0][0] - ends[1][0]))
     return np.column_stack(columns) if columns else np.zeros((len(prediction), 0))
 
 
@@ -149,6 +154,7 @@ def fit(
         prior = (v - null) / width
         return prediction, residual, float(residual @ residual), float(prior @ prior)
 
+    values = _better_side(values, parameters, start, evaluate)
     prediction, residual, chi2, prior = evaluate(values)
     damping, converged = 1e-3, False
     for _ in range(iterations):
@@ -180,6 +186,24 @@ def fit(
     curvature = white.T @ white + np.diag(1 / width**2)
     covariance = np.linalg.inv(curvature)
     return Fit(causes, parameters, values, chi2, prediction, columns, white, converged, covariance)
+
+
+# Mechanisms whose effect on slips has a kink at the null: either side has its own descent.
+KINKED = ("static_kinetic", "ageing", "rate")
+
+
+def _better_side(values, parameters, start, evaluate):
+    """The best of the start and of one scale to either side of it, for kinked parameters."""
+    for j, parameter in enumerate(parameters):
+        if parameter.name not in KINKED or start.get(parameter.name, 0.0) != 0.0:
+            continue
+        trials = []
+        for shift in (0.0, parameter.scale, -parameter.scale):
+            moved = values.copy()
+            moved[j] += shift
+            trials.append((evaluate(moved)[2], shift, moved))
+        values = min(trials, key=lambda trial: trial[0])[2]
+    return values
 
 
 def _whitened_jacobian(measurements, weights, columns, prediction):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+FEWEST_RUNS = 4
 LOGARITHMIC = ("dwell_s", "load_ratio", "speed_mm_s")
 LABELS = {
     "pos_x_mm": "place on the substrate",
@@ -86,6 +87,7 @@ def _along(rows, name, usable, bumps=True) -> list[Shape]:
     levels = _levels(values[known & usable])
     if len(levels) < 2:
         return []
+    runs = (rows["protocol"] + "/" + rows["run_id"]).to_numpy()
     low, high = np.quantile(values[known & usable], [0.0, 1.0])
     z = np.where(known, (values - low) / max(high - low, 1e-12), 0.5)
     shapes = []
@@ -101,7 +103,8 @@ def _along(rows, name, usable, bumps=True) -> list[Shape]:
             for width in (0.09, 0.18):
                 for centre in np.linspace(0, 1, 11 if width < 0.1 else 7):
                     bump = np.where(known, np.exp(-0.5 * ((z - centre) / width) ** 2), 0.0)
-                    if np.sum(bump[usable] > 0.5) >= 3:
+                    # A bump over one or two runs is an outlier, not a shape.
+                    if len(set(runs[usable & (bump > 0.5)])) >= FEWEST_RUNS:
                         at = low + centre * (high - low)
                         form = f"a bump at {_plain(name, at)}"
                         shapes.append(Shape(name, form, bump[:, None]))
