@@ -32,6 +32,7 @@ SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.02
 PAIR_SIGNIFICANCE = 0.01
 TIE_BIC = 6.0
+CHANCE_GAIN = 20.0
 OUTLIER_T = 4.2
 SUSPECT_T = 2.6
 OUTLIER_SHARE = 0.08
@@ -292,7 +293,9 @@ def candidate(
         if best is None or found.chi2 < best.chi2:
             best = found
     share = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
-    credit = max(base.chi2 - best.chi2, 0.0) / share
+    # The inflation corrects gains by chance, which are small: only the first part is deflated.
+    gained = max(base.chi2 - best.chi2, 0.0)
+    credit = gained - (1.0 - 1.0 / share) * min(gained, CHANCE_GAIN)
     extra = len(best.parameters) - len(base.parameters)
     cost = extra * np.log(max(_observations(measurements, state.keep), 2))
     return Candidate(causes, best, credit, cost - credit)
