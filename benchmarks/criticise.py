@@ -41,12 +41,13 @@ KINDS = (
 )
 
 
-def strength(folder, measured, truth):
+def strength(folder, bare_folder, measured, truth):
     """Noncentrality against the best null, and against the best wrong single mechanism.
 
-    From the noise-free twin of the case, with the true scatter and the noisy case's uncertainties.
+    From the noise-free twin of the case less its twin without the effect (what extraction does to
+    both drops out), with the true scatter and the noisy case's uncertainties.
     """
-    clean = assemble(read_case(folder))
+    clean, bare = assemble(read_case(folder)), assemble(read_case(bare_folder))
     noise = truth["noise"]
     key = dict(
         zip(
@@ -56,15 +57,24 @@ def strength(folder, measured, truth):
         )
     )
     names = clean.rows[["protocol", "run_id", "quantity"]].itertuples(index=False, name=None)
+    names = list(names)
     u = np.array([key.get(name, np.nan) for name in names])
-    keep = np.isfinite(u)
+    before = dict(
+        zip(
+            bare.rows[["protocol", "run_id", "quantity"]].itertuples(index=False, name=None),
+            bare.y,
+            strict=True,
+        )
+    )
+    change = clean.y - np.array([before.get(name, np.nan) for name in names])
+    keep = np.isfinite(u) & np.isfinite(change)
     clean.u = np.where(keep, u, 1.0) * noise["understated"]
+    keep &= ~clean.lower_bound
     clean.lower_bound = np.zeros(len(u), bool)
-    censored = (clean.rows["quantity"] == "angle_deg") & (clean.y >= 60)
-    keep &= ~censored.to_numpy()
     scatters = {p: Scatter(noise["specimen"], noise["run"], 1.0) for p in set(clean.protocol)}
     values = {"mu_face": np.log(truth["mu_face"]), "mu_edge": np.log(truth["mu_edge"])}
     values = {p.name: values[p.name] for p in clean.null_parameters}
+    clean.y = clean.predict(values, ()) + np.where(keep, change, 0.0)
     null, weights = None, None
     for _ in range(2):
         base = clean.predict(values, ())
@@ -157,8 +167,9 @@ def one_case(seed, with_fresh):
         }
         if truth["effects"]:
             make_case(seed, kind, root / "clean", noise_free=True)
+            make_case(seed, kind, root / "bare", noise_free=True, effect_free=True)
             record["lambda"], record["sep"], record["each"] = strength(
-                root / "clean", measured, truth
+                root / "clean", root / "bare", measured, truth
             )
         record["coverage"] = coverage(verdict, truth)
         if with_fresh and verdict["verdict"] == "cause":

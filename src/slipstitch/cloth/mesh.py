@@ -110,7 +110,7 @@ def _dissect(block: np.ndarray, order: list[int]) -> None:
 
     Two lines, because a hinge couples vertices two lines apart.
     """
-    if block.size <= 16 or max(block.shape) < 5:
+    if block.size <= 100 or max(block.shape) < 5:
         order.extend(block.ravel().tolist())
         return
     if block.shape[0] < block.shape[1]:

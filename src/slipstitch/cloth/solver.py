@@ -32,6 +32,7 @@ REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
 EXACT_RATE = 0.3  # ... and less than this, near the solution, the exact tangent
 EXACT_BELOW = 1.0  # relative residual that counts as near
 PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
+KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 
 
@@ -408,7 +409,7 @@ class ClothSolver:
             (residual.size, residual.size), matvec=apply, dtype=float
         )
         y, _ = scipy.sparse.linalg.gmres(
-            operator, -residual.ravel(), rtol=0.1, restart=products_max, maxiter=1
+            operator, -residual.ravel(), rtol=KRYLOV_ACCURACY, restart=products_max, maxiter=1
         )
         # SciPy ends with a product at the solution: its A^-1 y is the answer.
         if not np.array_equal(last[0], y):
@@ -493,8 +494,6 @@ class ClothSolver:
                 or (rate > REFACTOR_RATE and not exact)
                 or self._products > PRODUCTS_MAX
             ):
-                if exact:  # what was evaluated last is then not x
-                    self._evaluate(x)
                 self._factorise()
                 self._products = 0
             exact = rate > EXACT_RATE and error < EXACT_BELOW

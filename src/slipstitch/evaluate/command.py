@@ -47,6 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.out,
         arguments.predictions,
         arguments.details or Path(arguments.out).with_name("details.json"),
+        train=config.train,
         calibrated=(config.train.view_order or config.render.viewpoints)[0],
         threads=arguments.threads,
     )

@@ -32,7 +32,7 @@ from slipstitch.provenance import (
     write_sidecar,
 )
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.train.settings import NETWORKS, SPLITS
+from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 from slipstitch.train.training import (
     check_material_model,
     labels_of,
@@ -129,8 +129,29 @@ def evaluation_sets(
     return [one for one in sets if any(map(one.holds, rows))]
 
 
-def find_models(folder: str | os.PathLike) -> dict[tuple[str, str, int], TrainedModel]:
+def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
+    """Weights in ``{split}/{network}/seed{seed}/``: all, or of the configured trainings only."""
+    splits = SPLITS if train is None else train.splits
+    names = None if train is None else {f"seed{seed}" for seed in train.seeds}
+    return [
+        path
+        for split in splits
+        for network in NETWORKS
+        for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}"))
+        if names is None or path.parent.name in names
+    ]
+
+
+def find_models(
+    folder: str | os.PathLike, train: TrainSettings | None = None
+) -> dict[tuple[str, str, int], TrainedModel]:
     """The models in ``{split}/{network}/seed{seed}/``, by (split, network, seed).
+
+    Parameters
+    ----------
+    folder : path
+    train : TrainSettings, optional
+        Which splits and seeds count; others, left by an earlier configuration, do not.
 
     Raises
     ------
@@ -138,21 +159,16 @@ def find_models(folder: str | os.PathLike) -> dict[tuple[str, str, int], Trained
         If there is none, one is damaged, or one is not what its place says.
     """
     models = {}
-    for split in SPLITS:
-        for network in NETWORKS:
-            for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}")):
-                model = load_model(path.parent)
-                card = model.card
-                if (card["split"], card["network"], f"seed{card['seed']}") != (
-                    split,
-                    network,
-                    path.parent.name,
-                ):
-                    raise BadInput(
-                        f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
-                        "not what its folder says"
-                    )
-                models[split, network, card["seed"]] = model
+    for path in _weights(folder, train):
+        model = load_model(path.parent)
+        card = model.card
+        named = (card["split"], card["network"], f"seed{card['seed']}")
+        if named != path.parts[-4:-1]:
+            raise BadInput(
+                f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
+                "not what its folder says"
+            )
+        models[card["split"], card["network"], card["seed"]] = model
     if not models:
         raise BadInput(f"{folder}: no model in it ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
     return models
@@ -196,6 +212,7 @@ def evaluate(
     models_folder: str | os.PathLike,
     *,
     calibrated: str,
+    train: TrainSettings | None = None,
     threads: int = 1,
 ) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
     """Evaluate all models on all test sets.
@@ -207,6 +224,8 @@ def evaluate(
         What the sample and train stages wrote.
     calibrated : str
         Name of the calibrated viewpoint.
+    train : TrainSettings, optional
+        The splits and seeds that count; by default every model in the folder.
     threads : int
 
     Returns
@@ -224,7 +243,7 @@ def evaluate(
         If a model is missing its partner, was trained on other data, or files are damaged.
     """
     set_up_torch(threads)
-    models = find_models(models_folder)
+    models = find_models(models_folder, train)
     pixels = {model.card["pixels"] for model in models.values()}
     if len(pixels) > 1:
         raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
@@ -354,19 +373,17 @@ def write_evaluation(
     details_out: str | os.PathLike,
     *,
     calibrated: str,
+    train: TrainSettings | None = None,
     threads: int = 1,
 ) -> dict[str, Any]:
     """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
     started = start_clock()
     metrics, details, predictions = evaluate(
-        settings, dataset, models_folder, calibrated=calibrated, threads=threads
+        settings, dataset, models_folder, calibrated=calibrated, train=train, threads=threads
     )
     inputs = [Path(dataset) / "manifest.parquet"]
     inputs += [
-        path
-        for split in SPLITS
-        for name in (WEIGHTS, CARD)
-        for path in Path(models_folder, split).glob(f"*/seed*/{name}")
+        path.with_name(name) for path in _weights(models_folder, train) for name in (WEIGHTS, CARD)
     ]
     record = provenance_record(
         "evaluate", inputs=inputs, config={"evaluate": settings}, started=started

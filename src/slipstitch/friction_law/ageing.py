@@ -19,6 +19,6 @@ class Ageing(ContactMechanism):
 MECHANISM = Ageing(
     "ageing",
     "static friction grows with the rest before the pull",
-    (Parameter("ageing", "1/decade", 0.0, 0.05, -0.3, 2.0),),
+    (Parameter("ageing", "1/decade", 0.0, 0.05, 0.0, 2.0),),
     needs=("dwell_s",),
 )

@@ -13,5 +13,5 @@ class StaticKinetic(ContactMechanism):
 MECHANISM = StaticKinetic(
     "static_kinetic",
     "static friction exceeds kinetic friction",
-    (Parameter("static_kinetic", "1", 0.0, 0.1, -0.6, 3.0),),
+    (Parameter("static_kinetic", "1", 0.0, 0.1, 0.0, 3.0),),
 )

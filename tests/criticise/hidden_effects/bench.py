@@ -13,7 +13,7 @@ import pandas as pd
 from hidden_effects.elastica import hanging_cloth, pushed_strip
 
 G = 9.80665
-LIBRARY = [
+LIBRARY = (
     "load_power",
     "adhesion",
     "static_kinetic",
@@ -31,7 +31,7 @@ LIBRARY = [
     "force_offset",
     "force_gain",
     "time_lag",
-]
+)
 OUTSIDE = ("patch", "thermal_cycle", "threefold", "load_bump", "operator", "dwell_peak")
 NEEDS_PROTOCOL = {
     "backlash": ("drag",),
@@ -159,6 +159,8 @@ def _common(rng, letter, specimens, trials, noise, options):
             humidity = rh_level + rh_swing * np.sin(clock / 40 + phase) + rng.normal(0, 2.5)
             if options["orientation"] == "trial":
                 cut = rng.choice([0, 30, 45, 60, 90, 120, 135, 180, 210, 270, 300])
+            elif options["orientation"] == "two":
+                cut = rng.choice([0, 90])
             rows.append(
                 {
                     "run_id": f"{letter}{len(rows):03d}",
@@ -176,8 +178,8 @@ def _common(rng, letter, specimens, trials, noise, options):
                 }
             )
     table = pd.DataFrame(rows)
-    if options["dwell"] == "fixed":
-        table["dwell_s"] = 10.0
+    if options["dwell"] == "reversal":
+        table["dwell_s"] = options["reversal_dwell_s"]
     keep = rng.random(len(table)) > options["unbalance"]
     keep[:3] = True
     return table[keep].reset_index(drop=True)
@@ -189,7 +191,7 @@ def _incline(rng, world, noise, options, switch):
     table["azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
     area = rng.choice([25.0, 50.0, 100.0], n) if options["area"] != "fixed" else np.full(n, 50.0)
     table["area_cm2"] = area
-    masses = [0.0, 5.0, 20.0, 50.0, 200.0] if options["load"] != "fixed" else [20.0]
+    masses = [0.0, 5.0, 20.0, 50.0, 200.0] if options["load"] == "varied" else [5.0, 50.0]
     table["added_mass_g"] = rng.choice(masses, n)
     true = np.empty(n)
     for i, row in table.iterrows():
@@ -217,10 +219,10 @@ def _strip(rng, world, noise, options, switch):
     table = _common(rng, "b", rng.integers(6, 12), rng.integers(3, 6), noise, options)
     n = len(table)
     table["azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
-    lengths = [30.0, 45.0, 60.0] if options["load"] != "fixed" else [45.0]
+    lengths = [30.0, 45.0, 60.0]
     table["length_mm"] = rng.choice(lengths, n)
-    table["width_mm"] = rng.choice([8.0, 12.0, 16.0], n) if options["area"] != "fixed" else 12.0
-    table["ply"] = rng.choice([1.0, 2.0], n) if options["load"] != "fixed" else 1.0
+    table["width_mm"] = rng.choice([8.0, 12.0, 16.0], n)
+    table["ply"] = rng.choice([1.0, 2.0], n)
     table["push_speed_mm_s"] = 0.5
     ply, length, width = (
         table["ply"].to_numpy(),
@@ -263,9 +265,9 @@ def _drag(rng, world, noise, options, switch):
     n = len(table)
     table["stage_azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
     table["area_cm2"] = rng.choice([50.0, 100.0, 200.0], n) if options["area"] != "fixed" else 100.0
-    masses = [0.0, 10.0, 30.0, 100.0] if options["load"] != "fixed" else [20.0]
+    masses = [0.0, 10.0, 30.0, 100.0]
     table["added_mass_g"] = rng.choice(masses, n)
-    speeds = [1.0, 3.0, 10.0, 30.0] if options["speed"] != "fixed" else [10.0]
+    speeds = [1.0, 3.0, 10.0, 30.0]
     table["speed_mm_s"] = rng.choice(speeds, n)
     table["u_force_mN"] = noise["u_force"]
     spring = world.nominal["k_tether_N_m"]
@@ -292,6 +294,8 @@ def _drag(rng, world, noise, options, switch):
                 1e3 * world.friction(load, a, row, phi, static, dwell, row["speed_mm_s"])
                 for static in (True, False)
             )
+            # Below its kinetic friction a slider creeps and the spring pulls it on.
+            peak = max(peak, moving)
             path = x if stroke == 0 else x[::-1]
             slack = 0.0 if stroke == 0 else lost
             stuck = True
@@ -332,9 +336,9 @@ def _drop_drag(rng, world, noise, options, switch):
     table = _common(rng, "d", rng.integers(5, 9), rng.integers(2, 5), noise, options)
     n = len(table)
     table["stage_azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
-    heights = [70.0, 100.0, 130.0] if options["load"] != "fixed" else [100.0]
+    heights = [70.0, 100.0, 130.0]
     table["height_mm"] = rng.choice(heights, n)
-    speeds = [3.0, 10.0, 20.0] if options["speed"] != "fixed" else [10.0]
+    speeds = [3.0, 10.0, 20.0]
     table["speed_mm_s"] = rng.choice(speeds, n)
     table["u_pos_mm"] = noise["u_pos"]
     nominal = world.nominal
@@ -382,7 +386,8 @@ def _drop_drag(rng, world, noise, options, switch):
                 break
         return mid
 
-    eta_static, eta_moving = steady(True), steady(False)
+    eta_moving = steady(False)
+    eta_static = np.maximum(steady(True), eta_moving)
     fractions = np.linspace(0, 1, 28) ** 2
     grid = np.maximum(eta_static, eta_moving)[:, None] * fractions
     lifted, extent, _ = hanging_cloth(np.repeat(beta[:, None], 28, 1), grid)
@@ -438,12 +443,13 @@ COVARIATE_OF = {
 }
 
 
-def make_case(seed, kind, folder, noise_free=False, draw=0):
+def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, plant=None):
     """Write a case; ``kind`` is null, single, pair, outside, unrecorded or ambiguous.
 
     ``noise_free`` writes the same case without scatter, outliers, texture or noise (what the
     effect alone does), from the same draws of design and effect; another ``draw`` is a fresh
-    campaign of the same world.
+    campaign of the same world; ``effect_free`` leaves the effects out and all else as it was.
+    ``plant`` is (effects by name, protocols), to choose them instead of drawing.
 
     Returns the truth: kind, effects, nominal, noise, coefficients.
     """
@@ -478,8 +484,8 @@ def make_case(seed, kind, folder, noise_free=False, draw=0):
         "dwell": "varied",
         "area": "varied",
         "load": "varied",
-        "speed": "varied",
         "unbalance": rng.choice([0.0, 0.15]),
+        "reversal_dwell_s": nominal["reversal_dwell_s"],
     }
     effects = {}
     if kind == "single":
@@ -491,11 +497,17 @@ def make_case(seed, kind, folder, noise_free=False, draw=0):
     elif kind == "unrecorded":
         chosen = [rng.choice(list(COVARIATE_OF))]
     elif kind == "ambiguous":
-        chosen = [rng.choice(["load_power", "adhesion", "static_kinetic", "ageing", "mass_error"])]
-        protocols = {"incline"} if chosen[0] in ("load_power", "adhesion") else {"drag"}
-        options["area"] = "fixed"
-        if chosen[0] in ("static_kinetic", "ageing"):
-            options["dwell"] = "fixed"
+        # Designs in which two or more mechanisms do exactly or nearly the same.
+        which = rng.choice(["load", "rest", "direction"])
+        if which == "load":
+            chosen = [rng.choice(["load_power", "adhesion"])]
+            protocols, options["area"], options["load"] = {"incline"}, "fixed", "two"
+        elif which == "rest":
+            chosen = [rng.choice(["static_kinetic", "ageing"])]
+            protocols, options["dwell"] = {"drag"}, "reversal"
+        else:
+            chosen = [rng.choice(["anisotropy", "nap"])]
+            protocols, options["orientation"] = {"incline"}, "two"
     else:
         chosen = []
     if kind == "outside" and chosen[0] == "threefold":
@@ -510,9 +522,11 @@ def make_case(seed, kind, folder, noise_free=False, draw=0):
             protocols |= {"incline"}
         if name == "load_bump" and not {"incline", "drag"} & protocols:
             protocols |= {"incline"}
+    if plant is not None:
+        effects, protocols = plant[0], set(plant[1])
     mu_face = float(np.exp(rng.uniform(np.log(0.2), np.log(0.8))))
     mu_edge = rng.uniform(0.12, 0.3)
-    world = World(rng, effects, nominal, mu_face, mu_edge)
+    world = World(rng, {} if effect_free else effects, nominal, mu_face, mu_edge)
     switch = 1.0
     if noise_free:
         switch = 0.0

@@ -171,10 +171,16 @@ def trace_features(
             error = np.hypot(u / np.sqrt(spread) / spring_mN_mm, 1e-3)
             features["stiffness"] = Feature(1 + gain / spring_mN_mm, float(error))
             slope, offset = spring_mN_mm + gain, offset - gain * centre
-    away = offset + slope * x - force > threshold
-    first = _first_lasting(away)
+    first = _first_lasting(offset + slope * x - force > threshold)
     if first is None or first == 0:
         return features
+    if first > 6:  # once more, with all of the line: a long line needs a good slope
+        line = np.flatnonzero(np.abs(offset + slope * x - force)[: first - 1] < threshold)
+        if len(line) > 4:
+            slope, offset = np.polyfit(x[line], force[line], 1)
+        first = _first_lasting(offset + slope * x - force > threshold)
+        if first is None or first == 0:
+            return features
     grid = slope * (x[first] - x[first - 1])
     error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * level) ** 2)
     features["force_first_slip_mN"] = Feature(
@@ -228,8 +234,13 @@ def _reversal(out, back, slope, u, texture, level) -> dict[str, Feature]:
     falling &= np.abs(np.arange(len(force)) - crossing) <= samples
     if samples < 5 or falling.sum() < 3:
         return features
-    lost = float((travel[falling] + (force[falling] - start) / slope).mean())
-    error = np.sqrt(u**2 / falling.sum() + start_error**2) / slope
+    along, drop = travel[falling], force[falling]
+    centre, spread = along.mean(), float(((along - along.mean()) ** 2).sum())
+    if len(along) >= 5:  # the fall's own slope: over its length a small error of it adds up
+        slope = -float(((along - centre) * drop).sum() / spread)
+    lost = float(centre + (drop.mean() - start) / slope)
+    own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if len(along) >= 5 else 0.0)
+    error = np.sqrt(u**2 * own + start_error**2) / slope
     features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
     line = start - slope * (travel - lost)
     away = (force - line > DEPARTURE_NOISES * u) & (np.arange(len(force)) > crossing)

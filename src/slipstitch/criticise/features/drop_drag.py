@@ -147,7 +147,7 @@ def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
         return seen, np.inf
     seen = max(seen, float(back["x_stage_mm"].max()))
     every = np.concatenate([forward["x_stage_mm"], back["x_stage_mm"]])
-    if np.sum(seen - every < 1e-6) > 1:  # it waited there, in view
+    if np.sum(seen - every < 1e-6) > 2:  # it waited there, in view
         return seen, 0.0
     last, first = forward.iloc[-1], back.iloc[0]
     step = float(np.median(np.diff(forward["x_stage_mm"])))

@@ -9,7 +9,7 @@ import numpy as np
 from slipstitch.criticise.features import Measurements
 from slipstitch.criticise.features.assembly import INSTRUMENT_QUANTITIES
 from slipstitch.criticise.inference.covariance import Group
-from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.fit import KINKED, Fit
 from slipstitch.criticise.inference.generic import generic_shapes
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.mechanism import MECHANISMS
@@ -72,12 +72,14 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
             for parameter in mechanism.parameters:
                 if parameter.name == "wear_r0":
                     continue
-                step = 0.1 * parameter.scale
+                # A static excess shows once it exceeds the noise: a step of its whole scale.
+                step = parameter.scale * (1.0 if parameter.name in KINKED else 0.1)
+                back = 0.0 if parameter.lower == parameter.null else step
                 ends = [
                     measurements.predict(start | {parameter.name: parameter.null + s}, causes)
-                    for s in (step, -step)
+                    for s in (step, -back)
                 ]
-                change = (ends[0] - ends[1]) / (2 * step)
+                change = (ends[0] - ends[1]) / (step + back)
                 columns.append(np.where(unrecorded, 0.0, change * parameter.scale))
             column_values.append(np.column_stack(columns))
         acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0) & keep
@@ -107,12 +109,13 @@ def rich_columns(
     group: Group,
     variance: np.ndarray,
     fixed: np.ndarray,
-    residual: np.ndarray,
+    residual: np.ndarray | None,
 ) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 
     Each is scaled to the noncentrality expected of it, seen orthogonal to the fixed columns.
-    ``residual`` is of the group's features.
+    ``residual`` is of the group's features; without it no column is given more room than another
+    (for judging outliers, which a column with room of its own would explain away).
     """
     chosen, bumps = [], {}
     for test in tests:
@@ -129,7 +132,7 @@ def rich_columns(
     columns = np.column_stack(chosen)
     factor = np.linalg.cholesky(variance)
     white = np.linalg.solve(factor, columns)
-    error = np.linalg.solve(factor, residual)
+    error = np.linalg.solve(factor, np.zeros(len(columns)) if residual is None else residual)
     if fixed.shape[1]:
         q, _ = np.linalg.qr(np.linalg.solve(factor, fixed))
         projected = white - q @ (q.T @ white)

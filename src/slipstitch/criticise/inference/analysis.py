@@ -33,6 +33,7 @@ LEFTOVER_SIGNIFICANCE = 0.02
 PAIR_SIGNIFICANCE = 0.01
 TIE_BIC = 6.0
 CHANCE_GAIN = 20.0
+MODERATE = 60.0
 OUTLIER_T = 4.2
 SUSPECT_T = 2.6
 OUTLIER_SHARE = 0.08
@@ -139,7 +140,9 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     found: list[tuple[float, Excluded]] = []
     residual = measurements.y - fitted.prediction
     for group in state.groups:
-        scatter, rich = state.scatters[group.protocol], state.rich[group.protocol]
+        scatter = state.scatters[group.protocol]
+        fixed = _fixed(group, state.sensitivity)
+        rich = rich_columns(state.tests, group, group.variance(scatter), fixed, None)
         suspects = _deviations(measurements, group, scatter, rich, residual, state)
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
@@ -211,7 +214,8 @@ def settle_without_outliers(
         p: len(set(measurements.run[measurements.protocol == p]))
         for p in np.unique(measurements.protocol)
     }
-    spent = dict.fromkeys(runs, 0.0)
+    budget = {p: max(1, int(OUTLIER_SHARE * n + 0.5)) for p, n in runs.items()}
+    spent = {p: [0, 0] for p in runs}  # whole runs, single features
     if fitted is None:
         fitted = _first_fit(measurements, causes, keep, start)
     state = settle(measurements, fitted, keep)
@@ -219,10 +223,10 @@ def settle_without_outliers(
         new = []
         for outlier in find_outliers(measurements, fitted, state):
             protocol = measurements.protocol[outlier.features[0]]
-            whole = measurements.run == measurements.run[outlier.features[0]]
-            cost = len(outlier.features) / whole.sum()
-            if spent[protocol] + cost <= OUTLIER_SHARE * runs[protocol] + 1e-9:
-                spent[protocol] += cost
+            whole = keep & (measurements.run == measurements.run[outlier.features[0]])
+            kind = int(len(outlier.features) < whole.sum())
+            if spent[protocol][kind] < budget[protocol] and keep[outlier.features].all():
+                spent[protocol][kind] += 1
                 new.append(outlier)
             if len(new) >= 3:
                 break
@@ -440,7 +444,7 @@ def analyse(
     if chosen_p < LEFTOVER_SIGNIFICANCE:
         why = "structure is left that no one or two mechanisms remove"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    if not _explains(outcome, chosen, measurements, state):
+    if chosen.credit < MODERATE and not _explains(outcome, chosen, measurements, state):
         why = "a shape outside the library describes the data better than any mechanism"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     rivals = [c for c in singles if c.bic - chosen.bic < TIE_BIC and c.bic < 0]
@@ -454,7 +458,11 @@ def analyse(
 
 
 def _explains(outcome: Outcome, chosen: Candidate, measurements, state) -> bool:
-    """Does the chosen model beat the best generic shape (its place or period counted)?"""
+    """Does the chosen model beat the best generic shape (its place or period counted)?
+
+    For moderate effects only: the score test of a shape says little far from the null, and a
+    shape that beats a strong cause leaves structure behind.
+    """
     runs = np.log(max(_observations(measurements, state.keep), 2))
     best = np.inf
     for i, test in enumerate(outcome.tests):

@@ -200,7 +200,7 @@ def _better_side(values, parameters, start, evaluate):
         trials = []
         for shift in (0.0, parameter.scale, -parameter.scale):
             moved = values.copy()
-            moved[j] += shift
+            moved[j] = np.clip(moved[j] + shift, parameter.lower, parameter.upper)
             trials.append((evaluate(moved)[2], shift, moved))
         values = min(trials, key=lambda trial: trial[0])[2]
     return values

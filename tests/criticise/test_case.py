@@ -1,0 +1,100 @@
+"""Bad input is one line that names file, row and column."""
+
+import json
+
+import pandas as pd
+import pytest
+from hidden_effects.bench import make_case
+
+from slipstitch.criticise.case import read_case
+from slipstitch.errors import BadInput
+
+
+@pytest.fixture
+def case(tmp_path):
+    make_case(3, "null", tmp_path, plant=({}, ["incline", "drag"]))
+    return tmp_path
+
+
+def change(path, edit):
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    edit(table).to_csv(path, index=False)
+
+
+def set_cell(row, column, value):
+    def edit(table):
+        table.loc[row, column] = value
+        return table
+
+    return edit
+
+
+def test_a_good_case_is_read(case):
+    found = read_case(case)
+    assert found.protocols == ("incline", "drag")
+    assert found.tables["incline"]["angle_deg"].notna().all()
+
+
+def test_parquet_does_as_well_as_csv(case):
+    from_csv = read_case(case).tables["incline"]
+    pd.read_csv(case / "incline.csv").to_parquet(case / "incline.parquet")
+    (case / "incline.csv").unlink()
+    pd.testing.assert_frame_equal(read_case(case).tables["incline"], from_csv)
+
+
+def test_an_empty_cell_is_not_recorded(case):
+    change(case / "incline.csv", set_cell(2, "rh_pct", ""))
+    assert read_case(case).tables["incline"]["rh_pct"].isna().tolist()[2]
+
+
+BAD_CELLS = [
+    ("incline.csv", set_cell(4, "angle_deg", "500"), ["incline.csv", "row 6", "angle_deg", "500"]),
+    ("incline.csv", set_cell(0, "angle_deg", "wet"), ["incline.csv", "row 2", "angle_deg", "wet"]),
+    ("incline.csv", set_cell(1, "angle_deg", ""), ["incline.csv", "row 3", "angle_deg", "empty"]),
+    ("incline.csv", set_cell(3, "run_id", "a000"), ["incline.csv", "row 5", "run_id", "a000"]),
+    ("incline.csv", lambda t: t.drop(columns="u_angle_deg"), ["incline.csv", "u_angle_deg"]),
+    ("incline.csv", lambda t: t.iloc[:0], ["incline.csv", "no rows"]),
+    ("drag_runs.csv", set_cell(0, "rh_pct", "140"), ["drag_runs.csv", "row 2", "rh_pct", "100"]),
+    ("drag.csv", set_cell(0, "run_id", "zz"), ["drag.csv", "row 2", "run_id", "zz"]),
+]
+
+
+@pytest.mark.parametrize("file, edit, words", BAD_CELLS)
+def test_bad_tables_are_refused_in_one_line(case, file, edit, words):
+    change(case / file, edit)
+    with pytest.raises(BadInput) as caught:
+        read_case(case)
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_folder_without_meta_is_refused(case):
+    (case / "meta.json").unlink()
+    with pytest.raises(BadInput, match=r"meta\.json"):
+        read_case(case)
+
+
+def test_a_missing_nominal_value_is_named(case):
+    meta = json.loads((case / "meta.json").read_text())
+    del meta["nominal"]["k_tether_N_m"]
+    (case / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(BadInput, match="k_tether_N_m"):
+        read_case(case)
+
+
+def test_runs_without_their_trace_are_refused(case):
+    (case / "drag.csv").unlink()
+    with pytest.raises(BadInput, match=r"drag\.csv"):
+        read_case(case)
+
+
+def test_a_declared_protocol_must_be_there(case):
+    (case / "incline.csv").unlink()
+    with pytest.raises(BadInput, match="incline"):
+        read_case(case)
+
+
+def test_unknown_tables_are_reported_not_swallowed(case):
+    (case / "peel.csv").write_text("a,b\n1,2\n")
+    assert read_case(case).ignored_files == ("peel.csv",)

@@ -1,0 +1,86 @@
+"""The two verbs, from a case folder to a verdict and to predictions."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from hidden_effects.bench import make_case
+
+from slipstitch.command import main
+
+KEYS = [
+    "case",
+    "spec_version",
+    "verdict",
+    "causes",
+    "alternatives",
+    "separate_by",
+    "parameters",
+    "null",
+    "residual_tests",
+    "gain",
+    "excluded_rows",
+    "ranking",
+    "seed",
+    "code_version",
+]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    root = tmp_path_factory.mktemp("verbs")
+    plant = ({"anisotropy": {"anisotropy": 0.2}}, ["incline"])
+    make_case(21, "single", root / "case", plant=plant)
+    make_case(21, "single", root / "fresh", plant=plant, draw=1)
+    arguments = ["criticise", str(root / "case"), "--out", str(root / "verdict.json")]
+    code = main([*arguments, "--report", str(root / "page.html")])
+    assert not code
+    return root
+
+
+def test_the_verdict_has_the_layout_of_the_format(written):
+    verdict = json.loads((written / "verdict.json").read_text())
+    assert set(KEYS) <= set(verdict)
+    assert verdict["verdict"] == "cause" and verdict["causes"] == ["anisotropy"]
+    assert verdict["ranking"][0] == {"model": ["anisotropy"], "delta_bic": 0.0}
+    low, high = verdict["gain"]["ci95"]
+    assert low <= verdict["gain"]["estimate"] <= high
+    assert verdict["gain"]["rmse_extended"] < verdict["gain"]["rmse_null"]
+
+
+def test_prediction_of_fresh_specimens_is_calibrated_and_gains(written):
+    out = written / "predictions.csv"
+    assert not main(
+        ["predict", str(written / "verdict.json"), str(written / "fresh"), "--out", str(out)]
+    )
+    rows = list(csv.DictReader(out.open()))
+    assert list(rows[0]) == ["run_id", "quantity", "null_mean", "null_sd", "ext_mean", "ext_sd"]
+    truth = {
+        row["run_id"]: float(row["angle_deg"])
+        for row in csv.DictReader((written / "fresh" / "incline.csv").open())
+    }
+    measured = np.array([truth[row["run_id"]] for row in rows])
+    z = {}
+    for model in ("null", "ext"):
+        mean = np.array([float(row[f"{model}_mean"]) for row in rows])
+        sd = np.array([float(row[f"{model}_sd"]) for row in rows])
+        z[model] = (measured - mean) / sd
+        z[model + "_score"] = np.median(-np.log(sd) - 0.5 * z[model] ** 2)
+    assert 0.5 < np.median(np.abs(z["ext"])) / 0.674 < 1.6
+    assert z["ext_score"] > z["null_score"]
+
+
+def test_the_page_says_the_verdict_first(written):
+    page = (written / "page.html").read_text()
+    assert "<h1" in page and "warp differs" in page
+    assert page.count("<svg") >= 3
+
+
+def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        code = main(["criticise", str(tmp_path), "--out", str(tmp_path / "v.json")])
+        raise SystemExit(code)
+    assert caught.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert "meta.json" in error and "\n" not in error

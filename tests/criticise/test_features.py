@@ -1,0 +1,61 @@
+"""Features on null data: unbiased, with the scatter that they claim."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hidden_effects.bench import make_case
+
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.features import assemble
+
+SEEDS = range(40, 44)
+
+
+@pytest.fixture(scope="module")
+def z_scores(tmp_path_factory):
+    found = []
+    for seed in SEEDS:
+        folder = tmp_path_factory.mktemp(f"case{seed}")
+        protocols = ["incline", "strip", "drag", "drop_drag"]
+        truth = make_case(seed, "null", folder, plant=({}, protocols))
+        m = assemble(read_case(folder))
+        noise = truth["noise"]
+        values = {"mu_face": np.log(truth["mu_face"]), "mu_edge": np.log(truth["mu_edge"])}
+        expected = m.predict(values, ())
+        moved = m.predict({name: value + 0.01 for name, value in values.items()}, ())
+        scatter = (moved - expected) / 0.01 * np.hypot(noise["specimen"], noise["run"])
+        z = (m.y - expected) / np.hypot(m.u * noise["understated"], scatter)
+        outliers = {run for runs in truth["outliers"].values() for run in runs}
+        bad = m.rows["run_id"].isin(outliers) | m.lower_bound
+        found.append(pd.DataFrame({"quantity": m.rows["quantity"], "z": z})[~bad.to_numpy()])
+    return pd.concat(found).groupby("quantity")["z"]
+
+
+def test_every_feature_of_the_four_protocols_is_found(z_scores):
+    assert set(z_scores.groups) == {
+        "angle_deg",
+        "eps_slip",
+        "relaxed_mN",
+        "stiffness",
+        "force_first_slip_mN",
+        "force_plateau_mN",
+        "lost_motion_mm",
+        "force_reversal_slip_mN",
+        "force_back_plateau_mN",
+        "lag_mm",
+        "edge_slope",
+        "contact_len_mm",
+        "first_motion_mm",
+        "stuck_contact_mm",
+        "edge_at_turn_mm",
+    }
+
+
+def test_z_scores_have_standard_deviation_one(z_scores):
+    spread = z_scores.std()
+    assert spread.between(0.6, 1.35).all(), spread
+
+
+def test_z_scores_have_mean_zero(z_scores):
+    # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.3.
+    assert (z_scores.mean().abs() < 0.6).all(), z_scores.mean()

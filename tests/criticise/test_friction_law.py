@@ -1,0 +1,93 @@
+"""The friction law says what docs/measurements.md says, mechanism by mechanism."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, FrictionLaw
+
+CONTACT = Contact(
+    normal_force_N=0.2,
+    area_m2=0.008,
+    direction_rad=0.7,
+    dwell_s=30.0,
+    speed_m_s=0.03,
+    repeats=4.0,
+    relative_humidity_pct=58.0,
+)
+MU = 0.4
+COULOMB_N = 0.2 * MU
+# mechanism: (parameters, static force in units of Coulomb's, kinetic force likewise)
+EXPECTED = {
+    "load_power": ({"load_power": -0.1}, 0.5**-0.1, 0.5**-0.1),
+    "adhesion": ({"adhesion": 3.0}, 1 + 3.0 * 0.008 / COULOMB_N, 1 + 3.0 * 0.008 / COULOMB_N),
+    "static_kinetic": ({"static_kinetic": 0.2}, 1.2, 1.0),
+    "ageing": ({"ageing": 0.05}, 1 + 0.05 * math.log10(31), 1.0),
+    "rate": ({"rate": 0.1}, 1.0, 1 + 0.1 * math.log10(3)),
+    "anisotropy": ({"anisotropy": 0.1}, *[1 + 0.1 * math.cos(1.4)] * 2),
+    "nap": ({"nap": -0.1}, *[1 - 0.1 * math.cos(0.7)] * 2),
+    "wear": ({"wear": 0.3, "wear_r0": 2.0}, *[1 + 0.3 * (1 - math.exp(-2))] * 2),
+    "humidity": ({"humidity": 0.05}, 1.04, 1.04),
+}
+
+
+def test_plain_coulomb_is_the_default():
+    law = FrictionLaw(MU)
+    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N)
+    assert law.force_limit(CONTACT, static=False) == pytest.approx(COULOMB_N)
+
+
+def test_every_mechanism_has_its_expected_value_here():
+    assert set(EXPECTED) == set(CONTACT_MECHANISMS)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_mechanism(name):
+    values, static, kinetic = EXPECTED[name]
+    law = FrictionLaw(MU, {name: values})
+    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N * static)
+    assert law.force_limit(CONTACT, static=False) == pytest.approx(COULOMB_N * kinetic)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_mechanism_at_its_null_is_absent(name):
+    law = FrictionLaw(MU, {name: CONTACT_MECHANISMS[name].null_values()})
+    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N)
+
+
+def test_mechanisms_compose():
+    law = FrictionLaw(MU, {"humidity": {"humidity": 0.05}, "adhesion": {"adhesion": 3.0}})
+    assert law.force_limit(CONTACT, True) == pytest.approx(COULOMB_N * 1.04 + 3.0 * 0.008)
+
+
+def test_an_edge_is_measured_against_two_millinewtons():
+    law = FrictionLaw(MU, {"load_power": {"load_power": 0.5}})
+    edge = Contact(normal_force_N=8e-3, area_m2=1e-6, edge=True)
+    assert law.force_limit(edge, True) == pytest.approx(8e-3 * MU * 2.0)
+
+
+def test_what_was_not_recorded_changes_nothing():
+    blind = Contact(
+        normal_force_N=0.2, direction_rad=np.nan, repeats=np.nan, relative_humidity_pct=np.nan
+    )
+    for name in ("ageing", "rate", "anisotropy", "nap", "wear", "humidity"):
+        law = FrictionLaw(MU, {name: EXPECTED[name][0]})
+        for static in (True, False):
+            assert law.force_limit(blind, static) == pytest.approx(COULOMB_N)
+
+
+def test_a_law_survives_being_written_down():
+    law = FrictionLaw(MU, {"wear": EXPECTED["wear"][0]})
+    again = FrictionLaw.from_dict(law.to_dict())
+    assert again.force_limit(CONTACT, True) == law.force_limit(CONTACT, True)
+
+
+@pytest.mark.parametrize(
+    "mechanisms, word",
+    [({"stickiness": {}}, "stickiness"), ({"wear": {"wear": 0.1}}, "wear_r0")],
+)
+def test_unknown_mechanisms_and_parameters_are_refused(mechanisms, word):
+    with pytest.raises(BadInput, match=word):
+        FrictionLaw(MU, mechanisms)
