@@ -148,6 +148,17 @@ def test_a_folder_without_models_is_refused(tmp_path):
         find_models(tmp_path)
 
 
+def test_models_of_an_earlier_configuration_do_not_count(chain):
+    every = find_models(chain / "train")
+    of_video = find_models(
+        chain / "train", CONFIG.train.model_copy(update={"splits": ["by_video"]})
+    )
+    assert {split for split, _, _ in every} == {"by_video", "by_simulation"}
+    assert {split for split, _, _ in of_video} == {"by_video"}
+    with pytest.raises(BadInput, match="no model in it"):
+        find_models(chain / "train", CONFIG.train.model_copy(update={"seeds": [7]}))
+
+
 def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
     source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
     shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
