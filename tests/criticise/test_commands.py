@@ -9,7 +9,7 @@ from hidden_effects.bench import make_case
 
 from slipstitch.command import main
 
-KEYS = [
+KEYS = {
     "case",
     "spec_version",
     "verdict",
@@ -24,7 +24,7 @@ KEYS = [
     "ranking",
     "seed",
     "code_version",
-]
+}
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def written(tmp_path_factory):
 
 def test_the_verdict_has_the_layout_of_the_format(written):
     verdict = json.loads((written / "verdict.json").read_text())
-    assert set(KEYS) <= set(verdict)
+    assert set(verdict) >= KEYS
     assert verdict["verdict"] == "cause" and verdict["causes"] == ["anisotropy"]
     assert verdict["ranking"][0] == {"model": ["anisotropy"], "delta_bic": 0.0}
     low, high = verdict["gain"]["ci95"]

@@ -52,5 +52,14 @@ def run(arguments: argparse.Namespace) -> int:
     verdict = verdict_of(case, analysis, arguments.seed, __version__)
     with atomic_path(Path(arguments.out)) as temporary:
         temporary.write_text(json.dumps(verdict, indent=1) + "\n", encoding="utf-8")
+    if arguments.report:
+        from slipstitch.criticise.report import page
+
+        with atomic_path(Path(arguments.report)) as temporary:
+            temporary.write_text(page(verdict, analysis), encoding="utf-8")
+    if arguments.model:
+        from slipstitch.criticise.extended_model import write_extended_model
+
+        write_extended_model(verdict, Path(arguments.model))
     print(sentence(verdict))
     return 0

@@ -20,7 +20,7 @@ from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw, Parameter
 
 INSTRUMENT_QUANTITIES = ("relaxed_mN", "stiffness", "lost_motion_mm", "edge_slope")
 # What a mechanism must have had recorded, and on which features it would act.
-_COLUMN_OF = {
+COVARIATE_OF = {
     "load_power": "load_ratio",
     "adhesion": "load_ratio",
     "ageing": "dwell_s",
@@ -85,7 +85,7 @@ class Measurements:
 
     def unrecorded(self, cause: str) -> np.ndarray:
         """(n,) True where the cause may act but what drives it was not recorded."""
-        column = _COLUMN_OF.get(cause)
+        column = COVARIATE_OF.get(cause)
         if column is None:
             return np.zeros(len(self.y), bool)
         missing = self.rows[column].isna().to_numpy()

@@ -37,7 +37,8 @@ MODERATE = 60.0
 OUTLIER_T = 4.2
 SUSPECT_T = 2.6
 OUTLIER_SHARE = 0.08
-SMALLEST_RUNS, SMALLEST_SPECIMENS = 8, 3
+# Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
+SMALLEST_RUNS, SMALLEST_SPECIMENS, LEAST_RUNS = 8, 3, 5
 
 
 @dataclass
@@ -397,7 +398,8 @@ def analyse(
     ranking.sort(key=lambda c: c.bic)
     runs = _observations(measurements, null_state.keep)
     specimens = len(np.unique(measurements.specimen[null_state.keep]))
-    if runs < SMALLEST_RUNS or specimens < SMALLEST_SPECIMENS:
+    few = runs < SMALLEST_RUNS or specimens < SMALLEST_SPECIMENS
+    if runs < LEAST_RUNS or specimens < 2 or (few and global_p > SIGNIFICANCE):
         why = (
             f"{runs} runs of {specimens} specimens; at least {SMALLEST_RUNS} of "
             f"{SMALLEST_SPECIMENS} are needed"

@@ -1,0 +1,49 @@
+"""The extended model as YAML, for a simulation to run with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from slipstitch.criticise.mechanism import BENCH_MECHANISMS, MECHANISMS
+from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
+from slipstitch.provenance import atomic_path
+
+
+def extended_model(verdict: dict) -> dict:
+    """Friction laws of face and edge, and what departs from the nominal bench and fabric.
+
+    The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
+    :class:`slipstitch.criticise.forward.bench.Bench`.
+    """
+    model = verdict["models"]["extended"]
+    values = dict(zip(model["parameters"], model["values"], strict=True))
+    mechanisms, bench = {}, {}
+    for cause in model["causes"]:
+        own = {p.name: values[p.name] for p in MECHANISMS[cause].parameters}
+        if cause in CONTACT_MECHANISMS:
+            mechanisms[cause] = own
+        else:
+            bench |= {k: float(v) for k, v in BENCH_MECHANISMS[cause].changes(own).items()}
+    laws = {
+        side: FrictionLaw(float(np.exp(values[name])), mechanisms).to_dict()
+        for side, name in (("face", "mu_face"), ("edge", "mu_edge"))
+        if name in values
+    }
+    return {
+        "case": verdict["case"],
+        "verdict": verdict["verdict"],
+        "causes": model["causes"],
+        "friction_law": laws,
+        "bench": bench,
+        "nominal": verdict["nominal"],
+    }
+
+
+def write_extended_model(verdict: dict, path: Path) -> None:
+    """Write :func:`extended_model` to a YAML file."""
+    text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

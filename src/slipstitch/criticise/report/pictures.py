@@ -1,0 +1,254 @@
+"""The three pictures of a verdict's page, as SVG."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from slipstitch.criticise.features.assembly import COVARIATE_OF
+from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.generic import LABELS, LOGARITHMIC
+
+INK, FAINT, NULL_COLOUR, EXTENDED_COLOUR = "#26323a", "#9aa5ab", "#c8553d", "#2a7f9e"
+QUANTITY = "quantity"
+NAMES = {
+    "angle_deg": "slip angle",
+    "eps_slip": "slip strain",
+    "relaxed_mN": "relaxed reading",
+    "stiffness": "loading slope",
+    "force_first_slip_mN": "first slip",
+    "force_plateau_mN": "plateau",
+    "lost_motion_mm": "lost motion",
+    "force_reversal_slip_mN": "slip at reversal",
+    "force_back_plateau_mN": "plateau back",
+    "lag_mm": "lag of the edge",
+    "edge_slope": "edge per stage",
+    "contact_len_mm": "contact length",
+    "first_motion_mm": "first motion",
+    "stuck_contact_mm": "contact, stuck",
+    "edge_at_turn_mm": "edge at the turn",
+}
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG element, the same bytes for the same figure."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+
+
+def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height))
+    axes = figure.add_subplot()
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(colors=INK, labelsize=9)
+    return figure, axes
+
+
+def telling_covariate(analysis: Analysis) -> str:
+    """The covariate along which the model's failure is seen best."""
+    chosen = analysis.chosen
+    if analysis.verdict in ("cause", "confounded") and chosen is not None:
+        return COVARIATE_OF.get(chosen.causes[0], QUANTITY)
+    outcome = analysis.left_over or analysis.null_outcome
+    strongest = outcome.strongest("generic")
+    return outcome.tests[strongest].covariate if strongest is not None else QUANTITY
+
+
+def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals in percent of friction, and the features for which that has a meaning."""
+    m = analysis.measurements
+    d = analysis.state.sensitivity
+    good = analysis.state.keep & ~m.lower_bound & (np.abs(d) > 2.0 * m.u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(good, 100 * (m.y - fitted.prediction) / d, np.nan), good
+
+
+def standardised_residuals(analysis: Analysis, fitted: Fit) -> np.ndarray:
+    """Residuals over their own total standard deviation."""
+    m, state = analysis.measurements, analysis.state
+    scatter = np.array(
+        [
+            (s.specimen, s.run, s.kappa)
+            if (s := state.scatters.get(p)) is not None
+            else (0.05, 0.03, 1.2)
+            for p in m.protocol
+        ]
+    )
+    variance = (scatter[:, 2] * m.u) ** 2 + state.sensitivity**2 * (
+        scatter[:, 0] ** 2 + scatter[:, 1] ** 2
+    )
+    return (m.y - fitted.prediction) / np.sqrt(variance)
+
+
+def _series(axes, x, y, colour, label, seed=0):
+    jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, len(x))
+    span = np.ptp(x) or 1.0
+    axes.plot(x + jitter * span, y, "o", ms=3, color=colour, alpha=0.35, mew=0)
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, 9)))
+    if len(np.unique(np.round(x, 6))) <= 12:
+        groups = [(v, y[np.isclose(x, v)]) for v in np.unique(np.round(x, 6))]
+    else:
+        which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+        groups = [(x[which == i].mean(), y[which == i]) for i in np.unique(which)]
+    centre = np.array([g[0] for g in groups])
+    mean = np.array([g[1].mean() for g in groups])
+    error = np.array(
+        [g[1].std(ddof=1) / np.sqrt(len(g[1])) if len(g[1]) > 1 else 0 for g in groups]
+    )
+    axes.errorbar(
+        centre, mean, error, color=colour, lw=1.8, marker="o", ms=5, label=label, capsize=2
+    )
+
+
+def _by_quantity(axes, analysis, fits):
+    rows = analysis.measurements.rows
+    names = [q for q in NAMES if (rows["quantity"] == q).any()]
+    for k, (fitted, colour, label) in enumerate(fits):
+        z = standardised_residuals(analysis, fitted)
+        for i, name in enumerate(names):
+            mine = (rows["quantity"] == name).to_numpy() & analysis.state.keep
+            place = i + (k - 0.5 * (len(fits) - 1)) * 0.28
+            shown = np.clip(z[mine], -8, 8)
+            axes.plot(np.full(mine.sum(), place), shown, "_", color=colour, alpha=0.5, ms=9)
+            axes.plot(
+                [place],
+                [np.clip(z[mine].mean(), -8, 8)],
+                "o",
+                color=colour,
+                ms=6,
+                label=label if i == 0 else None,
+            )
+    axes.set_xticks(range(len(names)), [NAMES[n] for n in names], rotation=35, ha="right")
+    axes.set_ylabel("measured − model, in standard deviations")
+
+
+def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
+    """Residuals of the null (and of the extended model) against the telling covariate."""
+    covariate = telling_covariate(analysis)
+    figure, axes = _figure()
+    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
+    if extended is not None:
+        fits.append((extended, EXTENDED_COLOUR, "extended"))
+    if covariate in (QUANTITY, "operator"):
+        _by_quantity(axes, analysis, fits)
+    else:
+        values = analysis.measurements.rows[covariate].to_numpy(float)
+        if covariate.endswith("_deg"):
+            values = np.mod(values, 360.0)
+        for fitted, colour, label in fits:
+            residual, good = relative_residuals(analysis, fitted)
+            good &= np.isfinite(values) & (values > 0 if covariate in LOGARITHMIC else True)
+            x = np.log10(values[good]) if covariate in LOGARITHMIC else values[good]
+            if len(x):
+                _series(axes, x, residual[good], colour, label)
+        if extended is None and analysis.verdict == "unknown":
+            _pattern(axes, analysis, covariate)
+        log = "log₁₀ " if covariate in LOGARITHMIC else ""
+        units = {
+            "load_ratio": "p/p₀",
+            "dwell_s": "s",
+            "speed_mm_s": "mm/s",
+            "pos_x_mm": "mm",
+            "clock_min": "min",
+            "rh_pct": "%",
+            "orientation_deg": "°",
+            "azimuth_deg": "°",
+        }
+        unit = f" ({units[covariate]})" if covariate in units else ""
+        axes.set_xlabel(f"{log}{LABELS[covariate]}{unit}", color=INK)
+        axes.set_ylabel("measured − model (% of friction)", color=INK)
+    axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
+    axes.legend(frameon=False, fontsize=9)
+    return svg(figure)
+
+
+def _pattern(axes, analysis, covariate):
+    """The shape that the strongest test found, drawn through the residuals."""
+    outcome = analysis.left_over or analysis.null_outcome
+    best = max(
+        (
+            i
+            for i, t in enumerate(outcome.tests)
+            if t.covariate == covariate and t.family == "generic"
+        ),
+        key=lambda i: outcome.log_p[i],
+        default=None,
+    )
+    if best is None:
+        return
+    d = analysis.state.sensitivity
+    residual, good = relative_residuals(analysis, analysis.null)
+    values = analysis.measurements.rows[covariate].to_numpy(float)
+    good &= np.isfinite(values) & np.isfinite(residual)
+    shape = outcome.tests[best].columns[good] / d[good][:, None]
+    size, *_ = np.linalg.lstsq(
+        np.column_stack([np.ones(good.sum()), shape]), residual[good], rcond=None
+    )
+    x = np.log10(values[good]) if covariate in LOGARITHMIC else values[good]
+    if covariate.endswith("_deg"):
+        x = np.mod(x, 360.0)
+    curve = size[0] + shape @ size[1:]
+    order = np.argsort(x)
+    axes.plot(
+        x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].name.split(": ")[1]
+    )
+
+
+def ranking_picture(verdict: dict, most: int = 10) -> str:
+    """How far each rival lies behind the best."""
+    entries = verdict["ranking"]
+    shown = entries[:most]
+    if not any(entry["model"] == [] for entry in shown):
+        shown = shown[: most - 1] + [entry for entry in entries if entry["model"] == []]
+    figure, axes = _figure(height=0.34 * len(shown) + 0.9)
+    labels = [" + ".join(e["model"]) or "plain Coulomb" for e in shown]
+    values = np.array([e["delta_bic"] for e in shown])
+    places = np.arange(len(shown))[::-1]
+    colours = [
+        EXTENDED_COLOUR if v < 6 and e["model"] else NULL_COLOUR if not e["model"] else FAINT
+        for v, e in zip(values, shown, strict=True)
+    ]
+    axes.barh(places, np.maximum(values, 0.15), color=colours, height=0.65)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.set_yticks(places, labels)
+    axes.axvline(6, color=INK, lw=0.8, ls=":")
+    axes.set_xlabel("BIC behind the best (left of the dotted line: as good)", color=INK)
+    return svg(figure)
+
+
+def prediction_picture(analysis: Analysis, extended: Fit | None) -> str:
+    """Standardised residuals of all features, null and extended, against a standard normal."""
+    figure, axes = _figure()
+    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
+    if extended is not None:
+        fits.append((extended, EXTENDED_COLOUR, "extended"))
+    edges = np.linspace(-6, 6, 41)
+    for fitted, colour, label in fits:
+        z = standardised_residuals(analysis, fitted)
+        z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
+        axes.hist(
+            np.clip(z, -5.99, 5.99),
+            edges,
+            density=True,
+            histtype="stepfilled",
+            alpha=0.35,
+            color=colour,
+            label=label,
+        )
+    x = np.linspace(-6, 6, 200)
+    axes.plot(
+        x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, lw=1.2, label="if all is well"
+    )
+    axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)", color=INK)
+    axes.set_yticks([])
+    axes.legend(frameon=False, fontsize=9)
+    return svg(figure)
