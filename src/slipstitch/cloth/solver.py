@@ -59,7 +59,7 @@ class SolverSettings:
 
     friction_tolerance: float = 1.0e-4
     friction_floor: float = 0.05
-    newton_iterations_max: int = 40
+    newton_iterations_max: int = 30
     halvings_max: int = 8
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7

@@ -29,7 +29,7 @@ class SimulationSettings(BaseModel):
         "friction coefficient times the weight of a vertex",
     )
     newton_iterations_max: int = Field(
-        40, ge=1, le=1000, description="a step that needs more is halved"
+        30, ge=1, le=1000, description="a step that needs more is halved"
     )
     halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
     damping_s: float = Field(
