@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark clean
+.PHONY: help setup all test lint format benchmark benchmark-criticise clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -15,7 +15,8 @@ help:
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
 	@echo 'make lint       ruff and snakefmt, check only'
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
-	@echo 'make benchmark  timings of the parts'
+	@echo 'make benchmark  CPU time and memory of whole simulations'
+	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -39,9 +40,10 @@ test: lint
 	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)
 
 benchmark: setup
-	@found=; for script in benchmarks/*.py; do [ -e "$$script" ] || continue; found=1; \
-	  echo "$$script"; $(SINGLE) $(BIN)/python "$$script" || exit 1; done; \
-	if [ -z "$$found" ]; then echo 'make benchmark: benchmarks/ holds no script'; fi
+	$(SINGLE) $(BIN)/python benchmarks/drop_and_drag.py --processes $(CORES)
+
+benchmark-criticise: setup
+	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true
