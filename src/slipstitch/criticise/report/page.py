@@ -51,7 +51,8 @@ def page(verdict: dict, analysis: Analysis) -> str:
         "All features: the filled shapes should match the line. "
         "What sticks out is more than noise and scatter of specimens explain.",
         "The rivals. Every model is charged for its parameters (BIC); "
-        "those left of the dotted line cannot be told from the best with these data.",
+        "blue: the answer. A pair in grey left of the dotted line adds nothing significant to the "
+        "cause that it contains.",
     )
     figures = "".join(
         f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"

@@ -213,15 +213,16 @@ def ranking_picture(verdict: dict, most: int = 10) -> str:
     labels = [" + ".join(e["model"]) or "plain Coulomb" for e in shown]
     values = np.array([e["delta_bic"] for e in shown])
     places = np.arange(len(shown))[::-1]
+    tied = [sorted(causes) for causes in verdict["alternatives"]]
     colours = [
-        EXTENDED_COLOUR if v < 6 and e["model"] else NULL_COLOUR if not e["model"] else FAINT
-        for v, e in zip(values, shown, strict=True)
+        NULL_COLOUR if not e["model"] else EXTENDED_COLOUR if sorted(e["model"]) in tied else FAINT
+        for e in shown
     ]
     axes.barh(places, np.maximum(values, 0.15), color=colours, height=0.65)
     axes.set_xscale("symlog", linthresh=10)
     axes.set_yticks(places, labels)
     axes.axvline(6, color=INK, lw=0.8, ls=":")
-    axes.set_xlabel("BIC behind the best (left of the dotted line: as good)", color=INK)
+    axes.set_xlabel("BIC behind the best (dotted: 6)", color=INK)
     return svg(figure)
 
 

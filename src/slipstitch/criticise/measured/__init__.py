@@ -1,0 +1,1 @@
+"""Adapters of published measurements, and what they say of plain Coulomb friction."""

@@ -1,0 +1,37 @@
+"""Write-up: ``python -m slipstitch.criticise.measured --data data/measured --out docs``.
+
+Everything that the page says is computed here from the two published data sets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+
+def main() -> int:
+    """Write criticism_measured.md, its pictures and the numbers as JSON."""
+    from slipstitch.criticise.measured.write_up import write_up
+    from slipstitch.errors import SlipstitchError
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("data/measured"))
+    parser.add_argument("--out", type=Path, default=Path("docs"))
+    arguments = parser.parse_args()
+    try:
+        numbers = write_up(arguments.data, arguments.out)
+    except SlipstitchError as error:
+        print(f"criticise-measured: error: {error}", file=sys.stderr)
+        return 2
+    print(json.dumps(numbers["verdicts"], indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
