@@ -16,9 +16,10 @@ from slipstitch.criticise.mechanism import MECHANISMS
 
 WEAR_SETTLING_SLIDES = (1.0, 2.5, 6.0)
 # Noncentrality, a run, that the shrunken rich model expects of all columns together; a column
-# that stands out by more than STANDS_OUT is given the room that it asks for.
+# that stands out by more than STANDS_OUT beside those before it is given the room it asks for.
 EXPECTED_SHARE = 0.25
 STANDS_OUT = 12.0
+MOST_STANDING_OUT = 3
 
 
 @dataclass
@@ -143,8 +144,17 @@ def rich_columns(
     good = norm > 1e-3 * np.maximum(before, 1e-12)
     # Correlated columns share the expectation: divide by their effective multiplicity.
     unit = projected[:, good] / np.sqrt(norm[good])
-    seen = (unit.T @ error) ** 2
     runs = np.trace(group.same_run / group.same_run.sum(axis=0))
-    usual = EXPECTED_SHARE * runs / max(good.sum(), 1)
-    expected = np.where(seen > STANDS_OUT, seen, usual)
+    expected = np.full(int(good.sum()), EXPECTED_SHARE * runs / max(good.sum(), 1))
+    for _ in range(MOST_STANDING_OUT):
+        seen = (unit.T @ error) ** 2
+        best = int(np.argmax(seen)) if len(seen) else 0
+        if not len(seen) or seen[best] < STANDS_OUT:
+            break
+        expected[best] = seen[best]
+        direction = unit[:, best] / np.linalg.norm(unit[:, best])
+        error = error - direction * (direction @ error)
+        unit = unit - np.outer(direction, direction @ unit)
+        size = np.linalg.norm(unit, axis=0)
+        unit = np.where(size > 0.2, unit / np.maximum(size, 1e-12), 0.0)
     return columns[:, good] * np.sqrt(expected / norm[good])

@@ -117,11 +117,14 @@ def settle(
     for group in groups:
         fixed = _fixed(group, sensitivity)
         guess = (start or {}).get(group.protocol, START_SCATTER)
-        own = rich_columns(found.tests, group, group.variance(guess), fixed, residual[group.index])
-        scatter = estimate_scatter(group, residual[group.index], fixed, own, guess)
-        rich[group.protocol] = rich_columns(
-            found.tests, group, group.variance(scatter), fixed, residual[group.index]
-        )
+        # First without favourites: a column judged by a scatter that it lowered itself would
+        # feed on that.
+        even = rich_columns(found.tests, group, group.variance(START_SCATTER), fixed, None)
+        first = estimate_scatter(group, residual[group.index], fixed, even, guess)
+        variance = group.variance(first)
+        own = rich_columns(found.tests, group, variance, fixed, residual[group.index])
+        scatter = estimate_scatter(group, residual[group.index], fixed, own, first)
+        rich[group.protocol] = own
         scatters[group.protocol] = scatter
     weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
     return State(keep, groups, scatters, weights, sensitivity, found.tests, rich, found.untestable)
@@ -148,7 +151,8 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
             continue
-        suspects = suspects[: 2 + int(OUTLIER_SHARE * len(group.index))]
+        runs = len(np.unique(measurements.run[group.index]))
+        suspects = suspects[: 1 + int(1.5 * OUTLIER_SHARE * runs)]
         suspicious = np.concatenate([s[2] for s in suspects])
         kept = np.flatnonzero(~np.isin(group.index, suspicious))
         if len(kept) < 0.6 * len(group.index):
@@ -215,18 +219,26 @@ def settle_without_outliers(
         p: len(set(measurements.run[measurements.protocol == p]))
         for p in np.unique(measurements.protocol)
     }
-    budget = {p: max(1, int(OUTLIER_SHARE * n + 0.5)) for p, n in runs.items()}
+    budget = {p: max(1, int(1.5 * OUTLIER_SHARE * n + 0.5)) for p, n in runs.items()}
+    in_all = max(1, int(OUTLIER_SHARE * sum(runs.values()) + 0.5))
     spent = {p: [0, 0] for p in runs}  # whole runs, single features
     if fitted is None:
         fitted = _first_fit(measurements, causes, keep, start)
     state = settle(measurements, fitted, keep)
     for _ in range(6):
-        new = []
+        new, seen = [], set()
         for outlier in find_outliers(measurements, fitted, state):
+            # An outlier bends the level of its specimen: its siblings are judged without it.
+            specimen = measurements.specimen[outlier.features[0]]
+            if specimen in seen:
+                continue
+            seen.add(specimen)
             protocol = measurements.protocol[outlier.features[0]]
             whole = keep & (measurements.run == measurements.run[outlier.features[0]])
             kind = int(len(outlier.features) < whole.sum())
-            if spent[protocol][kind] < budget[protocol] and keep[outlier.features].all():
+            total = sum(count[kind] for count in spent.values())
+            room = spent[protocol][kind] < budget[protocol] and total < in_all
+            if room and keep[outlier.features].all():
                 spent[protocol][kind] += 1
                 new.append(outlier)
             if len(new) >= 3:

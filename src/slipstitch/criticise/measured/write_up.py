@@ -257,8 +257,8 @@ wear and specimen (one run each); whether the level depends on speed or stiffnes
 ## A block pushed over boards
 
 500 pushes (Zhou 2015), of which {kept} are near-translations (the block turned by less than
-{push_data.LARGEST_TURN_DEG:g}° and moved more than 4 mm); turning lowers the force a push needs, so the
-others are left out. A log of 50 pushes is the cluster; support, place, direction in the block,
+{push_data.LARGEST_TURN_DEG:g}° and moved more than 4 mm); turning lowers the force a push needs, so
+the others are left out. A log of 50 pushes is the cluster; support, place, direction in the block,
 direction in the room and order are the covariates.
 
 | board | support | force / weight | scatter | pushes |
