@@ -77,7 +77,8 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
             mine = np.flatnonzero(specimens == specimen)
             variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
             parts.append((group.index[mine], np.linalg.inv(variance)))
-            rows_of.append(group.index[mine])
+            # Outliers teach nothing but count in the score: a fresh campaign has them too.
+            rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
     runs = np.log(max(len(np.unique(m.run[state.keep])), 2))
     null = _linear(analysis, analysis.null, parts, 0)
     others = [
