@@ -13,7 +13,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 
-MATERIALS = ("gray-interlock", "11oz-black-denim", "ivory-rib-knit")
+MATERIALS = ("gray-interlock", "navy-sparkle-sweat", "royal-target")
 FRICTIONS = (0.1, 0.3, 0.6, 1.0)
 FRAMES = 315  # the last at 130.8 s
 

@@ -97,7 +97,6 @@ class _Matrix:
     """Lower triangle of the tangent in CSC form, its factor, and where elements add to it."""
 
     pattern: cvxopt.spmatrix
-    template: np.ndarray
     permutation: cvxopt.matrix
     factor: object = field(default=None)
 
@@ -244,7 +243,6 @@ class ClothSolver:
             cvxopt.spmatrix(
                 np.ones(len(key)), coordinates.row.tolist(), coordinates.col.tolist(), lower.shape
             ),
-            template,
             cvxopt.matrix(order.tolist(), tc="i"),
         )
 
@@ -331,7 +329,9 @@ class ClothSolver:
         try:
             cholmod.numeric(matrix.pattern, matrix.factor)
         except ArithmeticError as error:
-            raise NotConverged(f"the tangent matrix is not positive definite ({error})") from None
+            raise NotConverged(
+                f"at {self.time_s:.4f} s the tangent is not positive definite ({error})"
+            ) from None
         self.record.factorisations += 1
         nodes, blocks = self._contact_blocks()
         blocks[:, :2, 2] = 0.0
