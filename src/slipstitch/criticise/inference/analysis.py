@@ -117,13 +117,8 @@ def settle(
     for group in groups:
         fixed = _fixed(group, sensitivity)
         guess = (start or {}).get(group.protocol, START_SCATTER)
-        # First without favourites: a column judged by a scatter that it lowered itself would
-        # feed on that.
-        even = rich_columns(found.tests, group, group.variance(START_SCATTER), fixed, None)
-        first = estimate_scatter(group, residual[group.index], fixed, even, guess)
-        variance = group.variance(first)
-        own = rich_columns(found.tests, group, variance, fixed, residual[group.index])
-        scatter = estimate_scatter(group, residual[group.index], fixed, own, first)
+        own = rich_columns(found.tests, group, group.variance(START_SCATTER), fixed)
+        scatter = estimate_scatter(group, residual[group.index], fixed, own, guess)
         rich[group.protocol] = own
         scatters[group.protocol] = scatter
     weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
@@ -146,7 +141,7 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     for group in state.groups:
         scatter = state.scatters[group.protocol]
         fixed = _fixed(group, state.sensitivity)
-        rich = rich_columns(state.tests, group, group.variance(scatter), fixed, None)
+        rich = rich_columns(state.tests, group, group.variance(scatter), fixed)
         suspects = _deviations(measurements, group, scatter, rich, residual, state)
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
