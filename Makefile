@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark benchmark-criticise clean
+.PHONY: help setup all test lint format benchmark benchmark-criticise criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -17,6 +17,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  CPU time and memory of whole simulations'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
+	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -44,6 +45,9 @@ benchmark: setup
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
+
+criticise-measured: setup
+	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

@@ -26,10 +26,9 @@ COSTS = {
         20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
     ),
     "simulate_step_s": Cost(
-        0.030,
+        0.022,
         "CPU s a time step of 41 x 41 vertices",
-        "smoke chain, busy machine: 5 ms at 21 x 21 (mean of 4), 300 frames, scaled up; "
-        "41 x 41, first 20 s, gray-interlock at 0.6: 47 ms",
+        "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
     ),
     "trajectory_bytes": Cost(
         15.6, "bytes a vertex and frame", "smoke chain, 441 vertices, 300 frames"
@@ -41,14 +40,14 @@ COSTS = {
         0.10, "CPU s a frame at 112 px, 1 sample", "30 frames: mean of 0.100, 0.133, 0.075 by view"
     ),
     "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
-    "image_bytes": Cost(1.45, "bytes a pixel of PNG", "smoke chain, 32 px: mean of 128 images"),
+    "image_bytes": Cost(1.75, "bytes a pixel of PNG", "demo, 64 px: mean of 6480 images"),
     "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
     "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
-    "sample_s": Cost(0.001, "CPU s an image", "not measured yet: an allowance"),
+    "sample_s": Cost(0.0003, "CPU s an image", "demo: 2.1 s for 6480 images"),
     "train_frame_s": Cost(
-        0.0023,
+        0.0020,
         "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
-        "not measured yet: 0.75 h for 92160 passes of 30 frames on two cores",
+        "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
     ),
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
