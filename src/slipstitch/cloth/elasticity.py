@@ -54,6 +54,38 @@ def stiffness_at(
     return (c00 * (ONE - fy) + c10 * fy) * (ONE - fz) + (c01 * (ONE - fy) + c11 * fy) * fz
 
 
+@wp.struct
+class Deformation:
+    """Columns of the deformation gradient F, and Green strain (G00, G11, G01)."""
+
+    f0: wp.vec3d
+    f1: wp.vec3d
+    G: wp.vec3d
+
+
+@wp.func
+def deformation(
+    x: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.int32, ndim=2),
+    gradients: wp.array(dtype=wp.vec2d, ndim=2),
+    t: int,
+) -> Deformation:
+    f0 = wp.vec3d()
+    f1 = wp.vec3d()
+    for a in range(3):
+        g = gradients[t, a]
+        p = x[faces[t, a]]
+        f0 += p * g[0]
+        f1 += p * g[1]
+    face = Deformation()
+    face.f0 = f0
+    face.f1 = f1
+    face.G = wp.vec3d(
+        HALF * (wp.dot(f0, f0) - ONE), HALF * (wp.dot(f1, f1) - ONE), HALF * wp.dot(f0, f1)
+    )
+    return face
+
+
 @wp.kernel
 def green_strains(
     x: wp.array(dtype=wp.vec3d),
@@ -63,16 +95,7 @@ def green_strains(
 ):
     """Green strain (G00, G11, G01) of each face."""
     t = wp.tid()
-    f0 = wp.vec3d()
-    f1 = wp.vec3d()
-    for a in range(3):
-        g = gradients[t, a]
-        p = x[faces[t, a]]
-        f0 += p * g[0]
-        f1 += p * g[1]
-    strain[t] = wp.vec3d(
-        HALF * (wp.dot(f0, f0) - ONE), HALF * (wp.dot(f1, f1) - ONE), HALF * wp.dot(f0, f1)
-    )
+    strain[t] = deformation(x, faces, gradients, t).G
 
 
 @wp.kernel
@@ -88,31 +111,19 @@ def stretching_force(
 ):
     """Add minus the elastic and viscous nodal forces of each face."""
     t = wp.tid()
-    f0 = wp.vec3d()
-    f1 = wp.vec3d()
-    for a in range(3):
-        g = gradients[t, a]
-        p = x[faces[t, a]]
-        f0 += p * g[0]
-        f1 += p * g[1]
-    G00 = HALF * (wp.dot(f0, f0) - ONE)
-    G11 = HALF * (wp.dot(f1, f1) - ONE)
-    G01 = HALF * wp.dot(f0, f1)
-    k = stiffness_at(table, G00, G11, G01)
-    before = strain_before[t]
+    face = deformation(x, faces, gradients, t)
+    k = stiffness_at(table, face.G[0], face.G[1], face.G[2])
     d = damping_ratio[0]
-    E00 = G00 + d * (G00 - before[0])
-    E11 = G11 + d * (G11 - before[1])
-    E01 = G01 + d * (G01 - before[2])
-    S00 = area[t] * (k[0] * E00 + k[1] * E11)
-    S11 = area[t] * (k[2] * E11 + k[1] * E00)
-    S01 = area[t] * k[3] * E01
+    E = face.G + (face.G - strain_before[t]) * d
+    S00 = area[t] * (k[0] * E[0] + k[1] * E[1])
+    S11 = area[t] * (k[2] * E[1] + k[1] * E[0])
+    S01 = area[t] * k[3] * E[2]
     for a in range(3):
         g = gradients[t, a]
         wp.atomic_add(
             minus_force,
             faces[t, a],
-            f0 * (S00 * g[0] + S01 * g[1]) + f1 * (S01 * g[0] + S11 * g[1]),
+            face.f0 * (S00 * g[0] + S01 * g[1]) + face.f1 * (S01 * g[0] + S11 * g[1]),
         )
 
 
@@ -133,25 +144,13 @@ def stretching_stiffness(
     The geometric term enters with the tensile part of the stress only.
     """
     t = wp.tid()
-    f0 = wp.vec3d()
-    f1 = wp.vec3d()
-    for a in range(3):
-        g = gradients[t, a]
-        p = x[faces[t, a]]
-        f0 += p * g[0]
-        f1 += p * g[1]
-    G00 = HALF * (wp.dot(f0, f0) - ONE)
-    G11 = HALF * (wp.dot(f1, f1) - ONE)
-    G01 = HALF * wp.dot(f0, f1)
-    k = stiffness_at(table, G00, G11, G01)
-    before = strain_before[t]
+    face = deformation(x, faces, gradients, t)
+    k = stiffness_at(table, face.G[0], face.G[1], face.G[2])
     d = damping_ratio[0]
-    E00 = G00 + d * (G00 - before[0])
-    E11 = G11 + d * (G11 - before[1])
-    E01 = G01 + d * (G01 - before[2])
-    S00 = k[0] * E00 + k[1] * E11
-    S11 = k[2] * E11 + k[1] * E00
-    S01 = k[3] * E01
+    E = face.G + (face.G - strain_before[t]) * d
+    S00 = k[0] * E[0] + k[1] * E[1]
+    S11 = k[2] * E[1] + k[1] * E[0]
+    S01 = k[3] * E[2]
     # Tensile part of the symmetric 2 x 2 stress.
     mean = HALF * (S00 + S11)
     half = HALF * (S00 - S11)
@@ -179,14 +178,14 @@ def stretching_stiffness(
     for b in range(3):
         gb = gradients[t, b]
         # Strains (G00, G11, 2 G01) per displacement of vertex b are the rows of Q_b.
-        b0 = f0 * gb[0]
-        b1 = f1 * gb[1]
-        b2 = f0 * gb[1] + f1 * gb[0]
+        b0 = face.f0 * gb[0]
+        b1 = face.f1 * gb[1]
+        b2 = face.f0 * gb[1] + face.f1 * gb[0]
         for a in range(3):
             ga = gradients[t, a]
-            a0 = f0 * ga[0]
-            a1 = f1 * ga[1]
-            a2 = f0 * ga[1] + f1 * ga[0]
+            a0 = face.f0 * ga[0]
+            a1 = face.f1 * ga[1]
+            a2 = face.f0 * ga[1] + face.f1 * ga[0]
             geometric = area[t] * (
                 ga[0] * (S00 * gb[0] + S01 * gb[1]) + ga[1] * (S01 * gb[0] + S11 * gb[1])
             )
