@@ -16,6 +16,7 @@ from slipstitch.material.law import CURVATURE_SPACING_PER_M
 
 wp.set_module_options({"enable_backward": False})
 
+mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
@@ -91,29 +92,21 @@ def dihedral_angles(
     theta[h] = dihedral_angle(x[hinges[h, 0]], x[hinges[h, 1]], x[hinges[h, 2]], x[hinges[h, 3]])
 
 
-@wp.struct
-class HingeGradient:
-    g0: wp.vec3d
-    g1: wp.vec3d
-    g2: wp.vec3d
-    g3: wp.vec3d
-
-
 @wp.func
-def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> HingeGradient:
+def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> mat43d:
+    """Gradient of the dihedral angle: a row a vertex, in 1/m."""
     e = x1 - x0
     ll = wp.dot(e, e)
     length = wp.sqrt(ll)
     n0 = wp.cross(e, x2 - x0)
     n1 = wp.cross(x3 - x0, e)
-    d = HingeGradient()
-    d.g2 = -n0 * (length / wp.dot(n0, n0))
-    d.g3 = -n1 * (length / wp.dot(n1, n1))
+    g2 = -n0 * (length / wp.dot(n0, n0))
+    g3 = -n1 * (length / wp.dot(n1, n1))
     t2 = wp.dot(x2 - x0, e) / ll
     t3 = wp.dot(x3 - x0, e) / ll
-    d.g0 = -(d.g2 * (ONE - t2) + d.g3 * (ONE - t3))
-    d.g1 = -(d.g2 * t2 + d.g3 * t3)
-    return d
+    g0 = -(g2 * (ONE - t2) + g3 * (ONE - t3))
+    g1 = -(g2 * t2 + g3 * t3)
+    return wp.matrix_from_rows(g0, g1, g2, g3)
 
 
 @wp.kernel
@@ -141,10 +134,8 @@ def bending_force(
     c = c / (wp.float64(4.0) * area[h])
     moment = c * (theta - rest_angle[h] + damping_ratio[0] * (theta - angle_before[h]))
     d = angle_gradient(x0, x1, x2, x3)
-    wp.atomic_add(minus_force, hinges[h, 0], d.g0 * moment)
-    wp.atomic_add(minus_force, hinges[h, 1], d.g1 * moment)
-    wp.atomic_add(minus_force, hinges[h, 2], d.g2 * moment)
-    wp.atomic_add(minus_force, hinges[h, 3], d.g3 * moment)
+    for a in range(4):
+        wp.atomic_add(minus_force, hinges[h, a], d[a] * moment)
 
 
 @wp.kernel
@@ -171,23 +162,9 @@ def bending_stiffness(
     c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[0])
     d = angle_gradient(x0, x1, x2, x3)
     for a in range(4):
-        ga = d.g0
-        if a == 1:
-            ga = d.g1
-        if a == 2:
-            ga = d.g2
-        if a == 3:
-            ga = d.g3
         for b in range(4):
-            gb = d.g0
-            if b == 1:
-                gb = d.g1
-            if b == 2:
-                gb = d.g2
-            if b == 3:
-                gb = d.g3
             for p in range(3):
                 for q in range(3):
                     e = entry[h, (a * 3 + p) * 12 + b * 3 + q]
                     if e >= 0:
-                        values[e] = values[e] + c * ga[p] * gb[q]
+                        values[e] = values[e] + c * d[a, p] * d[b, q]

@@ -11,7 +11,7 @@ that a node of the cloth can bear; a step that does not get there is halved and 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import cvxopt
 import numpy as np
@@ -94,11 +94,11 @@ class StepRecord:
 
 @dataclass
 class _Matrix:
-    """Lower triangle of the tangent in CSC form, its factor, and where elements add to it."""
+    """Lower triangle of the tangent in CSC form, its elimination order and its factor."""
 
     pattern: cvxopt.spmatrix
     permutation: cvxopt.matrix
-    factor: object = field(default=None)
+    factor: object = None
 
 
 class ClothSolver:
