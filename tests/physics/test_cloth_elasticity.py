@@ -138,6 +138,48 @@ def test_the_tangent_is_the_derivative_of_the_force_where_stress_is_tensile():
     np.testing.assert_allclose(recovered, direction, atol=1e-5 * np.abs(direction).max())
 
 
+def test_on_a_cylinder_too_the_tangent_of_contact_is_the_derivative_of_its_force():
+    """Vertices that stick and vertices that slip, pressed into a cylinder by very soft cloth."""
+    radius_m = 0.02
+    mesh = rectangle(5, 5, 0.02, 0.02)
+    angle = (mesh.rest_uv_m[:, 1] - 0.01) / radius_m
+    depth_m = np.random.default_rng(3).uniform(1e-7, 1e-6, 25)
+    x = np.column_stack(
+        [
+            (radius_m - depth_m) * np.sin(angle),
+            mesh.rest_uv_m[:, 0],
+            (radius_m - depth_m) * np.cos(angle) - radius_m,
+        ]
+    )
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(0.2, 1e-12, 1e-14),
+        x,
+        friction=0.3,
+        fixed=np.zeros((25, 3), bool),
+        settings=SolverSettings(damping_s=0.0),
+        nodal_force_N=1e-5,
+        ground_curvature_per_m=1 / radius_m,
+    )
+    stretch_N = np.random.default_rng(4).normal(size=(25, 2)) * 5e-6
+    solver.start(preload_N=stretch_N)
+    solver._inverse_step_squared.fill_(0.0)
+    solver._evaluate(x)
+    nodes, blocks = solver._contact_blocks()
+    states = solver._state.numpy()
+    assert set(states) == {1, 2}  # some stick, some slip
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-11
+        slope = (solver._evaluate(x + step) - solver._evaluate(x - step)) / 2e-11
+        np.testing.assert_allclose(
+            slope[nodes], blocks[:, :, axis], atol=1e-3 * solver.normal_stiffness_N_m
+        )
+    force_N = solver._evaluate(x) - 9.81 * solver.mass_kg[:, None] * [0, 0, 1]
+    solver.positions_m = x
+    np.testing.assert_allclose(solver.floor_forces()[states == 1], -force_N[states == 1], atol=1e-9)
+
+
 def test_a_mesh_needs_two_rows_and_columns():
     with pytest.raises(BadInput, match="1 x 5 vertices: at least 2 x 2"):
         rectangle(1, 5, 0.2, 0.2)

@@ -102,7 +102,7 @@ class _Matrix:
 
 
 class ClothSolver:
-    """A sheet of cloth over the floor z = 0.
+    """A sheet of cloth over the floor z = 0, or over a cylinder whose crest touches it.
 
     Parameters
     ----------
@@ -119,6 +119,11 @@ class ClothSolver:
         Tilted for an inclined plane.
     rest_curvature_per_m : float
         Natural curl of the cloth about the u axis; positive curls towards the face's normal.
+    nodal_force_N : float, optional
+        What a node of the cloth typically bears, which penetration and tolerance refer to: the
+        median nodal weight if not given, the share of the load where something else presses.
+    ground_curvature_per_m : float
+        0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
     device : str
         Warp device on which forces and stiffness are evaluated.
     """
@@ -134,6 +139,8 @@ class ClothSolver:
         settings: SolverSettings | None = None,
         gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2),
         rest_curvature_per_m: float = 0.0,
+        nodal_force_N: float | None = None,
+        ground_curvature_per_m: float = 0.0,
         device: str = "cpu",
     ):
         self.mesh = mesh
@@ -147,11 +154,12 @@ class ClothSolver:
         self.record = StepRecord()
         self.time_s = 0.0
 
-        self.nodal_weight_N = GRAVITY_M_S2 * float(np.median(self.mass_kg))
-        stiffness_N_m = self.nodal_weight_N / settings.penetration_m
+        self.ground_curvature_per_m = ground_curvature_per_m
+        self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
+        stiffness_N_m = self.nodal_force_N / settings.penetration_m
         self.normal_stiffness_N_m = self.tangential_stiffness_N_m = stiffness_N_m
         self.force_scale_N = (
-            max(float(self.friction.max()), settings.friction_floor) * self.nodal_weight_N
+            max(float(self.friction.max()), settings.friction_floor) * self.nodal_force_N
         )
         self._upload(tables, gravity_m_s2, rest_curvature_per_m)
         self._matrix = self._symbolic()
@@ -212,8 +220,8 @@ class ClothSolver:
             rows.append(np.repeat(dof, k, axis=1))
             columns.append(np.tile(dof, (1, k)))
         node = np.arange(V)[:, None] * 3
-        rows.append(node + np.array([0, 1, 1, 2]))
-        columns.append(node + np.array([0, 0, 1, 2]))
+        rows.append(node + np.array([0, 1, 1, 2, 2, 2]))
+        columns.append(node + np.array([0, 0, 1, 0, 1, 2]))
 
         kept = [(r >= c) & ~fixed[r] & ~fixed[c] for r, c in zip(rows, columns, strict=True)]
         diagonal = np.arange(3 * V)
@@ -279,6 +287,7 @@ class ClothSolver:
                     self._target,
                     *inertia,
                     self._gravity,
+                    self.ground_curvature_per_m,
                     self._anchor,
                     *floor,
                     self._minus_force,
@@ -298,14 +307,24 @@ class ClothSolver:
             launch(
                 contact.node_stiffness,
                 V,
-                [self._x, *inertia, self._anchor, *floor, self._entry[2], self._values],
+                [
+                    self._x,
+                    *inertia,
+                    self.ground_curvature_per_m,
+                    self._anchor,
+                    *floor,
+                    self._entry[2],
+                    self._values,
+                ],
             ),
         ]
         self._remember = [
             launch(elasticity.green_strains, F, [*faces, self._strain]),
             launch(bending.dihedral_angles, H, [*hinges, self._angle]),
         ]
-        self._anchors = launch(contact.move_anchors, V, [self._x, *floor, self._anchor])
+        self._anchors = launch(
+            contact.move_anchors, V, [self._x, self.ground_curvature_per_m, *floor, self._anchor]
+        )
 
     # -- pieces of a step -----------------------------------------------------------------
 
@@ -333,8 +352,7 @@ class ClothSolver:
                 f"at {self.time_s:.4f} s the tangent is not positive definite ({error})"
             ) from None
         self.record.factorisations += 1
-        nodes, blocks = self._contact_blocks()
-        blocks[:, :2, 2] = 0.0
+        nodes, blocks = self._contact_blocks(symmetric=True)
         self._factored_blocks = np.zeros((self.mesh.vertex_count, 3, 3))
         self._factored_blocks[nodes] = blocks
 
@@ -344,14 +362,15 @@ class ClothSolver:
         self.record.solves += 1
         return np.array(solution).ravel()
 
-    def _contact_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Exact tangent of the floor's force: nodes in contact, and their 3 x 3 blocks.
+    def _contact_blocks(self, symmetric: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Exact tangent of the ground's force: nodes in contact, and their 3 x 3 blocks.
 
-        Not symmetric where a node slips: its friction follows its normal force.
+        Not symmetric where a node slips: its friction follows its normal force. ``symmetric``
+        leaves that part out.
         """
         state = self._state.numpy()
         nodes = np.flatnonzero(state)
-        x = self._x.numpy()[nodes]
+        x, frames = contact.ground_coordinates(self._x.numpy()[nodes], self.ground_curvature_per_m)
         offset = x[:, :2] - self._anchor.numpy()[nodes]
         blocks = np.zeros((len(nodes), 3, 3))
         blocks[:, 0, 0] = blocks[:, 1, 1] = self.tangential_stiffness_N_m
@@ -360,10 +379,13 @@ class ClothSolver:
         along = offset[slip, :, None] / distance
         limit = (self.friction[nodes] * -self.normal_stiffness_N_m * x[:, 2])[slip, None, None]
         blocks[slip, :2, :2] = limit / distance * (np.eye(2) - along * along.transpose(0, 2, 1))
-        blocks[slip, :2, 2:] = (
-            -self.normal_stiffness_N_m * self.friction[nodes[slip], None, None] * along
-        )
+        if not symmetric:
+            blocks[slip, :2, 2:] = (
+                -self.normal_stiffness_N_m * self.friction[nodes[slip], None, None] * along
+            )
         blocks[:, 2, 2] = self.normal_stiffness_N_m
+        if self.ground_curvature_per_m:
+            blocks = frames.transpose(0, 2, 1) @ blocks @ frames
         free = ~self.fixed[nodes]
         return nodes, blocks * (free[:, :, None] & free[:, None, :])
 
@@ -528,7 +550,8 @@ class ClothSolver:
             the cloth on the floor: what it bears after a slow tilt, say.
         """
         self._x.assign(self.positions_m)
-        anchor = self.positions_m[:, :2] - preload_N / self.tangential_stiffness_N_m
+        place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
+        anchor = place[:, :2] - preload_N / self.tangential_stiffness_N_m
         self._anchor.assign(np.ascontiguousarray(anchor))
         for command in self._remember:
             command.launch()
@@ -586,8 +609,9 @@ class ClothSolver:
         return np.where(self.fixed, force, 0.0)
 
     def floor_forces(self) -> np.ndarray:
-        """Force of the floor on each vertex, shape (V, 3)."""
-        x = self.positions_m
+        """Force of the ground on each vertex, shape (V, 3)."""
+        x, frames = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         normal = np.maximum(-self.normal_stiffness_N_m * x[:, 2], 0.0)
         tangential = -self.tangential_stiffness_N_m * (x[:, :2] - self._anchor.numpy())
-        return np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
+        local = np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
+        return np.einsum("nij,ni->nj", frames, local)
