@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
+from slipstitch import theory
 from slipstitch.errors import BadInput
 from slipstitch.protocol import run_protocol
 from slipstitch.simulate.settings import SimulationSettings
@@ -60,6 +62,80 @@ def test_steady_drag_of_a_hanging_strip_is_the_heavy_elastica(friction):
     )
 
 
+@pytest.mark.parametrize("friction", [0.05, 0.2, 0.35])
+def test_the_foot_of_a_pushed_strip_slips_where_the_elastica_says(friction):
+    result = run_protocol("strip", {"friction": friction}, SimulationSettings())
+    assert result["regime"] == result["theory_regime"] == "slipped"
+    assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=0.001)
+    assert result["friction_at_slip"] == pytest.approx(friction, abs=1e-4)
+    assert result["friction_read_from_strain"] == pytest.approx(friction, abs=0.001)
+
+
+def test_with_more_friction_the_foot_lies_flat_before_it_slips():
+    result = run_protocol("strip", {"friction": 0.37}, SimulationSettings())
+    assert result["slip_strain"] is None
+    assert result["regime"] == result["theory_regime"] == "partially slipped"
+    assert result["flat_strain"] == pytest.approx(0.3303, abs=0.002)
+    assert result["load_ratio"][-2] == pytest.approx(0.3564, abs=0.002)
+
+
+def test_a_strip_pushed_less_far_is_pinned_and_has_the_shape_of_the_elastica():
+    result = run_protocol("strip", {"friction": 0.3, "strain": 0.15}, SimulationSettings())
+    assert (result["regime"], result["slip_strain"]) == ("pinned", None)
+    state = theory.strip_state(result["shape_strain"])
+    assert result["load_ratio"][-1] == pytest.approx(state.load_ratio, abs=1e-3)
+    shape = np.array(result["shape_m"]) / 0.2
+    # Compared at the same distance along the strip; both sides of the clamp are alike.
+    along = np.linspace(0, 1, len(state.curve))
+    at = (np.arange(len(shape)) + 0.5) / (len(shape) - 0.5)
+    for axis, sign in ((0, np.sign(shape[60, 0] * state.curve[80, 0])), (1, 1)):
+        expected = np.interp(at, along, state.curve[:, axis])
+        np.testing.assert_allclose(sign * shape[:, axis], expected, atol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gamma", [0.0, 0.3])
+@pytest.mark.parametrize("friction", [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35])
+def test_strip_slip_curve(friction, gamma):
+    settings = SimulationSettings(time_step_s=0.01)
+    result = run_protocol("strip", {"friction": friction, "gamma": gamma}, settings)
+    assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=0.003)
+    assert result["friction_read_from_strain"] == pytest.approx(friction, abs=0.003)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.37, 0.45, 0.6])
+def test_strip_never_slips_above_the_largest_friction_it_can_ask_for(friction):
+    result = run_protocol("strip", {"friction": friction}, SimulationSettings())
+    assert result["slip_strain"] is None
+
+
+@pytest.mark.slow
+def test_the_error_of_the_slip_strain_falls_with_the_mesh():
+    settings = SimulationSettings(time_step_s=0.01)
+    errors = []
+    for vertices in (19, 75, 297):
+        result = run_protocol("strip", {"friction": 0.3, "vertices": vertices}, settings)
+        errors.append(abs(result["slip_strain"] - result["theory_slip_strain"]))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-4
+
+
+@pytest.mark.parametrize("friction, wrap_deg", [(0.0, 90), (0.3, 180), (1.0, 180), (0.5, 270)])
+def test_tensions_around_a_cylinder_follow_the_capstan_law(friction, wrap_deg):
+    result = run_protocol(
+        "capstan", {"friction": friction, "wrap_deg": wrap_deg}, SimulationSettings()
+    )
+    assert result["tension_ratio"] == pytest.approx(result["theory_tension_ratio"], rel=1e-3)
+    assert 0 < result["bending_over_tension"] < 0.01
+
+
+def test_cloth_at_rest_creeps_less_than_a_micrometre_a_second():
+    result = _incline(0.5, 0.98, 0.02)
+    assert result["sticks"]
+    assert result["creep_m"] < 1e-6  # in one second
+
+
 def test_frictionless_cloth_slides_on_any_slope():
     result = run_protocol("incline", {"friction": 0.0, "slope_deg": 0.5}, SimulationSettings())
     assert not result["sticks"]
@@ -76,6 +152,11 @@ def test_frictionless_cloth_slides_on_any_slope():
         ("incline", {"friction": -0.3, "slope_deg": 5}, "friction -0.3: must be finite"),
         ("flat-drag", {"friction": float("nan")}, "friction nan: must be finite"),
         ("flat-drag", {"friction": 0.3, "colour": 1}, "unknown option 'colour'"),
+        ("strip", {"friction": 0.3, "vertices": 3}, "vertices 3: at least 8"),
+        ("strip", {"friction": 0.3, "gamma": 0.5}, "gamma 0.5: at most 0.3"),
+        ("strip", {"friction": 0.3, "strain": 0}, "strain 0: above 0.0001"),
+        ("capstan", {"friction": 0.3, "wrap_deg": 300}, "wrap_deg 300: must be above 0, at most"),
+        ("capstan", {"friction": 3, "wrap_deg": 180}, "at most 100"),
     ],
 )
 def test_bad_options_are_named(name, options, message):

@@ -8,15 +8,22 @@ EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incli
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("name", metavar="NAME", help="incline, flat-drag or strip-drag")
+    parser.add_argument(
+        "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
+    )
     parser.add_argument("--out", required=True, help="JSON file of measured and theory's values")
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
     parser.add_argument(
         "--gravity-length-m", type=float, help="strip-drag: (B/w)^(1/3), in m (default 0.02)"
     )
+    parser.add_argument("--vertices", type=int, help="strip, strip-drag: vertices along the strip")
+    parser.add_argument(
+        "--gamma", type=float, help="areal density x gravity x length^3 / B (strip: at most 0.3)"
+    )
+    parser.add_argument("--strain", type=float, help="strip: how far it is pushed, over its length")
+    parser.add_argument("--wrap-deg", type=float, help="capstan: angle of contact in degrees")
     parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
-    parser.add_argument("--vertices", type=int, help="strip-drag: vertices along the strip")
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -28,12 +35,14 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
     started = start_clock()
-    given = {"time_step_s": arguments.time_step, "vertices_per_side": arguments.vertices}
-    overrides = {key: value for key, value in given.items() if value is not None}
-    settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
-    names = ("friction", "slope_deg", "gravity_length_m")
+    names = ("friction", "slope_deg", "gravity_length_m", "gamma", "strain", "wrap_deg", "vertices")
     options = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in options.items() if value is not None}
+    given = {"time_step_s": arguments.time_step}
+    if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
+        given["vertices_per_side"] = options.pop("vertices", None)
+    overrides = {key: value for key, value in given.items() if value is not None}
+    settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
     result = run_protocol(arguments.name, options, settings)
     text = json.dumps(result, indent=1)
     with atomic_path(arguments.out) as temporary:

@@ -1,0 +1,91 @@
+"""The experiments by name, and running one with its options checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from slipstitch.errors import BadInput
+from slipstitch.protocol.capstan import capstan
+from slipstitch.protocol.flat_drag import flat_drag
+from slipstitch.protocol.incline import incline
+from slipstitch.protocol.strip import LARGEST_STRAIN, strip
+from slipstitch.protocol.strip_drag import strip_drag
+from slipstitch.simulate.settings import SimulationSettings
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """An experiment and its options: name to (default, meaning); default None: required."""
+
+    run: Callable[..., dict[str, Any]]
+    options: Mapping[str, tuple[float | None, str]]
+
+
+_FRICTION = (None, "friction coefficient")
+PROTOCOLS: dict[str, Protocol] = {
+    "incline": Protocol(incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}),
+    "flat-drag": Protocol(flat_drag, {"friction": _FRICTION}),
+    "strip-drag": Protocol(
+        strip_drag,
+        {
+            "friction": _FRICTION,
+            "gravity_length_m": (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in m"),
+        },
+    ),
+    "strip": Protocol(
+        strip,
+        {
+            "friction": _FRICTION,
+            "vertices": (149, "vertices along the strip"),
+            "gamma": (0.0, "weight over rigidity, areal density x gravity x length^3 / B"),
+            "strain": (LARGEST_STRAIN, "how far it is pushed, over its length"),
+        },
+    ),
+    "capstan": Protocol(
+        capstan, {"friction": _FRICTION, "wrap_deg": (None, "angle of contact in degrees")}
+    ),
+}
+
+
+def run_protocol(
+    name: str, options: Mapping[str, float], settings: SimulationSettings | None = None
+) -> dict[str, Any]:
+    """Run one experiment.
+
+    Parameters
+    ----------
+    name : str
+        A key of ``PROTOCOLS``.
+    options : mapping
+        Its options, by name.
+    settings : SimulationSettings, optional
+        Numerical settings (time step, tolerance, damping ...).
+
+    Raises
+    ------
+    BadInput
+        Unknown experiment or option, a missing one, or a value out of range.
+    NotConverged
+        The solver did not converge.
+    """
+    if name not in PROTOCOLS:
+        raise BadInput(f"unknown protocol {name!r}; allowed: {', '.join(PROTOCOLS)}")
+    protocol = PROTOCOLS[name]
+    unknown = set(options) - set(protocol.options)
+    if unknown:
+        raise BadInput(
+            f"protocol {name}: unknown option {min(unknown)!r}; "
+            f"allowed: {', '.join(protocol.options)}"
+        )
+    values = {}
+    for option, (default, _) in protocol.options.items():
+        value = options.get(option, default)
+        if value is None:
+            raise BadInput(f"protocol {name}: {option} is missing")
+        if not isfinite(value) or value < 0:
+            raise BadInput(f"protocol {name}: {option} {value}: must be finite and at least 0")
+        values[option] = float(value)
+    return protocol.run(settings or SimulationSettings(), **values)
