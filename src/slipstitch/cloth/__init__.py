@@ -7,7 +7,15 @@ import warp
 
 warp.config.log_level = warp.LOG_WARNING  # standard output belongs to results
 
+from slipstitch.cloth.floor_friction import ContactConditions  # noqa: E402
 from slipstitch.cloth.mesh import ClothMesh, rectangle  # noqa: E402
 from slipstitch.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
 
-__all__ = ["ClothMesh", "ClothSolver", "SolverSettings", "StepRecord", "rectangle"]
+__all__ = [
+    "ClothMesh",
+    "ClothSolver",
+    "ContactConditions",
+    "SolverSettings",
+    "StepRecord",
+    "rectangle",
+]

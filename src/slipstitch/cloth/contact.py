@@ -1,20 +1,28 @@
-"""Inertia, gravity, and contact with the ground under Coulomb friction (Warp kernels).
+"""Inertia, gravity, and contact with the ground under dry friction (Warp kernels).
 
 The ground is the floor z = 0, or a cylinder about a line along y whose crest is that floor's
 line x = 0 (for the capstan): contact is worked out in coordinates along, across and above it.
 
 Normal contact is a stiff penalty (micrometres of penetration under the cloth's weight).
-Friction is exact Amontons-Coulomb by return mapping: a node in contact hangs on an anchor by a
-stiff tangential spring; below the threshold |Q| < mu P the anchor does not move (no creep,
-microslip of about a micrometre that is elastic and returns), at the threshold the force is
-mu P against the motion and the anchor is dragged along. Simo and Hughes, Computational
-Inelasticity (1998), ch. 1 (return mapping); Wriggers, Computational Contact Mechanics (2006).
+Friction is exact, by return mapping: a node in contact hangs on an anchor by a stiff tangential
+spring; while |Q| is below the friction law's limit the anchor does not move (no creep, microslip
+of about a micrometre that is elastic and returns), at the limit the force is the limit against
+the motion and the anchor is dragged along. Simo and Hughes, Computational Inelasticity (1998),
+ch. 1 (return mapping); Wriggers, Computational Contact Mechanics (2006).
+
+The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
+each (:func:`contact_kernels`).
 """
 
 from __future__ import annotations
 
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
 import warp as wp
+
+from slipstitch.cloth import friction
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,11 +33,8 @@ OPEN = wp.constant(0)
 STICK = wp.constant(1)
 SLIP = wp.constant(2)
 
-
-@wp.func
-def friction_limit(friction: wp.float64, normal_force: wp.float64) -> wp.float64:
-    """Largest tangential force that contact can bear: Coulomb's mu P."""
-    return friction * normal_force
+LEAST_SLIDE_M = wp.constant(wp.float64(1.0e-3))  # a shorter motion from rest to rest is no slide
+HALF_DIFFERENCE = wp.constant(wp.float64(1.0e-10))  # m, by which contact forces are differenced
 
 
 @wp.struct
@@ -91,105 +96,334 @@ def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.
     return coordinates, frames
 
 
-@wp.kernel
-def node_residual(
-    x: wp.array(dtype=wp.vec3d),
-    inertial_target: wp.array(dtype=wp.vec3d),
-    mass: wp.array(dtype=wp.float64),
-    inverse_step_squared: wp.array(dtype=wp.float64),
-    gravity: wp.array(dtype=wp.vec3d),
+@wp.struct
+class FrictionState:
+    """What the friction law may ask of a node; Coulomb's law asks for the coefficient alone.
+
+    The direction is that of the anchor's pull and the speed that of the step being solved for:
+    both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
+    """
+
+    coefficient: wp.array(dtype=wp.float64)
+    values: wp.array(dtype=wp.float64)  # of the mechanisms' parameters
+    area_m2: wp.array(dtype=wp.float64)
+    warp: wp.array(dtype=wp.vec2d)  # the warp's direction on the floor
+    start: wp.array(dtype=wp.vec3d)  # place at the beginning of the step
+    sliding: wp.array(dtype=wp.int32)
+    dwell_s: wp.array(dtype=wp.float64)
+    slid_m: wp.array(dtype=wp.float64)  # path since the last rest
+    repeats: wp.array(dtype=wp.float64)
+    relative_humidity_pct: wp.float64
+
+
+@wp.func
+def coulomb_limit(
+    node: int,
+    normal_force: wp.float64,
+    pull: wp.vec2d,
+    place: wp.vec2d,
     curvature: wp.float64,
-    anchor: wp.array(dtype=wp.vec2d),
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.array(dtype=wp.float64),
-    minus_force: wp.array(dtype=wp.vec3d),
-    free: wp.array(dtype=wp.vec3d),
-    residual: wp.array(dtype=wp.vec3d),
-    state: wp.array(dtype=wp.int32),
-):
-    """Out-of-balance force of each node; reads and clears ``minus_force``."""
-    i = wp.tid()
-    p = x[i]
-    r = minus_force[i] + mass[i] * ((p - inertial_target[i]) * inverse_step_squared[0] - gravity[0])
-    minus_force[i] = wp.vec3d()
-    s = OPEN
-    ground = ground_point(p, curvature)
-    if ground.gap < ZERO:
+    inverse_step_squared: wp.float64,
+    law: FrictionState,
+) -> wp.float64:
+    """Largest tangential force that contact can bear: Coulomb's mu P."""
+    return law.coefficient[node] * normal_force
+
+
+@cache
+def _law_limit() -> wp.Function:
+    force_limit = friction.force_limit()
+
+    @wp.func
+    def law_limit(
+        node: int,
+        normal_force: wp.float64,
+        pull: wp.vec2d,
+        place: wp.vec2d,
+        curvature: wp.float64,
+        inverse_step_squared: wp.float64,
+        law: FrictionState,
+    ) -> wp.float64:
+        """Largest tangential force under an extended law."""
+        start = ground_point(law.start[node], curvature)
+        moved = wp.length(place - start.place)
+        warp = law.warp[node]
+        direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
+        return force_limit(
+            law.coefficient[node],
+            law.values,
+            law.sliding[node] == 0,
+            normal_force,
+            law.area_m2[node],
+            direction,
+            law.dwell_s[node],
+            moved * wp.sqrt(inverse_step_squared),
+            law.repeats[node],
+            law.relative_humidity_pct,
+        )
+
+    return law_limit
+
+
+class ContactKernels(NamedTuple):
+    """The kernels of one friction law."""
+
+    residual: wp.Kernel
+    stiffness: wp.Kernel
+    move_anchors: wp.Kernel
+    tangent: wp.Kernel
+
+
+@cache
+def contact_kernels(extended: bool) -> ContactKernels:
+    """Kernels under Coulomb's law, or under a law with mechanisms."""
+    limit_of = _law_limit() if extended else coulomb_limit
+    module = __name__ + ("_extended" if extended else "_coulomb")
+
+    @wp.func
+    def ground_force(
+        node: int,
+        p: wp.vec3d,
+        anchor: wp.vec2d,
+        curvature: wp.float64,
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        inverse_step_squared: wp.float64,
+        law: FrictionState,
+    ) -> wp.vec3d:
+        """Force of a node in contact on the ground."""
+        ground = ground_point(p, curvature)
         normal_force = -normal_stiffness * ground.gap
-        q = (ground.place - anchor[i]) * tangential_stiffness
+        pull = ground.place - anchor
+        q = pull * tangential_stiffness
         size = wp.length(q)
-        limit = friction_limit(friction[i], normal_force)
-        s = STICK
+        limit = limit_of(
+            node, normal_force, pull, ground.place, curvature, inverse_step_squared, law
+        )
         if size > limit:
-            s = SLIP
             q = q * (limit / size)
-        r += ground.along * q[0] - ground.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
-    state[i] = s
-    residual[i] = wp.cw_mul(r, free[i])
+        return ground.along * q[0] - ground.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def node_residual(
+        x: wp.array(dtype=wp.vec3d),
+        inertial_target: wp.array(dtype=wp.vec3d),
+        mass: wp.array(dtype=wp.float64),
+        inverse_step_squared: wp.array(dtype=wp.float64),
+        gravity: wp.array(dtype=wp.vec3d),
+        curvature: wp.float64,
+        anchor: wp.array(dtype=wp.vec2d),
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        law: FrictionState,
+        minus_force: wp.array(dtype=wp.vec3d),
+        free: wp.array(dtype=wp.vec3d),
+        residual: wp.array(dtype=wp.vec3d),
+        state: wp.array(dtype=wp.int32),
+    ):
+        """Out-of-balance force of each node; reads and clears ``minus_force``."""
+        i = wp.tid()
+        p = x[i]
+        r = minus_force[i] + mass[i] * (
+            (p - inertial_target[i]) * inverse_step_squared[0] - gravity[0]
+        )
+        minus_force[i] = wp.vec3d()
+        s = OPEN
+        ground = ground_point(p, curvature)
+        if ground.gap < ZERO:
+            normal_force = -normal_stiffness * ground.gap
+            pull = ground.place - anchor[i]
+            q = pull * tangential_stiffness
+            size = wp.length(q)
+            limit = limit_of(
+                i, normal_force, pull, ground.place, curvature, inverse_step_squared[0], law
+            )
+            s = STICK
+            if size > limit:
+                s = SLIP
+                q = q * (limit / size)
+            r += ground.along * q[0] - ground.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+        state[i] = s
+        residual[i] = wp.cw_mul(r, free[i])
+
+    @wp.func
+    def symmetric_block(
+        node: int,
+        p: wp.vec3d,
+        anchor: wp.vec2d,
+        curvature: wp.float64,
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        inverse_step_squared: wp.float64,
+        law: FrictionState,
+    ) -> wp.mat33d:
+        """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
+        block = wp.mat33d()
+        ground = ground_point(p, curvature)
+        if ground.gap < ZERO:
+            along = ground.along
+            across = wp.vec3d(ZERO, ONE, ZERO)
+            block += wp.outer(ground.normal, ground.normal) * normal_stiffness
+            d = ground.place - anchor
+            size = wp.length(d)
+            normal_force = -normal_stiffness * ground.gap
+            limit = limit_of(
+                node, normal_force, d, ground.place, curvature, inverse_step_squared, law
+            )
+            if size * tangential_stiffness <= limit:
+                block += (wp.outer(along, along) + wp.outer(across, across)) * tangential_stiffness
+            else:
+                sideways = (across * d[0] - along * d[1]) / size
+                block += wp.outer(sideways, sideways) * (limit / size)
+        return block
+
+    @wp.kernel(module=module, enable_backward=False)
+    def node_stiffness(
+        x: wp.array(dtype=wp.vec3d),
+        mass: wp.array(dtype=wp.float64),
+        inverse_step_squared: wp.array(dtype=wp.float64),
+        curvature: wp.float64,
+        anchor: wp.array(dtype=wp.vec2d),
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        law: FrictionState,
+        entry: wp.array(dtype=wp.int32, ndim=2),
+        values: wp.array(dtype=wp.float64),
+    ):
+        """Add inertia and the symmetric part of contact to the diagonal blocks.
+
+        ``entry`` holds, per node, the places of (xx, yx, yy, zx, zy, zz) in the lower triangle.
+        """
+        i = wp.tid()
+        block = wp.identity(n=3, dtype=wp.float64) * (mass[i] * inverse_step_squared[0])
+        block += symmetric_block(
+            i,
+            x[i],
+            anchor[i],
+            curvature,
+            normal_stiffness,
+            tangential_stiffness,
+            inverse_step_squared[0],
+            law,
+        )
+        for row in range(3):
+            for column in range(row + 1):
+                e = entry[i, row * (row + 1) // 2 + column]
+                if e >= 0:
+                    values[e] = values[e] + block[row, column]
+
+    @wp.kernel(module=module, enable_backward=False)
+    def move_anchors(
+        x: wp.array(dtype=wp.vec3d),
+        inverse_step_squared: wp.array(dtype=wp.float64),
+        curvature: wp.float64,
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        law: FrictionState,
+        anchor: wp.array(dtype=wp.vec2d),
+    ):
+        """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
+        i = wp.tid()
+        ground = ground_point(x[i], curvature)
+        here = ground.place
+        if ground.gap < ZERO:
+            d = here - anchor[i]
+            size = wp.length(d)
+            normal_force = -normal_stiffness * ground.gap
+            limit = limit_of(i, normal_force, d, here, curvature, inverse_step_squared[0], law)
+            reach = limit / tangential_stiffness
+            if size > reach:
+                anchor[i] = here - d * (reach / size)
+        else:
+            anchor[i] = here
+
+    @wp.kernel(module=module, enable_backward=False)
+    def tangent(
+        x: wp.array(dtype=wp.vec3d),
+        inverse_step_squared: wp.array(dtype=wp.float64),
+        curvature: wp.float64,
+        anchor: wp.array(dtype=wp.vec2d),
+        normal_stiffness: wp.float64,
+        tangential_stiffness: wp.float64,
+        law: FrictionState,
+        nodes: wp.array(dtype=wp.int32),
+        symmetric: bool,
+        blocks: wp.array(dtype=wp.mat33d),
+    ):
+        """Tangents of the ground's force on some nodes, 3 x 3: exact by central differences.
+
+        ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
+        """
+        k = wp.tid()
+        i = nodes[k]
+        if symmetric:
+            blocks[k] = symmetric_block(
+                i,
+                x[i],
+                anchor[i],
+                curvature,
+                normal_stiffness,
+                tangential_stiffness,
+                inverse_step_squared[0],
+                law,
+            )
+        else:
+            for c in range(3):
+                shift = wp.vec3d()
+                shift[c] = HALF_DIFFERENCE
+                ahead = ground_force(
+                    i,
+                    x[i] + shift,
+                    anchor[i],
+                    curvature,
+                    normal_stiffness,
+                    tangential_stiffness,
+                    inverse_step_squared[0],
+                    law,
+                )
+                behind = ground_force(
+                    i,
+                    x[i] - shift,
+                    anchor[i],
+                    curvature,
+                    normal_stiffness,
+                    tangential_stiffness,
+                    inverse_step_squared[0],
+                    law,
+                )
+                change = (ahead - behind) / (HALF_DIFFERENCE + HALF_DIFFERENCE)
+                for r in range(3):
+                    blocks[k][r, c] = change[r]
+
+    return ContactKernels(node_residual, node_stiffness, move_anchors, tangent)
 
 
-@wp.kernel
-def node_stiffness(
+@wp.kernel(enable_backward=False)
+def advance_friction_state(
     x: wp.array(dtype=wp.vec3d),
-    mass: wp.array(dtype=wp.float64),
     inverse_step_squared: wp.array(dtype=wp.float64),
     curvature: wp.float64,
-    anchor: wp.array(dtype=wp.vec2d),
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.array(dtype=wp.float64),
-    entry: wp.array(dtype=wp.int32, ndim=2),
-    values: wp.array(dtype=wp.float64),
+    state: wp.array(dtype=wp.int32),
+    law: FrictionState,
 ):
-    """Add inertia and the symmetric part of contact to the diagonal blocks.
+    """After an accepted step: who rests and who slides, for how long, how often.
 
-    ``entry`` holds, per node, the places of (xx, yx, yy, zx, zy, zz) in the lower triangle.
-    The turning of a curved ground's normal is left out: it is the penetration over the radius.
+    A slide ends when the node comes to rest or leaves the floor.
     """
     i = wp.tid()
-    p = x[i]
-    m = mass[i] * inverse_step_squared[0]
-    block = wp.identity(n=3, dtype=wp.float64) * m
-    ground = ground_point(p, curvature)
-    if ground.gap < ZERO:
-        along = ground.along
-        across = wp.vec3d(ZERO, ONE, ZERO)
-        block += wp.outer(ground.normal, ground.normal) * normal_stiffness
-        d = ground.place - anchor[i]
-        size = wp.length(d)
-        limit = friction_limit(friction[i], -normal_stiffness * ground.gap)
-        if size * tangential_stiffness <= limit:
-            block += (wp.outer(along, along) + wp.outer(across, across)) * tangential_stiffness
-        else:
-            sideways = (across * d[0] - along * d[1]) / size
-            block += wp.outer(sideways, sideways) * (limit / size)
-    for row in range(3):
-        for column in range(row + 1):
-            e = entry[i, row * (row + 1) // 2 + column]
-            if e >= 0:
-                values[e] = values[e] + block[row, column]
-
-
-@wp.kernel
-def move_anchors(
-    x: wp.array(dtype=wp.vec3d),
-    curvature: wp.float64,
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.array(dtype=wp.float64),
-    anchor: wp.array(dtype=wp.vec2d),
-):
-    """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
-    i = wp.tid()
-    ground = ground_point(x[i], curvature)
-    here = ground.place
-    if ground.gap < ZERO:
-        d = here - anchor[i]
-        size = wp.length(d)
-        limit = friction_limit(friction[i], -normal_stiffness * ground.gap)
-        reach = limit / tangential_stiffness
-        if size > reach:
-            anchor[i] = here - d * (reach / size)
+    here = ground_point(x[i], curvature)
+    before = ground_point(law.start[i], curvature)
+    law.start[i] = x[i]
+    if state[i] == SLIP:
+        law.sliding[i] = 1
+        law.dwell_s[i] = ZERO
+        law.slid_m[i] = law.slid_m[i] + wp.length(here.place - before.place)
     else:
-        anchor[i] = here
+        if law.slid_m[i] > LEAST_SLIDE_M:
+            law.repeats[i] = law.repeats[i] + ONE
+        law.slid_m[i] = ZERO
+        law.sliding[i] = 0
+        if state[i] == STICK:
+            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(inverse_step_squared[0])
+        else:
+            law.dwell_s[i] = ZERO

@@ -21,8 +21,10 @@ import warp as wp
 from cvxopt import cholmod
 
 from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.errors import NotConverged
+from slipstitch.friction_law import FrictionLaw
 from slipstitch.material.law import ElasticTables
 
 GRAVITY_M_S2 = 9.81
@@ -110,8 +112,8 @@ class ClothSolver:
     tables : ElasticTables
     positions_m : ndarray, shape (V, 3)
         Initial positions; initial velocities are zero.
-    friction : float or ndarray, shape (V,)
-        Friction coefficient between cloth and floor.
+    friction : float, ndarray of shape (V,), or FrictionLaw
+        Friction coefficient between cloth and floor, or an extended law.
     fixed : ndarray of bool, shape (V, 3)
         Coordinates that are prescribed rather than solved for.
     settings : SolverSettings
@@ -124,6 +126,8 @@ class ClothSolver:
         median nodal weight if not given, the share of the load where something else presses.
     ground_curvature_per_m : float
         0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
+    conditions : ContactConditions
+        What an extended friction law needs to know beside the motion.
     device : str
         Warp device on which forces and stiffness are evaluated.
     """
@@ -134,13 +138,14 @@ class ClothSolver:
         tables: ElasticTables,
         positions_m: np.ndarray,
         *,
-        friction: float | np.ndarray,
+        friction: float | np.ndarray | FrictionLaw,
         fixed: np.ndarray,
         settings: SolverSettings | None = None,
         gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2),
         rest_curvature_per_m: float = 0.0,
         nodal_force_N: float | None = None,
         ground_curvature_per_m: float = 0.0,
+        conditions: ContactConditions | None = None,
         device: str = "cpu",
     ):
         self.mesh = mesh
@@ -148,7 +153,8 @@ class ClothSolver:
         self.device = device
         self.fixed = np.array(fixed, dtype=bool)
         self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
-        self.friction = np.broadcast_to(np.asarray(friction, float), mesh.vertex_count).copy()
+        self.floor = FloorFriction(mesh, friction, conditions or ContactConditions(), device)
+        self.friction = self.floor.coefficient
         self.positions_m = np.array(positions_m, dtype=float)
         self.velocities_m_s = np.zeros_like(self.positions_m)
         self.record = StepRecord()
@@ -177,7 +183,6 @@ class ClothSolver:
         self._target = array(self.positions_m, wp.vec3d)
         self._anchor = array(self.positions_m[:, :2], wp.vec2d)
         self._mass = array(self.mass_kg, wp.float64)
-        self._friction = array(self.friction, wp.float64)
         self._free = array((~self.fixed).astype(float), wp.vec3d)
         self._gravity = array([gravity], wp.vec3d)
         self._inverse_step_squared = array([1.0], wp.float64)
@@ -263,7 +268,8 @@ class ClothSolver:
         stretching = [*faces, self._area, self._stretching, self._strain, self._damping_ratio]
         hinges = [self._x, self._hinges]
         shape = [*hinges, self._hinge_length, self._hinge_area, self._hinge_direction]
-        floor = [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self._friction]
+        floor = [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self.floor.state]
+        kernels = self.floor.kernels
         inertia = [self._mass, self._inverse_step_squared]
         self._forces = [
             launch(elasticity.stretching_force, F, [*stretching, self._minus_force]),
@@ -280,7 +286,7 @@ class ClothSolver:
                 ],
             ),
             launch(
-                contact.node_residual,
+                kernels.residual,
                 V,
                 [
                     self._x,
@@ -305,7 +311,7 @@ class ClothSolver:
                 [*shape, self._bending, self._damping_ratio, self._entry[1], self._values],
             ),
             launch(
-                contact.node_stiffness,
+                kernels.stiffness,
                 V,
                 [
                     self._x,
@@ -322,9 +328,17 @@ class ClothSolver:
             launch(elasticity.green_strains, F, [*faces, self._strain]),
             launch(bending.dihedral_angles, H, [*hinges, self._angle]),
         ]
-        self._anchors = launch(
-            contact.move_anchors, V, [self._x, self.ground_curvature_per_m, *floor, self._anchor]
-        )
+        step = [self._x, self._inverse_step_squared]
+        self._anchors = [
+            launch(
+                kernels.move_anchors,
+                V,
+                [*step, self.ground_curvature_per_m, *floor, self._anchor],
+            )
+        ]
+        if self.floor.extended:
+            history = [*step, self.ground_curvature_per_m, self._state, self.floor.state]
+            self._anchors.append(launch(contact.advance_friction_state, V, history))
 
     # -- pieces of a step -----------------------------------------------------------------
 
@@ -370,6 +384,10 @@ class ClothSolver:
         """
         state = self._state.numpy()
         nodes = np.flatnonzero(state)
+        free = ~self.fixed[nodes]
+        free = free[:, :, None] & free[:, None, :]
+        if self.floor.extended:
+            return nodes, self._law_blocks(nodes, symmetric) * free
         x, frames = contact.ground_coordinates(self._x.numpy()[nodes], self.ground_curvature_per_m)
         offset = x[:, :2] - self._anchor.numpy()[nodes]
         blocks = np.zeros((len(nodes), 3, 3))
@@ -386,8 +404,15 @@ class ClothSolver:
         blocks[:, 2, 2] = self.normal_stiffness_N_m
         if self.ground_curvature_per_m:
             blocks = frames.transpose(0, 2, 1) @ blocks @ frames
-        free = ~self.fixed[nodes]
-        return nodes, blocks * (free[:, :, None] & free[:, None, :])
+        return nodes, blocks * free
+
+    def _law_blocks(self, nodes: np.ndarray, symmetric: bool) -> np.ndarray:
+        blocks = wp.zeros(len(nodes), dtype=wp.mat33d, device=self.device)
+        inputs = [self._x, self._inverse_step_squared, self.ground_curvature_per_m, self._anchor]
+        inputs += [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self.floor.state]
+        inputs += [wp.array(nodes, dtype=wp.int32, device=self.device), symmetric, blocks]
+        wp.launch(self.floor.kernels.tangent, dim=len(nodes), inputs=inputs, device=self.device)
+        return blocks.numpy()
 
     def _correction(self, residual: np.ndarray) -> np.ndarray:
         """Newton correction at the positions last evaluated.
@@ -535,9 +560,11 @@ class ClothSolver:
         self.record.largest_residual = max(self.record.largest_residual, error)
         self.velocities_m_s = (x - start) / step_s
         self.positions_m = x
-        self._anchors.launch()
-        for command in self._remember:
+        for command in [*self._anchors, *self._remember]:
             command.launch()
+        if self.floor.extended:
+            place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
+            self.floor.set_directions(place)
         return True
 
     def start(self, preload_N: np.ndarray | float = 0.0) -> None:
@@ -553,6 +580,9 @@ class ClothSolver:
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         anchor = place[:, :2] - preload_N / self.tangential_stiffness_N_m
         self._anchor.assign(np.ascontiguousarray(anchor))
+        if self.floor.extended:
+            self.floor.state.start.assign(self.positions_m)
+            self.floor.set_directions(place)
         for command in self._remember:
             command.launch()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,5 +59,8 @@ class Contact:
             return np.asarray(self.normal_force_N) / REFERENCE_EDGE_FORCE_N
         return np.asarray(self.normal_force_N) / np.asarray(self.area_m2) / REFERENCE_PRESSURE_PA
 
-
-CONTACT_FIELDS = tuple(field.name for field in fields(Contact))
+    def quantity(self, name: str) -> np.ndarray:
+        """A field, or ``load_ratio``, as a formula asks for it by the name of its argument."""
+        if name == "load_ratio":
+            return self.load_ratio()
+        return np.asarray(getattr(self, name), dtype=float)

@@ -88,9 +88,27 @@ class FrictionLaw:
         added = 0.0
         for identifier, values in self.mechanisms.items():
             mechanism = CONTACT_MECHANISMS[identifier]
-            force = force * mechanism.factor(values, contact, static)
-            added = added + mechanism.added_force(values, contact, static)
+            for factor in mechanism.factors(static):
+                force = force * mechanism.value(factor, values, contact)
+            if mechanism.added_force is not None:
+                added = added + mechanism.value(mechanism.added_force, values, contact)
         return np.maximum(force + added, 0.0)
+
+    def parameter_values(self) -> np.ndarray:
+        """Every parameter of every mechanism there is, those that are absent at their null.
+
+        Returns
+        -------
+        numpy.ndarray
+            In the order of ``CONTACT_MECHANISMS`` and of their parameters.
+        """
+        return np.array(
+            [
+                self.mechanisms.get(identifier, {}).get(parameter.name, parameter.null)
+                for identifier, mechanism in CONTACT_MECHANISMS.items()
+                for parameter in mechanism.parameters
+            ]
+        )
 
     def to_dict(self) -> dict:
         """Plain data from which :meth:`from_dict` makes the same law."""

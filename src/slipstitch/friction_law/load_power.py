@@ -4,18 +4,18 @@ import numpy as np
 
 from slipstitch.friction_law.mechanism import ContactMechanism, Parameter
 
-
-class LoadPower(ContactMechanism):
-    """Factor (p / p0)^m, p0 = 50 Pa; at an edge (N / 2 mN)^m."""
-
-    def factor(self, values, contact, static):
-        ratio = np.maximum(contact.load_ratio(), 1e-9)
-        return ratio ** values["load_power"]
+LEAST_RATIO = 1.0e-9  # of the load to the reference: below, the power is cut off
 
 
-MECHANISM = LoadPower(
+def factor(load_power, load_ratio):
+    """(p / p0)^m, p0 = 50 Pa; at an edge (N / 2 mN)^m."""
+    return np.maximum(load_ratio, LEAST_RATIO) ** load_power
+
+
+MECHANISM = ContactMechanism(
     "load_power",
     "friction grows less (or more) than in proportion to the load",
     (Parameter("load_power", "1", 0.0, 0.05, -0.9, 0.9),),
     needs=("normal_force_N",),
+    factor=factor,
 )

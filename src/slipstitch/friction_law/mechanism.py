@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from inspect import signature
 
 import numpy as np
 
 from slipstitch.friction_law.contact import Contact
+
+Formula = Callable[..., float | np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -42,23 +46,51 @@ class Mechanism:
         return {parameter.name: parameter.null for parameter in self.parameters}
 
 
+@dataclass(frozen=True)
 class ContactMechanism(Mechanism):
-    """A mechanism of the contact: it scales the friction force, or adds to it."""
+    """A mechanism of the contact: it scales the friction force, or adds to it.
 
-    def factor(
-        self, values: Mapping[str, float], contact: Contact, static: bool
-    ) -> np.ndarray | float:
-        """Factor on the Coulomb force, 1 where the mechanism is silent."""
-        return 1.0
+    A formula is a plain function whose arguments are named after the mechanism's parameters and
+    after quantities of :class:`Contact`: one return statement, NumPy's functions only. NumPy
+    evaluates it here; the cloth simulator evaluates a translation of the same source.
 
-    def added_force(
-        self, values: Mapping[str, float], contact: Contact, static: bool
-    ) -> np.ndarray | float:
-        """Force beside the Coulomb force, in newtons."""
-        return 0.0
+    Attributes
+    ----------
+    factor, static_factor, kinetic_factor
+        Factor on the Coulomb force: always, at rest only, in motion only.
+    added_force
+        Force beside it, in N.
+    unrecorded
+        Quantity -> what stands in for it where it was not recorded: a value at which the formula
+        does nothing.
+    """
+
+    factor: Formula | None = None
+    static_factor: Formula | None = None
+    kinetic_factor: Formula | None = None
+    added_force: Formula | None = None
+    unrecorded: Mapping[str, float] = field(default_factory=dict)
+
+    def factors(self, static: bool) -> list[Formula]:
+        """The formulas that scale the friction at rest (``static``) or in motion."""
+        found = (self.factor, self.static_factor if static else self.kinetic_factor)
+        return [formula for formula in found if formula is not None]
+
+    def value(self, formula: Formula, values: Mapping[str, float], contact: Contact):
+        """A formula of this mechanism at parameter values, for every contact."""
+        arguments = []
+        for name in arguments_of(formula):
+            if name in values:
+                arguments.append(values[name])
+                continue
+            quantity = contact.quantity(name)
+            if name in self.unrecorded:
+                quantity = np.where(np.isnan(quantity), self.unrecorded[name], quantity)
+            arguments.append(quantity)
+        return formula(*arguments)
 
 
-def recorded(value, otherwise: float) -> np.ndarray:
-    """``value`` with every NaN (not recorded) replaced by what makes a factor of one."""
-    array = np.asarray(value, dtype=float)
-    return np.where(np.isnan(array), otherwise, array)
+@cache
+def arguments_of(formula: Formula) -> tuple[str, ...]:
+    """Names of a formula's arguments."""
+    return tuple(signature(formula).parameters)

@@ -2,18 +2,15 @@
 
 import numpy as np
 
-from slipstitch.friction_law.mechanism import ContactMechanism, Parameter, recorded
+from slipstitch.friction_law.mechanism import ContactMechanism, Parameter
 
 
-class Wear(ContactMechanism):
-    """Factor 1 + a (1 - exp(-r / r0)), r the slides before."""
-
-    def factor(self, values, contact, static):
-        repeats = recorded(contact.repeats, 0.0)
-        return 1.0 + values["wear"] * (1.0 - np.exp(-repeats / values["wear_r0"]))
+def factor(wear, wear_r0, repeats):
+    """1 + a (1 - exp(-r / r0)), r the slides before."""
+    return 1.0 + wear * (1.0 - np.exp(-repeats / wear_r0))
 
 
-MECHANISM = Wear(
+MECHANISM = ContactMechanism(
     "wear",
     "friction changes with the slides that a specimen has made",
     (
@@ -21,4 +18,6 @@ MECHANISM = Wear(
         Parameter("wear_r0", "slides", 3.0, 2.0, 0.3, 40.0),
     ),
     needs=("repeats",),
+    factor=factor,
+    unrecorded={"repeats": 0.0},
 )

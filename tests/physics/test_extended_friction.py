@@ -1,0 +1,180 @@
+"""The extended friction law in the cloth's contact: the same numbers as in NumPy, then motion."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+from slipstitch.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
+from slipstitch.cloth.friction import QUANTITIES, force_limit
+from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, FrictionLaw
+from slipstitch.material import isotropic_tables
+
+AREAL_DENSITY_KG_M2 = 0.2
+PRESSURE_PA = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
+MU = 0.4
+STEP_S = 0.02
+# A plain amount of every mechanism there is.
+PLAIN = {
+    "load_power": {"load_power": -0.15},
+    "adhesion": {"adhesion": 0.2},
+    "static_kinetic": {"static_kinetic": 0.25},
+    "ageing": {"ageing": 0.1},
+    "rate": {"rate": 0.2},
+    "anisotropy": {"anisotropy": 0.2},
+    "nap": {"nap": -0.2},
+    "wear": {"wear": 0.3, "wear_r0": 2.0},
+    "humidity": {"humidity": 0.1},
+}
+LAWS = [*[{name: PLAIN[name]} for name in CONTACT_MECHANISMS], PLAIN]
+
+LIMIT = force_limit()
+
+
+@wp.kernel(enable_backward=False)
+def _limits(
+    values: wp.array(dtype=wp.float64),
+    at_rest: bool,
+    states: wp.array(dtype=wp.float64, ndim=2),
+    limits: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    limits[i] = LIMIT(
+        wp.float64(0.4),
+        values,
+        at_rest,
+        states[i, 0],
+        states[i, 1],
+        states[i, 2],
+        states[i, 3],
+        states[i, 4],
+        states[i, 5],
+        states[i, 6],
+    )
+
+
+@pytest.mark.parametrize("static", [True, False])
+@pytest.mark.parametrize("mechanisms", LAWS, ids=lambda law: "+".join(law))
+def test_warp_and_numpy_evaluate_the_same_law(mechanisms, static):
+    random = np.random.default_rng(7)
+    low, high = np.array([[1e-6, 1e-5, -7, 0, 0, 0, 20], [1.0, 1e-2, 7, 1e3, 0.1, 30, 80]])
+    states = low + (high - low) * random.random((500, 7))
+    law = FrictionLaw(MU, mechanisms)
+    limits = wp.zeros(500, dtype=wp.float64, device="cpu")
+    values = wp.array(law.parameter_values(), dtype=wp.float64, device="cpu")
+    inputs = [values, static, wp.array(states, dtype=wp.float64, device="cpu"), limits]
+    wp.launch(_limits, dim=500, inputs=inputs, device="cpu")
+    expected = law.force_limit(Contact(**dict(zip(QUANTITIES, states.T, strict=True))), static)
+    assert expected.std() > 0
+    np.testing.assert_allclose(limits.numpy(), expected, rtol=1e-13)
+
+
+def slope_solver(law, slope_rad, conditions=None, speed_m_s=0.0):
+    """A square of cloth resting on a plane that was tilted slowly to a slope (downhill is x)."""
+    mesh = rectangle(4, 4, 0.02, 0.02)
+    # Laid so that sliding downhill is along -v.
+    u, v = mesh.rest_uv_m.T
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(AREAL_DENSITY_KG_M2, 200.0, 1e-7),
+        np.column_stack([-v, u, 0 * u]),
+        friction=law,
+        fixed=np.zeros((mesh.vertex_count, 3), bool),
+        settings=replace(SolverSettings(), friction_tolerance=1e-7),
+        gravity_m_s2=(GRAVITY_M_S2 * math.sin(slope_rad), 0.0, -GRAVITY_M_S2 * math.cos(slope_rad)),
+        conditions=conditions,
+    )
+    weight_N = solver.mass_kg * GRAVITY_M_S2
+    solver.positions_m[:, 2] = -weight_N * math.cos(slope_rad) / solver.normal_stiffness_N_m
+    solver.velocities_m_s[:, 0] = speed_m_s
+    solver.start(preload_N=np.column_stack([weight_N * math.sin(slope_rad), 0 * weight_N]))
+    return solver
+
+
+def travelled(solver, duration_s=0.4):
+    start_m = solver.positions_m[:, 0].mean()
+    for _ in range(round(duration_s / STEP_S)):
+        solver.advance(STEP_S)
+    return solver.positions_m[:, 0].mean() - start_m
+
+
+def threshold_rad(law, contact):
+    """Slope at which W sin = F(W cos), by bisection on the law as NumPy has it."""
+    low, high = 0.0, 1.2
+    for _ in range(60):
+        middle = (low + high) / 2
+        load = PRESSURE_PA * math.cos(middle)
+        limit = law.force_limit(contact.with_load(load, 1.0), static=True)
+        low, high = (middle, high) if PRESSURE_PA * math.sin(middle) < limit else (low, middle)
+    return low
+
+
+# warp angle such that the cloth slides at 0.5 rad from the warp: -v is at -pi/2 from u.
+SLIDING_RAD = 0.5
+CONDITIONS = ContactConditions(
+    warp_angle_rad=-math.pi / 2 - SLIDING_RAD, relative_humidity_pct=62.0, repeats=3.0
+)
+AT_REST = Contact(
+    normal_force_N=1.0,
+    direction_rad=SLIDING_RAD,
+    dwell_s=20.0,
+    repeats=3.0,
+    relative_humidity_pct=62.0,
+)
+
+
+@pytest.mark.parametrize("mechanisms", LAWS, ids=lambda law: "+".join(law))
+def test_cloth_sticks_below_the_law_s_threshold_without_creep_and_slides_above(mechanisms):
+    law = FrictionLaw(MU, mechanisms)
+    threshold = threshold_rad(law, AT_REST)
+    below = slope_solver(law, math.atan(0.995 * math.tan(threshold)), CONDITIONS)
+    below.floor.rest(20.0)
+    assert abs(travelled(below)) < 1e-7
+    above = slope_solver(law, math.atan(1.02 * math.tan(threshold)), CONDITIONS)
+    above.floor.rest(20.0)
+    assert travelled(above) > 1e-4
+
+
+def test_cloth_once_sliding_feels_kinetic_friction():
+    law = FrictionLaw(MU, {"static_kinetic": {"static_kinetic": 0.25}})
+    slope = math.atan(1.3 * MU)
+    solver = slope_solver(law, slope)
+    travelled(solver)
+    expected = GRAVITY_M_S2 * (math.sin(slope) - MU * math.cos(slope))
+    before = solver.velocities_m_s[:, 0].mean()
+    travelled(solver, 0.1)
+    gained = solver.velocities_m_s[:, 0].mean() - before
+    assert gained / 0.1 == pytest.approx(expected, rel=1e-4)
+
+
+def test_friction_that_grows_with_speed_gives_the_closed_form_s_terminal_speed():
+    law = FrictionLaw(MU, {"rate": {"rate": 0.2}})
+    slope = math.atan(1.1 * MU)
+    solver = slope_solver(law, slope, speed_m_s=0.02)
+    travelled(solver, 2.0)
+    # tan(slope) = mu (1 + b log10(v / 10 mm/s))
+    assert solver.velocities_m_s[:, 0].mean() == pytest.approx(0.010 * 10 ** (0.1 / 0.2), rel=1e-3)
+
+
+def test_rest_and_slides_are_counted():
+    law = FrictionLaw(MU, {"wear": PLAIN["wear"]})
+    solver = slope_solver(law, 0.0, speed_m_s=0.2)
+    state = solver.floor.state
+    travelled(solver, STEP_S)
+    assert (state.sliding.numpy() == 1).all() and (state.dwell_s.numpy() == 0).all()
+    travelled(solver, 0.2)  # mu g = 4 m/s2 stops it after 0.05 s and 5 mm
+    assert (state.sliding.numpy() == 0).all()
+    np.testing.assert_allclose(state.repeats.numpy(), 1.0)
+    assert 0.1 < state.dwell_s.numpy().min() <= state.dwell_s.numpy().max() < 0.2
+    solver.floor.rest(30.0)
+    assert state.dwell_s.numpy().min() > 30.0
+
+
+def test_a_law_without_mechanisms_is_coulomb_s_bit_by_bit():
+    slope = math.atan(1.1 * MU)
+    plain, law = slope_solver(MU, slope), slope_solver(FrictionLaw(MU), slope)
+    travelled(plain), travelled(law)
+    assert np.array_equal(plain.positions_m, law.positions_m)
