@@ -4,6 +4,11 @@
 RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints"})
 
 
+def camera_file(wildcards):
+    """The camera file that the viewpoint's camera stands by, if one is configured."""
+    return CONFIG.render.camera_of(VIEWPOINTS[wildcards.viewpoint]["name"]) or []
+
+
 rule render:
     input:
         expand(
@@ -20,7 +25,8 @@ rule render:
 
 rule render_one:
     input:
-        "results/simulate/{simulation}.parquet",
+        trajectory="results/simulate/{simulation}.parquet",
+        camera=camera_file,
     output:
         "results/render/{simulation}_{viewpoint}.parquet",
     log:
@@ -40,7 +46,7 @@ rule render_one:
     message:
         "Render {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
-        "slipstitch render --config {params.config} --trajectory {input}"
+        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
         " --viewpoint {wildcards.viewpoint} --out {output} > {log} 2>&1"
 
 

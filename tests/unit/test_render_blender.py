@@ -22,8 +22,11 @@ def view(pixels, name="calibrated", x=0.1):
     return crop_to(VIEWPOINTS[name], cloth_room(x, 0.15, 0.2, 0.2), pixels)
 
 
-def random_camera(seed, pixels):
-    """Any pose around the cloth, the principal point anywhere near the image."""
+def random_camera(seed, pixels, rows=None):
+    """Any pose around the cloth, the principal point anywhere near the image.
+
+    With `rows`, a lens's camera: an oblong image whose pixels are not square.
+    """
     rng = np.random.default_rng(seed)
     azimuth, elevation = rng.uniform(-math.pi, math.pi), rng.uniform(0.2, 1.2)
     backwards = np.array(
@@ -39,8 +42,12 @@ def random_camera(seed, pixels):
     position = np.array([0.1, 0, 0.1]) + rng.uniform(0.6, 2) * backwards
     focal = pixels * np.linalg.norm(position) / 0.35
     centre = (pixels - 1) / 2 + rng.uniform(-0.1, 0.1, 2) * pixels
-    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
-    return Camera(rotation, -rotation @ position, matrix, pixels)
+    stretch = 1.0
+    if rows:
+        centre = (np.array([pixels, rows]) - 1) / 2 + rng.uniform(-0.2, 0.2, 2) * (pixels, rows)
+        stretch = math.exp(rng.uniform(-0.3, 0.3))
+    matrix = np.array([[focal, 0, centre[0]], [0, focal * stretch, centre[1]], [0, 0, 1]])
+    return Camera(rotation, -rotation @ position, matrix, pixels, rows)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +59,15 @@ def flat():
     return ClothScene(faces, uv), positions, (corner, along, down)
 
 
-@pytest.mark.parametrize("camera", [view(48), *(random_camera(k, 48) for k in range(4))])
+CAMERAS = [
+    view(48),
+    *(random_camera(k, 48) for k in range(4)),
+    *(random_camera(k, 96, rows) for k in range(4, 14) for rows in (54, 128)),
+    random_camera(98, 1920, 1080),
+]
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
 def test_blender_projects_as_opencv_does(flat, camera):
     scene, positions, (corner, along, down) = flat
     _, uv = scene.render(positions, camera, samples=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipstitch.render.camera import AIM_M, cloth_room, crop_to, pose
+from slipstitch.render.camera import AIM_M, cloth_room, crop_to, pose, turned
 from slipstitch.render.catalogue import VIEWPOINTS
 
 
@@ -55,3 +55,10 @@ def test_more_pixels_show_the_same_view():
     fine = camera.at_resolution(256)
     # The centre of pixel 0 lies half a pixel from the image's edge at every resolution.
     np.testing.assert_allclose((fine.project(point) + 0.5) / 4, camera.project(point) + 0.5)
+
+
+@pytest.mark.parametrize("turn", [-15, -10, -5, 5, 10, 15])
+def test_a_turned_camera_is_the_viewpoint_turned(turn):
+    around = turned(*pose(VIEWPOINTS["calibrated"]), turn)
+    for ours, expected in zip(around, pose(VIEWPOINTS[f"calibrated_{turn:+d}"]), strict=True):
+        np.testing.assert_allclose(ours, expected, atol=1e-12)

@@ -13,6 +13,9 @@ import pytest
 from slipstitch.command import main
 from slipstitch.provenance import read_metadata, read_sidecar
 from slipstitch.render import shards
+from slipstitch.render.camera import pose
+from slipstitch.render.camera_file import write_camera_file
+from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.sample.frames import sampled_frames
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
 
@@ -129,6 +132,37 @@ def test_a_viewpoint_can_be_given_by_name(work, capfd):
     assert set(pq.read_table(work / "frontal.parquet")["viewpoint"].to_pylist()) == {"frontal"}
     # Results on standard output, and nothing of Blender's.
     assert capfd.readouterr().out.count("\n") == 1
+
+
+def test_the_calibrated_viewpoint_stands_where_the_camera_file_says(work):
+    rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
+    lens = {
+        "image_size_px": [1920, 1080],
+        "focal_px": [1500.0, 1520.0],
+        "principal_point_px": [970.0, 530.0],
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+    }
+    write_camera_file(work / "camera.json", lens)
+    over = work / "camera.yaml"
+    over.write_text(f"render: {{camera: {work / 'camera.json'}, pixels: 16}}\n")
+    for name, seen_from in (("calibrated", "calibrated_-15"), ("calibrated_+5", "calibrated_-10")):
+        words = ["--config", str(over), "--viewpoint", name]
+        assert render(work, *words, out="camera.parquet") == 0
+        metadata = read_metadata(work / "camera.parquet")
+        found = metadata["camera"]["rotation"]
+        np.testing.assert_allclose(found, pose(VIEWPOINTS[seen_from])[0], atol=1e-12)
+        assert len(metadata["provenance"]["inputs"]) == 2
+    assert render(work, "--config", str(over), "--viewpoint", "side", out="camera.parquet") == 0
+    assert len(read_metadata(work / "camera.parquet")["provenance"]["inputs"]) == 1
+
+
+def test_a_camera_file_that_is_none_is_one_clear_line(work, capsys):
+    over = work / "no_camera.yaml"
+    over.write_text("render: {camera: nowhere.json}\n")
+    assert render(work, "--config", str(over), "--viewpoint", "calibrated", out="bad.parquet") == 2
+    assert "nowhere.json: cannot be read: No such file" in capsys.readouterr().err
 
 
 def test_a_fixed_crop_is_the_same_for_every_frame(work):

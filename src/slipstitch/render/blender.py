@@ -253,10 +253,10 @@ class ClothScene:
 
         Returns
         -------
-        radiance : ndarray (2, pixels, pixels, 3) float32
+        radiance : ndarray (2, rows, columns, 3) float32
             Linear light that comes from the lamp, and from the dome and background: red, green,
             blue. The image is the sum of the two.
-        uv : ndarray (pixels, pixels, 3) float32
+        uv : ndarray (rows, columns, 3) float32
             Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
 
         Raises
@@ -295,14 +295,19 @@ class ClothScene:
         from mathutils import Matrix
 
         render = self._scene.render
-        render.resolution_x = render.resolution_y = camera.pixels
+        columns, rows = camera.pixels, camera.rows or camera.pixels
+        render.resolution_x, render.resolution_y = columns, rows
+        (focal_x, _, middle_x), (_, focal_y, middle_y) = camera.matrix[:2]
+        # A pixel's height in units of its width. Blender wants the smaller of its sides to be 1.
+        aspect = float(focal_x / focal_y)
+        render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
         data = self._camera.data
         data.sensor_fit = "HORIZONTAL"
         data.sensor_width = 36.0
-        data.lens = float(36.0 * camera.matrix[0, 0] / camera.pixels)
-        middle = (camera.pixels - 1) / 2
-        data.shift_x = float((middle - camera.matrix[0, 2]) / camera.pixels)
-        data.shift_y = float((camera.matrix[1, 2] - middle) / camera.pixels)
+        data.lens = float(36.0 * focal_x / columns)
+        # Both in units of the image's width; OpenCV's first pixel has its centre at 0.
+        data.shift_x = float(((columns - 1) / 2 - middle_x) / columns)
+        data.shift_y = float((middle_y - (rows - 1) / 2) * aspect / columns)
         data.clip_start, data.clip_end = 0.01, 100.0
         # Blender's cameras look along -z with y up.
         world = np.eye(4)

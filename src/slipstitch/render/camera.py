@@ -13,6 +13,8 @@ import numpy as np
 
 from slipstitch.render.catalogue import Viewpoint
 
+Pose = Viewpoint | tuple[np.ndarray, np.ndarray]
+
 #: The fixed cameras are aimed here: the middle of the stage's travel, between clamps and floor.
 AIM_M = (0.15, 0.0, 0.07)
 
@@ -35,14 +37,18 @@ class Camera:
     translation_m : ndarray (3,)
     matrix : ndarray (3, 3)
         Intrinsics in pixels; the centre of the first pixel is (0, 0), as in OpenCV.
+        May have two focal lengths (pixels that are not square), but no skew.
     pixels : int
-        Side of the square image.
+        Columns of the image; rows too, unless `rows` says otherwise.
+    rows : int, optional
+        Rows of an image that is not square.
     """
 
     rotation: np.ndarray
     translation_m: np.ndarray
     matrix: np.ndarray
     pixels: int
+    rows: int | None = None
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
         """Pixel coordinates (N, 2) of world points (N, 3)."""
@@ -50,12 +56,13 @@ class Camera:
         return image[:, :2] / image[:, 2:]
 
     def at_resolution(self, pixels: int) -> "Camera":
-        """The same view with another number of pixels."""
+        """The same view with another number of columns, and of rows in proportion."""
         scale = pixels / self.pixels
         matrix = self.matrix.copy()
         matrix[:2, :2] *= scale
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) * scale - 0.5
-        return Camera(self.rotation, self.translation_m, matrix, pixels)
+        rows = None if self.rows is None else round(self.rows * scale)
+        return Camera(self.rotation, self.translation_m, matrix, pixels, rows)
 
 
 def pose(viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
@@ -102,9 +109,43 @@ def cloth_room(
     return np.array(corners)
 
 
-def crop_to(viewpoint: Viewpoint, room_m: np.ndarray, pixels: int) -> Camera:
-    """The viewpoint's camera, cropped to the smallest square around these points (N, 3)."""
-    rotation, translation = pose(viewpoint)
+def turned(
+    rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A camera's rotation and translation after walking round the vertical through `AIM_M`.
+
+    Parameters
+    ----------
+    rotation, translation_m : ndarray (3, 3), (3,)
+        World to camera.
+    turn_deg : float
+        By how much the camera's azimuth grows, see `Viewpoint.azimuth_deg`.
+    """
+    turn = math.radians(turn_deg)
+    # The camera walks clockwise seen from above; the world, as it sees it, turns the other way.
+    about = np.array(
+        [
+            [math.cos(turn), -math.sin(turn), 0.0],
+            [math.sin(turn), math.cos(turn), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    aim = np.array(AIM_M)
+    return rotation @ about, rotation @ (aim - about @ aim) + translation_m
+
+
+def crop_to(viewpoint: Pose, room_m: np.ndarray, pixels: int) -> Camera:
+    """A fixed camera's image, cropped to the smallest square around these points (N, 3).
+
+    Parameters
+    ----------
+    viewpoint : Viewpoint, or ndarrays (3, 3) and (3,)
+        Of the catalogue, or a camera's rotation and translation, world to camera.
+    room_m : ndarray (N, 3)
+    pixels : int
+        Side of the image.
+    """
+    rotation, translation = pose(viewpoint) if isinstance(viewpoint, Viewpoint) else viewpoint
     local = room_m @ rotation.T + translation
     image = local[:, :2] / local[:, 2:]
     low, high = image.min(axis=0), image.max(axis=0)

@@ -45,6 +45,12 @@ class RenderSettings(BaseModel):
         description="the image is a crop of a fixed camera's: it follows the known stage path, "
         "or covers the whole path",
     )
+    camera: str | None = Field(
+        None,
+        min_length=1,
+        description="camera file of `slipstitch capture camera`: the calibrated viewpoint, and "
+        "those turned from it, stand where that camera stands; null: the catalogue's own",
+    )
     threads: int = Field(1, ge=1, le=256, description="threads of Blender")
 
     @field_validator("textures", "test_textures")
@@ -74,6 +80,10 @@ class RenderSettings(BaseModel):
     def texture_ids(self) -> dict[str, str]:
         """Ids t00, t01, ... -> names, training textures first."""
         return {f"t{i:02d}": name for i, name in enumerate(self.textures + self.test_textures)}
+
+    def camera_of(self, viewpoint: str) -> str | None:
+        """The camera file that a viewpoint's camera stands by, None if it is the catalogue's."""
+        return self.camera if viewpoint.startswith("calibrated") else None
 
     def viewpoint_ids(self) -> dict[str, str]:
         """Ids v00, v01, ... -> names, training viewpoints first."""

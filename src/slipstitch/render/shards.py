@@ -11,7 +11,8 @@ import pyarrow as pa
 
 from slipstitch.errors import BadInput
 from slipstitch.provenance import provenance_record, start_clock, write_parquet
-from slipstitch.render.camera import Camera, cloth_room, crop_to
+from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, turned
+from slipstitch.render.camera_file import read_camera_file
 from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.composition import LIGHT_OVERSAMPLING, Layers, compose, make_layers
 from slipstitch.render.settings import RenderSettings
@@ -61,13 +62,24 @@ def shots(
         rows = sampled_frames(count, frames_sampled)
     width, length = _size(trajectory)
     x, z = trajectory.stage_x_m, trajectory.stage_z_m
+    fixed = viewpoint_pose(viewpoint, settings)
     result = []
     for row in rows:
         where = (x, z) if settings.crop == "fixed" else (x[row], z[row])
         room = cloth_room(*where, width, length)
-        camera = crop_to(VIEWPOINTS[viewpoint], room, settings.pixels)
+        camera = crop_to(fixed, room, settings.pixels)
         result.append(Shot(int(row), int(trajectory.frame[row]), camera))
     return result
+
+
+def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
+    """Where a viewpoint's fixed camera stands: as calibrated, or as the catalogue says."""
+    seen_from = VIEWPOINTS[viewpoint]
+    path = settings.camera_of(viewpoint)
+    if path is None:
+        return seen_from
+    turn = seen_from.azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
+    return turned(*read_camera_file(path).pose, turn)
 
 
 def _size(trajectory: Trajectory) -> tuple[float, float]:
@@ -189,7 +201,7 @@ def render_shard(
     }
     record = provenance_record(
         "render",
-        inputs=[trajectory_path],
+        inputs=[trajectory_path, *filter(None, [settings.camera_of(viewpoint)])],
         config={
             "render": settings,
             "sample": {"frames": frames_sampled},

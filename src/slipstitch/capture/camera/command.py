@@ -1,0 +1,99 @@
+"""slipstitch capture camera: pictures of a board in, camera file out."""
+
+import argparse
+from pathlib import Path
+
+SUMMARY = "calibrate a camera from pictures or a video of a checkerboard or ChArUco board"
+EXAMPLE = (
+    "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
+    "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "views", nargs="+", type=Path, metavar="FILE", help="images of the board, or one video"
+    )
+    parser.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
+    parser.add_argument(
+        "--squares",
+        required=True,
+        metavar="MxN",
+        help="squares of the board along its width and its height",
+    )
+    parser.add_argument("--square-mm", required=True, type=float, help="side of a square")
+    parser.add_argument("--marker-mm", type=float, help="ChArUco: side of a marker")
+    parser.add_argument(
+        "--dictionary", default="DICT_5X5_100", help="ChArUco: OpenCV's name of its markers"
+    )
+    parser.add_argument(
+        "--stage-view",
+        type=Path,
+        metavar="IMAGE",
+        help="the board flat on the floor, seen by the camera in its place on the bench; without "
+        "it the file says nothing about where the camera stands and cannot be rendered from",
+    )
+    parser.add_argument(
+        "--place-mm",
+        nargs=2,
+        type=float,
+        default=(0.0, 0.0),
+        metavar=("X", "Y"),
+        help="where the board's first corner lies then, in the stage's coordinates",
+    )
+    parser.add_argument(
+        "--angle-deg",
+        type=float,
+        default=0.0,
+        help="from the stage's direction to the board's width, counter-clockwise from above",
+    )
+    parser.add_argument(
+        "--thickness-mm", type=float, default=0.0, help="height of the board's face above the floor"
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="camera file")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="the residuals (PNG or SVG)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Calibrate, write the camera file and the picture, print the result in one line."""
+    from slipstitch.capture.camera.board import Board
+    from slipstitch.capture.camera.calibration import FloorPlace, calibrate, camera_file
+    from slipstitch.capture.camera.views import read_image, read_views
+    from slipstitch.errors import BadInput
+    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+    from slipstitch.render.camera_file import write_camera_file
+
+    started = start_clock()
+    board = Board.named(
+        arguments.board,
+        arguments.squares,
+        arguments.square_mm,
+        arguments.marker_mm,
+        arguments.dictionary,
+    )
+    if arguments.picture and arguments.picture.suffix not in (".png", ".svg"):
+        raise BadInput(f"{arguments.picture}: a picture's name must end in .png or .svg")
+    result = calibrate(read_views(arguments.views, board))
+    stage = None
+    if arguments.stage_view:
+        place = FloorPlace(*arguments.place_mm, arguments.angle_deg, arguments.thickness_mm)
+        stage = result.stand(
+            read_image(arguments.stage_view), board, place, str(arguments.stage_view)
+        )
+    inputs = [*arguments.views, *([arguments.stage_view] if stage else [])]
+    record = provenance_record(
+        "capture",
+        inputs=inputs,
+        config={"board": board.record(), "place": stage and stage.place.record()},
+        started=started,
+    )
+    write_camera_file(arguments.out, camera_file(result, board, stage))
+    write_sidecar(arguments.out, record)
+    if arguments.picture:
+        from slipstitch.capture.camera.picture import draw_residuals
+
+        with atomic_path(arguments.picture) as temporary:
+            draw_residuals(result, temporary, arguments.picture.suffix[1:])
+        write_sidecar(arguments.picture, record)
+    print(f"{arguments.out}: {result.summary()}{stage.summary() if stage else ''}")
