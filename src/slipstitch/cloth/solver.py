@@ -13,16 +13,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-import cvxopt
 import numpy as np
-import scipy.sparse
 import scipy.sparse.linalg
 import warp as wp
-from cvxopt import cholmod
 
 from slipstitch.cloth import bending, contact, elasticity
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.self_contact import SelfContact
+from slipstitch.cloth.tangent import Tangent
 from slipstitch.errors import NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material.law import ElasticTables
@@ -36,6 +35,8 @@ EXACT_BELOW = 1.0  # relative residual that counts as near
 PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
 KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
+EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
+COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,14 @@ class SolverSettings:
     penetration_m : float
         Depth to which one nodal weight presses the floor; also the elastic microslip of a
         node at friction coefficient 1.
+    self_contact : bool
+        Whether the cloth's layers touch one another, rather than pass through.
+    thickness_m : float
+        Distance between the middle surfaces of touching layers.
+    layer_penetration_m : float
+        Likewise for one pair of touching parts of the cloth.
+    layer_friction : float or None
+        Friction coefficient between layers; None takes that of the floor.
     """
 
     friction_tolerance: float = 1.0e-4
@@ -65,6 +74,10 @@ class SolverSettings:
     halvings_max: int = 8
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7
+    self_contact: bool = False
+    thickness_m: float = 1.0e-3
+    layer_penetration_m: float = 5.0e-6
+    layer_friction: float | None = None
 
     @classmethod
     def of(cls, settings: object) -> SolverSettings:
@@ -83,6 +96,7 @@ class StepRecord:
     halvings: int = 0
     largest_residual: float = 0.0  # relative, as in SolverSettings.friction_tolerance
     solves: int = 0
+    touching_pairs: int = 0  # most at the end of a step
 
     def add(self, other: StepRecord) -> None:
         """Add another record to this one."""
@@ -92,15 +106,7 @@ class StepRecord:
         self.halvings += other.halvings
         self.solves += other.solves
         self.largest_residual = max(self.largest_residual, other.largest_residual)
-
-
-@dataclass
-class _Matrix:
-    """Lower triangle of the tangent in CSC form, its elimination order and its factor."""
-
-    pattern: cvxopt.spmatrix
-    permutation: cvxopt.matrix
-    factor: object = None
+        self.touching_pairs = max(self.touching_pairs, other.touching_pairs)
 
 
 class ClothSolver:
@@ -168,8 +174,22 @@ class ClothSolver:
             max(float(self.friction.max()), settings.friction_floor) * self.nodal_force_N
         )
         self._upload(tables, gravity_m_s2, rest_curvature_per_m)
-        self._matrix = self._symbolic()
+        self._tangent = Tangent(
+            [mesh.faces, mesh.hinges], mesh.elimination_order, self.fixed, device
+        )
         self._record_launches()
+        self._layers = None
+        if settings.self_contact:
+            self._layers = SelfContact(
+                mesh,
+                thickness_m=settings.thickness_m,
+                stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
+                friction=float(self.friction.max())
+                if settings.layer_friction is None
+                else settings.layer_friction,
+                device=device,
+            )
+            self._coupled = -1  # generation of the pairs that the tangent has room for
 
     # -- set-up ---------------------------------------------------------------------------
 
@@ -211,58 +231,11 @@ class ClothSolver:
         self._bending = array(tables.bending_N_m, wp.float64)
         self._angle = array(np.zeros(len(mesh.hinges)), wp.float64)
 
-    def _symbolic(self) -> _Matrix:
-        mesh, V = self.mesh, self.mesh.vertex_count
-        fixed = self.fixed.ravel()
-
-        def degrees_of_freedom(elements):
-            return (elements[:, :, None] * 3 + np.arange(3)).reshape(len(elements), -1)
-
-        blocks = [degrees_of_freedom(mesh.faces), degrees_of_freedom(mesh.hinges)]
-        rows, columns = [], []
-        for dof in blocks:
-            k = dof.shape[1]
-            rows.append(np.repeat(dof, k, axis=1))
-            columns.append(np.tile(dof, (1, k)))
-        node = np.arange(V)[:, None] * 3
-        rows.append(node + np.array([0, 1, 1, 2, 2, 2]))
-        columns.append(node + np.array([0, 0, 1, 0, 1, 2]))
-
-        kept = [(r >= c) & ~fixed[r] & ~fixed[c] for r, c in zip(rows, columns, strict=True)]
-        diagonal = np.arange(3 * V)
-        all_rows = np.concatenate([r[k] for r, k in zip(rows, kept, strict=True)] + [diagonal])
-        all_columns = np.concatenate(
-            [c[k] for c, k in zip(columns, kept, strict=True)] + [diagonal]
-        )
-        key = np.unique(all_columns.astype(np.int64) * 3 * V + all_rows)
-        self._entry = []
-        for r, c, k in zip(rows, columns, kept, strict=True):
-            place = np.searchsorted(key, c.astype(np.int64) * 3 * V + r).astype(np.int32)
-            self._entry.append(
-                wp.array(
-                    np.where(k, place, -1).astype(np.int32), dtype=wp.int32, device=self.device
-                )
-            )
-        lower = scipy.sparse.csc_matrix(
-            (np.zeros(len(key)), (key % (3 * V), key // (3 * V))), shape=(3 * V, 3 * V)
-        )
-        template = np.zeros(len(key))
-        template[np.searchsorted(key, np.flatnonzero(fixed).astype(np.int64) * (3 * V + 1))] = 1.0
-        self._values = wp.zeros(len(key), dtype=wp.float64, device=self.device)
-        self._template = wp.array(template, dtype=wp.float64, device=self.device)
-        coordinates = lower.tocoo()
-        order = (mesh.elimination_order[:, None] * 3 + np.arange(3)).ravel()
-        return _Matrix(
-            cvxopt.spmatrix(
-                np.ones(len(key)), coordinates.row.tolist(), coordinates.col.tolist(), lower.shape
-            ),
-            cvxopt.matrix(order.tolist(), tc="i"),
-        )
-
     def _record_launches(self) -> None:
         def launch(kernel, dim, inputs):
             return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
 
+        tangent = self._tangent
         F, H, V = len(self.mesh.faces), len(self.mesh.hinges), self.mesh.vertex_count
         faces = [self._x, self._faces, self._gradients]
         stretching = [*faces, self._area, self._stretching, self._strain, self._damping_ratio]
@@ -304,11 +277,11 @@ class ClothSolver:
             ),
         ]
         self._stiffnesses = [
-            launch(elasticity.stretching_stiffness, F, [*stretching, self._entry[0], self._values]),
+            launch(elasticity.stretching_stiffness, F, [*stretching, tangent.entries[0], tangent.values]),
             launch(
                 bending.bending_stiffness,
                 H,
-                [*shape, self._bending, self._damping_ratio, self._entry[1], self._values],
+                [*shape, self._bending, self._damping_ratio, tangent.entries[1], tangent.values],
             ),
             launch(
                 kernels.stiffness,
@@ -319,8 +292,8 @@ class ClothSolver:
                     self.ground_curvature_per_m,
                     self._anchor,
                     *floor,
-                    self._entry[2],
-                    self._values,
+                    tangent.node_entries,
+                    tangent.values,
                 ],
             ),
         ]
@@ -345,22 +318,30 @@ class ClothSolver:
     def _evaluate(self, x: np.ndarray) -> np.ndarray:
         """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
         self._x.assign(x)
+        if self._layers is not None:
+            self._layers.add_forces(self._x, self._minus_force)
         for command in self._forces:
             command.launch()
         return self._residual.numpy().copy()
 
     def _factorise(self) -> None:
         """Assemble and factor the tangent at the positions last evaluated."""
-        wp.copy(self._values, self._template)
+        tangent = self._tangent
+        layers = self._layers
+        if layers is not None and self._coupled != layers.generation:
+            if len(layers):
+                self._room = tangent.couple(layers.nodes)
+            else:
+                tangent.uncouple()
+            self._coupled = layers.generation
+        tangent.clear()
         for command in self._stiffnesses:
             command.launch()
-        matrix = self._matrix
-        matrix.pattern.V = cvxopt.matrix(self._values.numpy())
-        if matrix.factor is None:
-            cholmod.options["supernodal"] = 2
-            matrix.factor = cholmod.symbolic(matrix.pattern, p=matrix.permutation)
+        values = tangent.contact_values()
+        if layers is not None and len(layers):
+            layers.add_stiffness(self._x, self._free, *self._room, values)
         try:
-            cholmod.numeric(matrix.pattern, matrix.factor)
+            tangent.factorise()
         except ArithmeticError as error:
             raise NotConverged(
                 f"at {self.time_s:.4f} s the tangent is not positive definite ({error})"
@@ -371,10 +352,8 @@ class ClothSolver:
         self._factored_blocks[nodes] = blocks
 
     def _symmetric_solve(self, right: np.ndarray) -> np.ndarray:
-        solution = cvxopt.matrix(right)
-        cholmod.solve(self._matrix.factor, solution)
         self.record.solves += 1
-        return np.array(solution).ravel()
+        return self._tangent.solve(right)
 
     def _contact_blocks(self, symmetric: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Exact tangent of the ground's force: nodes in contact, and their 3 x 3 blocks.
@@ -492,7 +471,8 @@ class ClothSolver:
         """
         start = float(np.vdot(residual, correction))
         low, low_work, high, high_work = 0.0, start, None, None
-        fraction = 1.0
+        most = self._clear_fraction(x, correction)
+        fraction = min(1.0, most)
         for _ in range(10):
             trial = x + fraction * correction
             residual = self._evaluate(trial)
@@ -511,23 +491,70 @@ class ClothSolver:
                 fraction = min(fraction - work / slope, 4 * fraction)
             else:
                 fraction *= 4
-            if fraction > 64:
+            if fraction > most:
                 break
         return trial, residual
+
+    def _clear_fraction(self, x: np.ndarray, correction: np.ndarray) -> float:
+        """Largest multiple of a correction that may be tried."""
+        if self._layers is None or not len(self._layers):
+            return EXTRAPOLATION_MAX
+        part = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction)
+        return EXTRAPOLATION_MAX * part
 
     # -- stepping -------------------------------------------------------------------------
 
     def _try_step(self, step_s: float, prescribed: np.ndarray | None) -> bool:
         """Solve one implicit step; on success the state moves on."""
-        settings = self.settings
         start = self.positions_m
         target = start + step_s * self.velocities_m_s
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
-        self._damping_ratio.fill_(settings.damping_s / step_s)
-        x = target.copy()
+        self._damping_ratio.fill_(self.settings.damping_s / step_s)
+        guess = target.copy()
         if prescribed is not None:
-            x[self.fixed] = prescribed[self.fixed]
+            guess[self.fixed] = prescribed[self.fixed]
+        for _ in range(COVERS_MAX):
+            x, error = self._solve_step(self._clear_guess(guess))
+            if error > self.settings.friction_tolerance:
+                return False
+            if self._layers is None:
+                break
+            if not self._layers.covers(x):
+                # Farther than the list of near pairs reaches: is it still a solution?
+                self._layers.cover(start, x)
+                error = self._relative(self._evaluate(x))
+            if (
+                error <= self.settings.friction_tolerance
+                and self._layers.clear_part(start, x - start) == 1.0
+            ):
+                break
+        else:
+            return False
+        self.record.largest_residual = max(self.record.largest_residual, error)
+        self.velocities_m_s = (x - start) / step_s
+        self.positions_m = x
+        for command in [*self._anchors, *self._remember]:
+            command.launch()
+        if self._layers is not None:
+            touching = self._layers.move_anchors(self._x)
+            self.record.touching_pairs = max(self.record.touching_pairs, touching)
+        if self.floor.extended:
+            place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
+            self.floor.set_directions(place)
+        return True
+
+    def _clear_guess(self, guess: np.ndarray) -> np.ndarray:
+        """Free coordinates held back to where no listed pair has passed through."""
+        if self._layers is None:
+            return guess
+        move = guess - self.positions_m
+        part = self._layers.clear_part(self.positions_m, move)
+        return np.where(self.fixed, guess, self.positions_m + part * move)
+
+    def _solve_step(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Newton's method from x; where it ends, and the relative residual there."""
+        settings = self.settings
         residual = self._evaluate(x)
         error = self._relative(residual)
         rate = 0.0
@@ -537,7 +564,7 @@ class ClothSolver:
             if error <= settings.friction_tolerance:
                 break
             if (
-                self._matrix.factor is None
+                not self._tangent.factored
                 or (rate > REFACTOR_RATE and not exact)
                 or self._products > PRODUCTS_MAX
             ):
@@ -555,17 +582,7 @@ class ClothSolver:
             before, error = error, self._relative(residual)
             rate = error / before
             self.record.newton_iterations += 1
-        if not error <= settings.friction_tolerance:
-            return False
-        self.record.largest_residual = max(self.record.largest_residual, error)
-        self.velocities_m_s = (x - start) / step_s
-        self.positions_m = x
-        for command in [*self._anchors, *self._remember]:
-            command.launch()
-        if self.floor.extended:
-            place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
-            self.floor.set_directions(place)
-        return True
+        return x, error
 
     def start(self, preload_N: np.ndarray | float = 0.0) -> None:
         """Take the present positions as the beginning of the motion (strains, anchors).
@@ -610,7 +627,7 @@ class ClothSolver:
             self.time_s = end_s
             self.record.steps += 1
             return
-        self._matrix.factor = None
+        self._tangent.factored = False
         self.record.halvings += 1
         if halvings >= self.settings.halvings_max:
             raise NotConverged(
@@ -620,6 +637,10 @@ class ClothSolver:
             )
         self.advance(duration_s / 2, prescribed, halvings + 1)
         self.advance(duration_s / 2, prescribed, halvings + 1)
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Change gravity (a plane that is tilted)."""
+        self._gravity.assign(np.array([gravity_m_s2], dtype=float))
 
     # -- observables ----------------------------------------------------------------------
 

@@ -1,0 +1,217 @@
+"""The tangent stiffness matrix: its pattern, its assembly places, its sparse Cholesky factor."""
+
+from __future__ import annotations
+
+import cvxopt
+import cvxopt.amd
+import numpy as np
+import warp as wp
+from cvxopt import cholmod
+
+cholmod.options["supernodal"] = 2
+
+
+class _Pattern:
+    """Lower triangle of a symmetric matrix of 3 x 3 blocks, in compressed column form.
+
+    Parameters
+    ----------
+    keys : ndarray of int64
+        Sorted, unique ``column node * node count + row node`` with row >= column, every
+        diagonal block among them.
+    node_count : int
+    """
+
+    def __init__(self, keys: np.ndarray, node_count: int):
+        self.keys = keys
+        self.node_count = node_count
+        self.column, self.row = np.divmod(keys, node_count)
+        per_node = np.bincount(self.column, minlength=node_count)
+        self.first_length = 3 * per_node  # entries in the first of a node's three columns
+        lengths = (self.first_length[:, None] - np.arange(3)).ravel()
+        start = np.concatenate([[0], np.cumsum(lengths)])
+        self.entry_count = int(start[-1])
+        self.node_start = start[0:-1:3]
+        rank = np.arange(len(keys)) - np.concatenate([[0], np.cumsum(per_node)])[self.column]
+        self.block_start = self.node_start[self.column] + 3 * rank
+
+    def block(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Where the blocks that couple two nodes stand among the keys."""
+        row, column = np.maximum(first, second), np.minimum(first, second)
+        return np.searchsorted(self.keys, column.astype(np.int64) * self.node_count + row)
+
+    def entry(self, block: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Place of entry (row, column), 0...2 each, of a block; row >= column in diagonal ones."""
+        length = self.first_length[self.column[block]]
+        # Each column of a node is one entry shorter than the one before.
+        before = column * length - (column == 2)
+        return self.block_start[block] + before + row - column
+
+    def matrix(self) -> cvxopt.spmatrix:
+        """The pattern as a matrix of ones."""
+        block = np.arange(len(self.keys))
+        r, c = (one.ravel() for one in np.mgrid[0:3, 0:3])
+        block, r, c = np.repeat(block, 9), np.tile(r, len(block)), np.tile(c, len(block))
+        below = (self.row[block] != self.column[block]) | (r >= c)
+        block, r, c = block[below], r[below], c[below]
+        rows = np.empty(self.entry_count, dtype=np.int64)
+        columns = np.empty(self.entry_count, dtype=np.int64)
+        place = self.entry(block, r, c)
+        rows[place], columns[place] = 3 * self.row[block] + r, 3 * self.column[block] + c
+        size = 3 * self.node_count
+        return cvxopt.spmatrix(1.0, cvxopt.matrix(rows), cvxopt.matrix(columns), (size, size))
+
+
+class Tangent:
+    """Tangent stiffness of the cloth, factored by CHOLMOD.
+
+    Parameters
+    ----------
+    elements : list of ndarray, shape (n, k)
+        Nodes of each element of each kind (faces, hinges): what couples whom.
+    elimination_order : ndarray, shape (V,)
+        Of the nodes.
+    fixed : ndarray of bool, shape (V, 3)
+        Coordinates left out: their rows and columns are those of the identity.
+    device : str
+
+    Attributes
+    ----------
+    values : wp.array
+        Entries that elements add to; :meth:`clear` sets them to those of no element.
+    entries : list of wp.array, shape (n, 9 k^2)
+        For each kind of element, where its entry (row, column) goes; -1 for entries above the
+        diagonal or of fixed coordinates.
+    node_entries : wp.array, shape (V, 6)
+        Likewise for (xx, yx, yy, zx, zy, zz) of each node's own block.
+    """
+
+    def __init__(self, elements, elimination_order, fixed, device):
+        self.device = device
+        self._fixed = fixed.ravel()
+        self._nodes = V = len(fixed)
+        keys = [np.arange(V, dtype=np.int64) * (V + 1)]
+        keys += [self._pair_keys(nodes) for nodes in elements]
+        self._own = _Pattern(np.unique(np.concatenate(keys)), V)
+        self._order = elimination_order
+        self.values = wp.zeros(self._own.entry_count, dtype=wp.float64, device=device)
+        template = np.zeros(self._own.entry_count)
+        node, axis = np.divmod(np.flatnonzero(self._fixed), 3)
+        template[self._own.entry(self._own.block(node, node), axis, axis)] = 1.0
+        self._template = wp.array(template, dtype=wp.float64, device=device)
+        self.entries = [self._places(nodes) for nodes in elements]
+        node = np.arange(V)[:, None]
+        row, column = np.array([0, 1, 1, 2, 2, 2]), np.array([0, 0, 1, 0, 1, 2])
+        place = self._own.entry(self._own.block(node, node), row, column)
+        loose = ~self._fixed.reshape(V, 3)
+        place = np.where(loose[:, row] & loose[:, column], place, -1)
+        self.node_entries = wp.array(place.astype(np.int32), dtype=wp.int32, device=device)
+        self.uncouple()
+
+    def _pair_keys(self, nodes: np.ndarray) -> np.ndarray:
+        k = nodes.shape[1]
+        a, b = (nodes[:, one].ravel().astype(np.int64) for one in np.tril_indices(k, -1))
+        return np.unique(np.minimum(a, b) * self._nodes + np.maximum(a, b))
+
+    def _places(self, nodes: np.ndarray) -> wp.array:
+        size = 3 * nodes.shape[1]
+        dof = (nodes[:, :, None] * 3 + np.arange(3)).reshape(len(nodes), size)
+        rows, columns = np.repeat(dof, size, axis=1), np.tile(dof, (1, size))
+        kept = (rows >= columns) & ~self._fixed[rows] & ~self._fixed[columns]
+        place = np.full(rows.shape, -1, dtype=np.int32)
+        r, c = rows[kept], columns[kept]
+        place[kept] = self._own.entry(self._own.block(r // 3, c // 3), r % 3, c % 3)
+        return wp.array(place, dtype=wp.int32, device=self.device)
+
+    # -- contacts between far nodes -------------------------------------------------------
+
+    def uncouple(self) -> None:
+        """Hold the elements' couplings only."""
+        self._whole = self._own
+        self._moved = None
+        self._extended = self.values
+        self._new_pattern(self._order)
+
+    def couple(self, contacts: np.ndarray) -> tuple[wp.array, wp.array]:
+        """Make room for contacts, each of which couples four nodes.
+
+        Parameters
+        ----------
+        contacts : ndarray of int, shape (N, 4)
+
+        Returns
+        -------
+        place, column_length : wp.array of int32, shape (N, 10)
+            Of the node pairs (a, b), b <= a, row by row: where the block's first column
+            starts, and how long that column is.
+        """
+        keys = np.union1d(self._own.keys, self._pair_keys(contacts))
+        whole = self._whole = _Pattern(keys, self._nodes)
+        lower = cvxopt.spmatrix(
+            1.0,
+            cvxopt.matrix(whole.row),
+            cvxopt.matrix(whole.column),
+            (self._nodes, self._nodes),
+        )
+        self._new_pattern(np.array(cvxopt.amd.order(lower)).ravel())
+        self._moved = self._entry_map()
+        self._extended = wp.zeros(whole.entry_count, dtype=wp.float64, device=self.device)
+        a, b = np.tril_indices(4)
+        block = whole.block(contacts[:, a], contacts[:, b])
+        return tuple(
+            wp.array(one.astype(np.int32), dtype=wp.int32, device=self.device)
+            for one in (whole.block_start[block], whole.first_length[whole.column[block]])
+        )
+
+    def _entry_map(self) -> np.ndarray:
+        """Places in the whole pattern of the entries of the elements' own pattern."""
+        own, whole = self._own, self._whole
+        to_block = np.searchsorted(whole.keys, own.keys)
+        moved = np.empty(own.entry_count, dtype=np.int64)
+        for r in range(3):
+            for c in range(3):
+                block = np.flatnonzero((own.row != own.column) | (r >= c))
+                row, column = np.full(len(block), r), np.full(len(block), c)
+                moved[own.entry(block, row, column)] = whole.entry(to_block[block], row, column)
+        return moved
+
+    def _new_pattern(self, node_order: np.ndarray) -> None:
+        order = (node_order[:, None] * 3 + np.arange(3)).ravel()
+        self._matrix = self._whole.matrix()
+        self._permutation = cvxopt.matrix(order.astype(np.int64))
+        self._factor = None
+        self.factored = False
+
+    # -- assembly and solution ------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Begin assembly."""
+        wp.copy(self.values, self._template)
+
+    def contact_values(self) -> wp.array:
+        """Entries that contacts add to, once the elements have added theirs."""
+        if self._moved is not None:
+            extended = np.zeros(self._whole.entry_count)
+            extended[self._moved] = self.values.numpy()
+            self._extended.assign(extended)
+        return self._extended
+
+    def factorise(self) -> None:
+        """Factor what was assembled.
+
+        Raises
+        ------
+        ArithmeticError
+            The matrix is not positive definite.
+        """
+        self._matrix.V = cvxopt.matrix(self._extended.numpy())
+        if self._factor is None:
+            self._factor = cholmod.symbolic(self._matrix, p=self._permutation)
+        cholmod.numeric(self._matrix, self._factor)
+        self.factored = True
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solve for one right-hand side, flat."""
+        solution = cvxopt.matrix(right)
+        cholmod.solve(self._factor, solution)
+        return np.array(solution).ravel()

@@ -1,0 +1,204 @@
+"""Cloth on cloth: distances, forces, friction between layers, and no passing through."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+from mesh_intersections import crossing_pairs
+from scipy.optimize import minimize
+
+from slipstitch.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
+from slipstitch.cloth.self_contact import SelfContact
+from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.material import isotropic_tables
+
+THICKNESS_M = 1e-3
+
+
+def _pile(lower: ClothMesh, upper: ClothMesh) -> ClothMesh:
+    """Two sheets as one mesh; the upper one's rest coordinates lie far from the lower one's."""
+    n = lower.vertex_count
+    return ClothMesh(
+        np.concatenate([lower.rest_uv_m, upper.rest_uv_m + 1.0]),
+        np.concatenate([lower.faces, upper.faces + n]).astype(np.int32),
+        np.concatenate([lower.hinges, upper.hinges + n]).astype(np.int32),
+        np.concatenate([lower.elimination_order, upper.elimination_order + n]),
+        lower.shape,
+    )
+
+
+@wp.kernel
+def _closest(
+    kind: int,
+    x: wp.array(dtype=wp.vec3d),
+    nodes: wp.array(dtype=wp.vec4i),
+    at: wp.array(dtype=wp.vec2d),
+    gap: wp.array(dtype=wp.float64),
+):
+    i = wp.tid()
+    p = proximity.corners_of(x, nodes[i])
+    at[i] = proximity.closest(kind, p)
+    gap[i] = proximity.distance(kind, p)
+
+
+@pytest.mark.parametrize("kind", [0, 1], ids=["vertex-triangle", "edge-edge"])
+def test_distances_are_the_least_that_a_general_minimiser_finds(kind):
+    random = np.random.default_rng(3)
+    count = 200
+    x = random.standard_normal((4 * count, 3))
+    nodes = np.arange(4 * count).reshape(count, 4)
+    at = wp.zeros(count, dtype=wp.vec2d)
+    gap = wp.zeros(count, dtype=wp.float64)
+    arrays = [wp.array(x, dtype=wp.vec3d), wp.array(nodes.astype(np.int32), dtype=wp.vec4i)]
+    wp.launch(_closest, dim=count, inputs=[kind, *arrays, at, gap])
+    for (a, b, c, d), found in zip(x[nodes], gap.numpy(), strict=True):
+        if kind == 0:
+
+            def apart(p, a=a, b=b, c=c, d=d):
+                return np.sum((a - b - p[0] * (c - b) - p[1] * (d - b)) ** 2)
+
+            limits = {"type": "ineq", "fun": lambda p: 1 - p[0] - p[1]}
+        else:
+
+            def apart(p, a=a, b=b, c=c, d=d):
+                return np.sum((a + p[0] * (b - a) - c - p[1] * (d - c)) ** 2)
+
+            limits = ()
+        starts = [(0.2, 0.2), (0.8, 0.1), (0.1, 0.8)]
+        best = min(
+            minimize(
+                apart, s, method="SLSQP", bounds=[(0, 1)] * 2, constraints=limits, tol=1e-14
+            ).fun
+            for s in starts
+        )
+        assert found == pytest.approx(math.sqrt(best), abs=1e-5)
+
+
+def _crossed_strips(gap_m: float, friction: float = 0.0):
+    """Two small sheets, the upper one turned, a gap apart; a contact that covers them."""
+    lower, upper = rectangle(4, 4, 0.015, 0.015), rectangle(3, 3, 0.010, 0.010)
+    mesh = _pile(lower, upper)
+    turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+    x = np.zeros((mesh.vertex_count, 3))
+    x[:16, :2] = lower.rest_uv_m
+    x[16:, :2] = (upper.rest_uv_m - 0.005) @ turn.T + 0.0074
+    x[16:, 2] = gap_m
+    layers = SelfContact(
+        mesh, thickness_m=THICKNESS_M, stiffness_N_m=5.0, friction=friction, device="cpu"
+    )
+    layers.cover(x, x)
+    return layers, x
+
+
+def _forces(layers, x):
+    minus_force = wp.zeros(len(x), dtype=wp.vec3d)
+    layers.add_forces(wp.array(x, dtype=wp.vec3d), minus_force)
+    return -minus_force.numpy()
+
+
+def _potential(layers, x):
+    """Of k (d0 - d) d0 / d, from distances by the test's own geometry of crossing layers."""
+    at = wp.zeros(1, dtype=wp.vec2d)
+    gap = wp.zeros(1, dtype=wp.float64)
+    total = 0.0
+    for number, (nodes, kind) in enumerate(
+        zip(layers.nodes, layers._kinds.numpy(), strict=True)
+    ):
+        arrays = [
+            wp.array(x, dtype=wp.vec3d),
+            wp.array(nodes[None], dtype=wp.vec4i),
+        ]
+        wp.launch(_closest, dim=1, inputs=[int(kind), *arrays, at, gap])
+        d, d0 = gap.numpy()[0], layers._thicknesses.numpy()[number]
+        if d < d0:
+            total += layers.stiffness_N_m * d0 * (d0 * math.log(d0 / d) - (d0 - d))
+    return total
+
+
+def test_normal_forces_are_minus_the_gradient_of_the_potential():
+    layers, x = _crossed_strips(0.6e-3)
+    x[16:, 2] += 1e-4 * np.sin(np.arange(9))
+    layers.cover(x, x)
+    force = _forces(layers, x)
+    assert np.abs(force).max() > 1e-3
+    step = 1e-8
+    for node, axis in [(5, 2), (17, 2), (20, 0), (20, 1), (20, 2), (10, 2)]:
+        moved = x.copy()
+        moved[node, axis] += step
+        ahead = _potential(layers, moved)
+        moved[node, axis] -= 2 * step
+        behind = _potential(layers, moved)
+        assert force[node, axis] == pytest.approx((behind - ahead) / (2 * step), abs=1e-6)
+
+
+def test_forces_between_layers_sum_to_nothing_and_turn_nothing():
+    layers, x = _crossed_strips(0.6e-3)
+    layers.move_anchors(wp.array(x, dtype=wp.vec3d))
+    force = _forces(layers, x)
+    assert np.abs(force.sum(axis=0)).max() < 1e-12
+    assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-12
+
+
+def test_a_pair_that_turns_as_a_whole_bears_no_friction():
+    layers, x = _crossed_strips(0.9e-3, friction=1.0)
+    layers.move_anchors(wp.array(x, dtype=wp.vec3d))
+    force = _forces(layers, x)
+    angle = 0.4
+    turn = np.array(
+        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
+    )
+    assert _forces(layers, x @ turn.T) == pytest.approx(force @ turn.T, abs=1e-9)
+
+
+def _layer_on_incline(friction, multiple, step_s):
+    """Slide of a sheet on a held sheet, both tilted: distance and mean acceleration in 0.5 s."""
+    lower, upper = rectangle(9, 9, 0.04, 0.04), rectangle(4, 4, 0.015, 0.015)
+    mesh = _pile(lower, upper)
+    slope = math.atan(multiple * friction)
+    x = np.full((mesh.vertex_count, 3), 0.1)
+    x[:81, :2] = lower.rest_uv_m
+    turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+    x[81:, :2] = (upper.rest_uv_m - 0.0075) @ turn.T + 0.0112
+    x[81:, 2] += THICKNESS_M
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[:81] = True
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(0.2, 200.0, 5e-5),
+        x,
+        friction=friction,
+        fixed=fixed,
+        settings=SolverSettings(friction_tolerance=1e-6, self_contact=True, damping_s=0.0),
+        gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2),
+    )
+    solver.start()
+    held = x.copy()
+    for _ in range(200):  # come to rest on the lower sheet
+        solver.advance(step_s, lambda _: held)
+        solver.velocities_m_s *= 0.7
+    for tilt in np.linspace(0, min(slope, math.atan(0.9 * friction)), 20):
+        solver.set_gravity((GRAVITY_M_S2 * math.sin(tilt), 0, -GRAVITY_M_S2 * math.cos(tilt)))
+        solver.advance(step_s, lambda _: held)
+    solver.set_gravity((GRAVITY_M_S2 * math.sin(slope), 0, -GRAVITY_M_S2 * math.cos(slope)))
+    solver.velocities_m_s[:] = 0
+    before = solver.positions_m[81:].mean(axis=0)
+    steps = round(0.1 / step_s)
+    for _ in range(steps):
+        solver.advance(step_s, lambda _: held)
+    moved = solver.positions_m[81:].mean(axis=0) - before
+    speed = solver.velocities_m_s[81:].mean(axis=0)
+    expected = GRAVITY_M_S2 * (math.sin(slope) - friction * math.cos(slope))
+    return moved, speed[0] / (steps * step_s), expected
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.6])
+def test_a_layer_on_a_layer_sticks_below_the_threshold_without_creep(friction):
+    moved, _, _ = _layer_on_incline(friction, 0.99, 0.01)
+    assert np.abs(moved[:2]).max() < 1e-5
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.6])
+def test_a_layer_on_a_layer_slides_above_it_as_theory_says(friction):
+    _, acceleration, expected = _layer_on_incline(friction, 1.5, 0.002)
+    assert acceleration == pytest.approx(expected, rel=0.02)
