@@ -45,7 +45,7 @@ def _closest(
 @pytest.mark.parametrize("kind", [0, 1], ids=["vertex-triangle", "edge-edge"])
 def test_distances_are_the_least_that_a_general_minimiser_finds(kind):
     random = np.random.default_rng(3)
-    count = 200
+    count = 60
     x = random.standard_normal((4 * count, 3))
     nodes = np.arange(4 * count).reshape(count, 4)
     at = wp.zeros(count, dtype=wp.vec2d)
@@ -102,9 +102,7 @@ def _potential(layers, x):
     at = wp.zeros(1, dtype=wp.vec2d)
     gap = wp.zeros(1, dtype=wp.float64)
     total = 0.0
-    for number, (nodes, kind) in enumerate(
-        zip(layers.nodes, layers._kinds.numpy(), strict=True)
-    ):
+    for number, (nodes, kind) in enumerate(zip(layers.nodes, layers._kinds.numpy(), strict=True)):
         arrays = [
             wp.array(x, dtype=wp.vec3d),
             wp.array(nodes[None], dtype=wp.vec4i),
@@ -202,3 +200,33 @@ def test_a_layer_on_a_layer_sticks_below_the_threshold_without_creep(friction):
 def test_a_layer_on_a_layer_slides_above_it_as_theory_says(friction):
     _, acceleration, expected = _layer_on_incline(friction, 1.5, 0.002)
     assert acceleration == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("through", [False, True], ids=["beside", "through"])
+def test_the_check_for_crossings_finds_an_edge_through_a_triangle(through):
+    triangles = np.array([[0, 1, 2], [3, 4, 5]])
+    x = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [5, 5, 0.5]])
+    x[3:, 0] += 0.0 if through else 2.0
+    assert bool(len(crossing_pairs(x, triangles))) == through
+
+
+@pytest.mark.parametrize("speed_m_s", [0.1, 1.0, 5.0])
+def test_layers_thrown_at_each_other_do_not_pass_through(speed_m_s):
+    lower, upper = rectangle(9, 9, 0.04, 0.04), rectangle(6, 6, 0.02, 0.02)
+    mesh = _pile(lower, upper)
+    x = np.full((mesh.vertex_count, 3), 0.3)
+    x[:81, :2] = lower.rest_uv_m
+    x[81:, :2] = upper.rest_uv_m + 0.0105
+    x[81:, 2] += 0.02
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[[0, 8, 72, 80]] = True
+    settings = SolverSettings(friction_tolerance=1e-3, self_contact=True)
+    material = isotropic_tables(0.2, 200.0, 5e-5)
+    solver = ClothSolver(mesh, material, x, friction=0.3, fixed=fixed, settings=settings)
+    solver.start()
+    solver.velocities_m_s[81:, 2] = -speed_m_s
+    for _ in range(12):
+        solver.advance(0.02, lambda _: x)
+        assert not len(crossing_pairs(solver.positions_m, mesh.faces))
+        assert solver.positions_m[81:, 2].mean() > solver.positions_m[:81, 2].min() - 0.01
+    assert solver.record.touching_pairs > 0

@@ -25,7 +25,6 @@ from slipstitch.cloth.proximity import (
     EDGE_EDGE,
     VERTEX_TRIANGLE,
     Corners,
-    advanced,
     between,
     clear_part,
     closest,
@@ -59,9 +58,7 @@ class Meeting:
 
 
 @wp.func
-def meet(
-    kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.float64
-) -> Meeting:
+def meet(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.float64) -> Meeting:
     pair = Meeting()
     pair.at = closest(kind, p)
     pair.weight = weights(kind, pair.at)
@@ -154,9 +151,9 @@ def self_contact_stiffness(
     else:
         along = (along - wp.outer(d, d) / (size * size)) * (limit / size)
     stiffness = along + pair.stiffness * wp.outer(pair.normal, pair.normal)
-    block = int(0)
     for a in range(4):
         for b in range(a + 1):
+            block = a * (a + 1) // 2 + b
             w = pair.weight[a] * pair.weight[b]
             start = place[i, block]
             length = column_length[i, block]
@@ -173,7 +170,6 @@ def self_contact_stiffness(
                         if n[a] < n[b]:
                             mask = free_a[c] * free_b[r]
                         wp.atomic_add(values, column + r, w * stiffness[r, c] * mask)
-            block += 1
 
 
 @wp.kernel
@@ -290,7 +286,7 @@ def near_pairs(
     """
     i = wp.tid()
     query = wp.bvh_query_aabb(bvh, lower[i], upper[i])
-    j = int(0)
+    j = wp.int32(0)
     while wp.bvh_query_next(query, j):
         n = wp.vec4i()
         apart = True

@@ -277,7 +277,11 @@ class ClothSolver:
             ),
         ]
         self._stiffnesses = [
-            launch(elasticity.stretching_stiffness, F, [*stretching, tangent.entries[0], tangent.values]),
+            launch(
+                elasticity.stretching_stiffness,
+                F,
+                [*stretching, tangent.entries[0], tangent.values],
+            ),
             launch(
                 bending.bending_stiffness,
                 H,
