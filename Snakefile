@@ -22,6 +22,7 @@ include: "rules/sample.smk"
 include: "rules/train.smk"
 include: "rules/evaluate.smk"
 include: "rules/report.smk"
+include: "rules/release.smk"
 
 
 localrules:
@@ -33,6 +34,12 @@ localrules:
     train,
     evaluate,
     report,
+    release,
+
+
+# Before a run and in a dry run, but not again in the processes of its jobs.
+if workflow.is_main_process:
+    print(estimate_line(CONFIG), file=sys.stderr)
 
 
 # Every stage's files are asked for by name: a deleted simulation is made again although
@@ -53,4 +60,3 @@ rule all:
 # that a stage does not use touches anything. The rules carry the values as parameters instead.
 onstart:
     write_config(CONFIG, CONFIG_FILE)
-    print(estimate_line(CONFIG), file=sys.stderr)

@@ -10,7 +10,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PARTS = ("Snakefile", "config.yaml", "config", "profiles", "rules", "src")
+PARTS = (
+    "Snakefile",
+    "config.yaml",
+    "config",
+    "profiles",
+    "rules",
+    "src",
+    "LICENSE",
+    "CITATION.cff",
+)
 
 
 class Workflow:

@@ -203,3 +203,13 @@ def test_equal_seed_makes_equal_network(chain, results, config, tmp_path):
     assert answer.returncode == 0, answer.stderr
     first = results / f"train/{split}/friction_baseline/seed{seed}/model.safetensors"
     assert file_digest(tmp_path / "model.safetensors") == file_digest(first)
+
+
+def test_release_of_the_chain_is_whole_and_protected(chain, results):
+    answer = chain.snakemake("release")
+    assert answer.returncode == 0, answer.stderr
+    release = results / "release"
+    assert "16 videos, 128 images" in (results / "logs/release/release.log").read_text()
+    assert all(path.stat().st_mode & 0o222 == 0 for path in release.rglob("*"))
+    again = chain.snakemake("release")
+    assert "Nothing to be done" in again.stdout + again.stderr

@@ -30,6 +30,12 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
     record_property("told", estimate_line(config))
 
 
+def test_dry_run_says_what_the_run_will_cost(workflow):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
+    config = load_config(workflow.project / "config.yaml", workflow.project / "config/paper.yaml")
+    assert answer.stderr.count(estimate_line(config)) == 1
+
+
 def test_demo_scale_is_small(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all")
     assert answer.returncode == 0, answer.stderr
@@ -44,7 +50,8 @@ def test_dry_run_writes_no_results(workflow):
 
 
 @pytest.mark.parametrize(
-    "target", ["calibrate", "simulate", "render", "sample", "train", "evaluate", "report"]
+    "target",
+    ["calibrate", "simulate", "render", "sample", "train", "evaluate", "report"],
 )
 def test_every_stage_is_a_target(workflow, target):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)
@@ -56,6 +63,14 @@ def test_every_stage_is_a_target(workflow, target):
     counts = job_counts(answer.stdout)
     assert set(wanted) <= set(counts)
     assert not set(later) & set(counts)
+
+
+def test_release_is_a_target_of_its_own(workflow):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "release")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert {"simulate_one", "render_one", "sample_all", "release_folder"} <= set(counts)
+    assert not {"train_one", "report_page"} & set(counts)
 
 
 def test_single_keys_from_the_command_line(workflow):

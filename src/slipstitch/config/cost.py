@@ -51,6 +51,10 @@ COSTS = {
     ),
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
+    "release_s": Cost(0.0002, "CPU s an image", "hashed twice, written once; an allowance"),
+    "release_start_s": Cost(3.0, "CPU s", "smoke chain: 2 s, most of it imports"),
+    "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
+    "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
@@ -63,6 +67,7 @@ MEMORY_MB = {
     "train": 6144,
     "evaluate": 4096,
     "report": 2048,
+    "release": 2048,
 }
 
 
@@ -154,6 +159,19 @@ def estimate(config: Config) -> list[StageEstimate]:
     ]
 
 
+def estimate_release(config: Config) -> StageEstimate:
+    """Cost of a release of the finished dataset; it is not part of the chain."""
+    runs, views = len(simulations(config)), len(viewpoints(config))
+    images = runs * views * len(textures(config)) * config.sample.frames
+    shards = runs * (views + 2)
+    return StageEstimate(
+        "release",
+        1,
+        _cost("release_start_s") + images * _cost("release_s"),
+        _cost("release_bytes") + images * _image_bytes(config) + shards * _cost("record_bytes"),
+    )
+
+
 def _width2(config: Config) -> float:
     return (config.train.width / 0.25) ** 2
 
@@ -170,7 +188,8 @@ def job_runtime_min(stage: str, config: Config) -> int:
     elif stage == "render":
         cpu_s = _render_cpu_s(config)
     else:
-        whole = next(one for one in estimate(config) if one.stage == stage)
+        stages = [*estimate(config), estimate_release(config)]
+        whole = next(one for one in stages if one.stage == stage)
         cpu_s = whole.cpu_s / whole.jobs
     return max(15, math.ceil(5 * cpu_s / 60))
 
@@ -197,10 +216,10 @@ def estimate_line(config: Config) -> str:
 
 
 def estimate_table(config: Config) -> str:
-    """`estimate` as aligned text, the line of the whole chain last."""
+    """`estimate` as aligned text, the release and the line of the whole chain last."""
     rows = [("stage", "jobs", "time", "disk")] + [
         (one.stage, str(one.jobs), _time(one.cpu_s), _size(one.disk_bytes))
-        for one in estimate(config)
+        for one in [*estimate(config), estimate_release(config)]
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [

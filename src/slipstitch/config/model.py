@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from slipstitch.calibrate.settings import CalibrateSettings
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.material import fabric_names
+from slipstitch.release.settings import ReleaseSettings
 from slipstitch.render.settings import RenderSettings
 from slipstitch.sample.settings import SampleSettings
 from slipstitch.simulate.settings import SimulationSettings
@@ -69,6 +70,7 @@ class Config(BaseModel):
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
+    release: ReleaseSettings = Field(default_factory=ReleaseSettings)
 
     @model_validator(mode="after")
     def _sections_agree(self) -> "Config":

@@ -1,0 +1,36 @@
+"""The dataset as a folder to hand out; not part of `all`."""
+
+
+rule release:
+    input:
+        "results/release",
+
+
+rule release_folder:
+    input:
+        rules.calibrate.input,
+        rules.simulate.input,
+        rules.render.input[: len(SIMULATIONS) * len(VIEWPOINTS)],
+        rules.sample.input,
+        grid="results/grid.parquet",
+    output:
+        # Write-protected: a release that was handed out is removed by hand or not at all.
+        protected(directory("results/release")),
+    log:
+        "results/logs/release/release.log",
+    benchmark:
+        "results/benchmarks/release/release.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("release"),
+        runtime=job_runtime_min("release", CONFIG),
+    params:
+        settings=settings("seed", "release"),
+        code=code_digest("release"),
+        config=CONFIG_FILE,
+        project=workflow.basedir,
+    message:
+        "Release the dataset"
+    shell:
+        "slipstitch release --config {params.config} --results results --out-dir {output}"
+        " --project {params.project} > {log} 2>&1"

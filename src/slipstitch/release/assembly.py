@@ -1,0 +1,296 @@
+"""Putting a release together in a temporary folder that takes its name at the very end."""
+
+import datetime
+import json
+import os
+import shutil
+import sys
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import yaml
+from tqdm import tqdm
+
+from slipstitch.config import Config
+from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
+from slipstitch.release.card import write_card
+from slipstitch.release.chain import (
+    RECORDS,
+    Artefact,
+    carried_file,
+    collect,
+    is_carried,
+    locate,
+    write_record,
+)
+from slipstitch.release.checksums import SUMS, files_below, write_sums
+from slipstitch.release.code import check_project, copy_code
+from slipstitch.release.currency import config_changes, current_digest
+from slipstitch.release.manifest import MANIFEST, read_sampled, released_rows, write_manifest
+from slipstitch.release.previews import write_previews
+from slipstitch.release.shards import features_of, write_shards
+from slipstitch.release.splits import parts, parts_of_splits, split_columns
+
+CONFIG = f"{RECORDS}/config.json"
+GRID = f"{RECORDS}/grid.parquet"
+RELEASE_RECORD = f"{RECORDS}/release.json"
+KEYWORDS = ("cloth", "friction", "simulation", "video", "material estimation")
+LICENCE_URL = "https://spdx.org/licenses/GPL-3.0-or-later"
+_ROOM = 1.02  # records, code and previews come on top of the shards
+
+
+@dataclass(frozen=True)
+class Released:
+    """What was written."""
+
+    videos: int
+    images: int
+    files: int
+    size_bytes: int
+    sums_sha256: str
+
+
+def release_date() -> str:
+    """Today (UTC), or the day of ``SOURCE_DATE_EPOCH``, as reproducible builds set it."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if epoch is None:
+        return datetime.datetime.now(datetime.UTC).date().isoformat()
+    try:
+        return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).date().isoformat()
+    except ValueError:
+        raise BadInput(f"SOURCE_DATE_EPOCH={epoch}: must be a number of seconds") from None
+
+
+def _facts(config: Config, project: Path) -> dict[str, Any]:
+    citation = yaml.safe_load((project / "CITATION.cff").read_text(encoding="utf-8"))
+    paper = citation["references"][0]
+    settings = config.release
+    return {
+        "name": settings.name,
+        "version": settings.version,
+        "title": "Cloth dropped and dragged over a floor, by friction coefficient",
+        "description": "Rendered videos of simulated cloth that is lowered onto a floor and "
+        "dragged over it, labelled with the friction coefficient and the fabric.",
+        "licence_url": LICENCE_URL,
+        "citation": f"{citation['title']}, version {citation['version']}; method after: "
+        f"{paper['title']}, {paper['collection-title']}, {paper['year']}",
+        "date": release_date(),
+        "keywords": KEYWORDS,
+    }
+
+
+def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
+    """Refuse to release what the code or the configuration would not make now.
+
+    Raises
+    ------
+    BadInput
+        Names the first such file and what changed.
+    """
+    for artefact in artefacts.values():
+        if artefact.provenance is None:
+            continue
+        if artefact.provenance["code_digest"] != current_digest(artefact.stage):
+            raise BadInput(
+                f"{artefact.path}: made by other code of the stage {artefact.stage}; bring the "
+                "results up to date with: snakemake --cores 2 sample"
+            )
+        changes = config_changes(artefact, config)
+        if changes:
+            raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
+
+
+def _outside(config: Config) -> dict[str, Path]:
+    """Name -> place of the files from outside that the configuration names."""
+    camera = config.render.camera
+    return {Path(camera).name: Path(camera)} if camera else {}
+
+
+def _check_target(out: Path) -> None:
+    if out.is_dir() and not any(out.iterdir()):
+        return
+    if (out / SUMS).is_file():
+        raise BadInput(f"{out}: there is a release already; it is not overwritten, remove it first")
+    if out.exists() or out.is_symlink():
+        raise BadInput(f"{out}: exists and is no release; it is left alone, choose another folder")
+
+
+def _check_room(out: Path, needed: float) -> None:
+    place = next(parent for parent in out.resolve().parents if parent.exists())
+    free = shutil.disk_usage(place).free
+    if free < needed:
+        raise SlipstitchError(
+            f"{out}: the release needs about {needed / 1e6:.0f} MB, "
+            f"{free / 1e6:.0f} MB are free on that disk"
+        )
+
+
+def write_release(
+    config: Config,
+    results: str | os.PathLike,
+    out: str | os.PathLike,
+    project: str | os.PathLike,
+) -> Released:
+    """Write a release of the sampled dataset.
+
+    Parameters
+    ----------
+    config : Config
+        What the results were made with.
+    results : path
+        Folder of the results, ``sample/``, ``render/`` and the others in it.
+    out : path
+        The release; must not exist yet.
+    project : path
+        Checkout of the code that runs.
+
+    Returns
+    -------
+    Released
+
+    Raises
+    ------
+    BadInput
+        If results are missing, altered or not up to date, or `out` exists.
+    SlipstitchError
+        If the disk is full; nothing is left then.
+    """
+    started = start_clock()
+    results, out = Path(results), Path(out)
+    if results.resolve().name != "results":
+        raise BadInput(f"{results}: not a folder named results, as the records call it")
+    _check_target(out)
+    project = check_project(project)
+    sample = results / "sample"
+    sampled = read_sampled(sample / MANIFEST)
+    artefacts = collect([f"results/sample/{MANIFEST}"], results.parent, _outside(config))
+    check_current(artefacts, config)
+    _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
+    try:
+        with atomic_path(out) as folder:
+            folder.mkdir()
+            return _fill(folder, config, results, sampled, artefacts, project, started)
+    except OSError as error:
+        raise SlipstitchError(f"{out}: cannot be written: {error.strerror or error}") from None
+
+
+def _fill(
+    folder: Path,
+    config: Config,
+    results: Path,
+    sampled: list[dict[str, Any]],
+    artefacts: dict[str, Artefact],
+    project: Path,
+    started: tuple[float, float],
+) -> Released:
+    sample = results / "sample"
+    splits = split_columns(sampled, config.release.unseen_share, config.seed)
+    part_of = parts(splits)
+    videos = [row["video"] for row in sampled]
+    places = write_shards(
+        sample,
+        sampled,
+        dict(zip(videos, part_of, strict=True)),
+        folder,
+        config.release.shard_mb,
+        lambda files: tqdm(files, "release", disable=not sys.stderr.isatty(), unit="file"),
+    )
+    rows = released_rows(sampled, splits, part_of, places)
+    write_manifest(rows, pq.read_schema(sample / MANIFEST), list(splits), folder)
+    pictures = write_previews(folder, rows)
+    copy_code(project, folder)
+    facts = _facts(config, project)
+    _write_records(folder, config, results, artefacts)
+    write_card(
+        folder,
+        facts,
+        rows,
+        parts_of_splits(splits, part_of),
+        list(features_of(pq.read_schema(folder / rows[0]["shard"]))),
+        config=config,
+        calibration=_calibration(folder, artefacts),
+        pictures=pictures,
+        code=_commits(artefacts),
+        simulation=_simulation(artefacts),
+        example=videos[0],
+    )
+    # rdflib and rocrate take a second to import.
+    from slipstitch.release.crate import write_crate
+    from slipstitch.release.croissant import write_croissant
+
+    write_croissant(folder, facts)
+    record = provenance_record(
+        "release",
+        inputs=[results / "sample" / MANIFEST],
+        config={"release": config.release, "seed": config.seed},
+        seed=config.seed,
+        started=started,
+    )
+    # As the other records call it, whatever the working folder.
+    record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
+    write_crate(folder, facts, artefacts | {".": Artefact(".", "", provenance=record)})
+    content = {name: file_digest(folder / name) for name in files_below(folder)}
+    _write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
+    digest = write_sums(folder)
+    files = [*files_below(folder), SUMS]
+    for name in files:
+        (folder / name).chmod(0o444)
+    return Released(
+        videos=len(rows),
+        images=sum(row["frames"] for row in rows),
+        files=len(files),
+        size_bytes=sum((folder / name).stat().st_size for name in files),
+        sums_sha256=digest,
+    )
+
+
+def _write_json(path: Path, content: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _write_records(
+    folder: Path, config: Config, results: Path, artefacts: Mapping[str, Artefact]
+) -> None:
+    for path, artefact in artefacts.items():
+        write_record(artefact, folder)
+        if is_carried(artefact):
+            place = locate(path, results.parent, _outside(config))
+            shutil.copyfile(place, folder / carried_file(path))
+    _write_json(folder / CONFIG, config.model_dump(mode="json"))
+    if (results / "grid.parquet").is_file():
+        shutil.copyfile(results / "grid.parquet", folder / GRID)
+
+
+def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[str, Any]]:
+    """The largest error of each kind of check, beside what is allowed."""
+    worst: dict[str, dict[str, Any]] = {}
+    for path, artefact in artefacts.items():
+        if artefact.stage == "calibrate" and is_carried(artefact):
+            content = json.loads((folder / carried_file(path)).read_text(encoding="utf-8"))
+            for check in content["checks"]:
+                unit = "(relative)" if check["relative"] else check["unit"]
+                kept = worst.get(check["name"])
+                if kept is None or check["error"] > kept["error"]:
+                    worst[check["name"]] = {**check, "unit": unit}
+    return list(worst.values())
+
+
+def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
+    records = [one.provenance for one in artefacts.values() if one.provenance is not None]
+    commits = {record["git_commit"] for record in records if record["git_commit"]}
+    return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}
+
+
+def _simulation(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
+    """What the simulations say of themselves, those that agree."""
+    found: dict[str, set] = defaultdict(set)
+    for artefact in artefacts.values():
+        if artefact.stage == "simulate":
+            found["self_contact"].add(bool(artefact.metadata.get("self_contact", False)))
+    return {"self_contact": found["self_contact"] == {True}}

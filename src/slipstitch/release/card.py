@@ -1,0 +1,139 @@
+"""The dataset card: README.md with figures, limits and the lines that load the data."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import yaml
+
+from slipstitch.release.manifest import SAMPLED, described
+from slipstitch.release.splits import PREFIX, question
+from slipstitch.sample.splits import SIDES
+
+FILE = "README.md"
+_NO_LABELS = frozenset(
+    {"video", "pixels_sha256", "simulation", "frames", "pixels", "part", "shard", "first_row"}
+)
+_NO_LABEL_PREFIXES = (PREFIX, SAMPLED)
+_MOST_VALUES = 24
+_SIZES = ((1e3, "n<1K"), (1e4, "1K<n<10K"), (1e5, "10K<n<100K"), (1e6, "100K<n<1M"))
+
+
+def _size_category(images: int) -> str:
+    return next((name for bound, name in _SIZES if images < bound), "1M<n<10M")
+
+
+def front_matter(
+    facts: Mapping[str, Any],
+    images: int,
+    parts: Mapping[str, Mapping[str, Sequence[str]]],
+    default: str,
+) -> str:
+    """The YAML block by which Hugging Face datasets finds the splits."""
+    configs = []
+    for split, sides in parts.items():
+        files = [
+            {"split": side, "path": [f"data/{part}-*.parquet" for part in names]}
+            for side, names in sides.items()
+        ]
+        one = {"config_name": split, "data_files": files}
+        configs.append(one | ({"default": True} if split == default else {}))
+    configs.append(
+        {
+            "config_name": "everything",
+            "data_files": [{"split": "videos", "path": "data/part*.parquet"}],
+        }
+    )
+    content = {
+        "license": "gpl-3.0",
+        "pretty_name": facts["title"],
+        "task_categories": ["video-classification", "image-classification"],
+        "tags": list(facts["keywords"]),
+        "size_categories": [_size_category(images)],
+        "configs": configs,
+    }
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
+def split_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dict[str, Any]]:
+    """For every split: its question and the numbers of videos and simulations on each side."""
+    table = []
+    for name in names:
+        sides = {}
+        for side in SIDES:
+            chosen = [row for row in rows if row[PREFIX + name] == side]
+            sides[side] = (len(chosen), len({row["simulation"] for row in chosen}))
+        table.append({"name": name, "question": question(name), "sides": sides})
+    return table
+
+
+def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """What the videos differ in: column of labels -> its values, test-only ones marked.
+
+    Numbers of many values are shown by their range. Ids, digests, places and splits are no labels.
+    """
+    shown = {}
+    for name in rows[0]:
+        values = list(dict.fromkeys(row[name] for row in rows if row[name] is not None))
+        if name in _NO_LABELS or name.startswith(_NO_LABEL_PREFIXES) or name.endswith("_role"):
+            continue
+        if name.endswith("_id") or len(values) < 2:
+            continue
+        if len(values) > _MOST_VALUES:
+            if all(isinstance(value, int | float) for value in values):
+                shown[name] = f"{min(values):.4g} ... {max(values):.4g}"
+            continue
+        role = f"{name}_role"
+        test_only = {row[name] for row in rows if row.get(role) == "test"}
+        words = [f"{value} (test-only)" if value in test_only else f"{value}" for value in values]
+        shown[name] = ", ".join(words)
+    return shown
+
+
+def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_columns, **more) -> None:
+    """Write ``README.md``.
+
+    Parameters
+    ----------
+    folder : path
+        The release.
+    facts : mapping
+    rows : sequence of mappings
+        The release's manifest.
+    parts : mapping
+        Split -> side -> parts.
+    frame_columns : sequence of str
+        Columns of the shards.
+    **more
+        What else the template shows: ``config, calibration, pictures, code, simulation``.
+    """
+    default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
+    images = sum(row["frames"] for row in rows)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("slipstitch.release", "."),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    text = environment.get_template("card.md.j2").render(
+        front_matter=front_matter(facts, images, parts, default),
+        facts=facts,
+        default=default,
+        images=images,
+        videos=len(rows),
+        values={
+            name: sorted({row[name] for row in rows})
+            for name in ("simulation", "material", "friction")
+        },
+        varied=varied(rows),
+        frames=sorted({row["frames"] for row in rows}),
+        pixels=sorted({row["pixels"] for row in rows}),
+        splits=split_table(rows, list(parts)),
+        sides=SIDES,
+        manifest_columns=[(name, described(name)) for name in rows[0]],
+        frame_columns=[(name, described(name)) for name in frame_columns],
+        **more,
+    )
+    (folder / FILE).write_text(text, encoding="utf-8")

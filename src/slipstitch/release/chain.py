@@ -1,0 +1,202 @@
+"""What made what: the records of all artefacts that lie behind a dataset."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.errors import BadInput
+from slipstitch.provenance import file_digest, read_metadata, read_provenance
+
+RECORDS = "records"
+RECORD_SUFFIX = ".record.json"
+# Of a trajectory: the mesh follows from the settings and would be most of the record.
+NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """One file that a stage wrote, or a file from outside, as its record tells.
+
+    Attributes
+    ----------
+    path : str
+        As the records call it, such as ``results/render/m05_f01_r00_v00.parquet``.
+    sha256 : str
+        Of the file's bytes.
+    rows_sha256 : str or None
+        Of a Parquet file's rows alone: the same whenever the same rows are made again, while the
+        bytes also hold the times of the job.
+    metadata : dict
+        What else the file says about itself.
+    provenance : dict or None
+        Its record; None for a file that no stage wrote.
+    """
+
+    path: str
+    sha256: str
+    rows_sha256: str | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] | None = None
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Path -> SHA-256 of what it was made from."""
+        return (self.provenance or {}).get("inputs", {})
+
+    @property
+    def stage(self) -> str | None:
+        """Name of the stage that wrote it."""
+        return (self.provenance or {}).get("stage")
+
+
+def rows_digest(path: str | os.PathLike) -> str:
+    """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
+    table = pq.read_table(path).replace_schema_metadata(None)
+    sink = hashlib.sha256()
+    sink.update(table.schema.to_string().encode())
+    for name in table.column_names:
+        _update(sink, table.column(name))
+    return sink.hexdigest()
+
+
+def _update(sink, column: pa.ChunkedArray) -> None:
+    # An IPC stream of a freshly combined column does not depend on how the file was chunked.
+    combined = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    stream = pa.BufferOutputStream()
+    batch = pa.record_batch([combined], names=["column"])
+    with pa.ipc.new_stream(stream, batch.schema) as writer:
+        writer.write_batch(batch)
+    sink.update(stream.getvalue())
+
+
+def read_artefact(path: str, place: Path) -> Artefact:
+    """The record of the file at `place`, which records call `path`.
+
+    Raises
+    ------
+    BadInput
+        If it is not there or damaged.
+    """
+    if not place.is_file():
+        raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
+    parquet = place.suffix == ".parquet"
+    try:
+        metadata = read_metadata(place) if parquet else {}
+        rows = rows_digest(place) if parquet else None
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise BadInput(f"{path}: damaged: {str(error).splitlines()[0]}") from None
+    try:
+        # What a file from outside was made from is not followed: photographs of a board, say.
+        provenance = read_provenance(place) if is_ours(path) else None
+    except FileNotFoundError:
+        raise BadInput(
+            f"{path}: no record of what made it; make it anew with: snakemake --cores 2 sample"
+        ) from None
+    kept = {key: value for key, value in metadata.items() if key not in NOT_RECORDED}
+    return Artefact(path, file_digest(place), rows, kept, provenance)
+
+
+def is_ours(path: str) -> bool:
+    """Whether a stage of the workflow wrote the file; a camera file, say, comes from outside."""
+    return path.startswith("results/")
+
+
+def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
+    """Where the file is that records call `path`."""
+    place = root / path
+    return place if place.exists() else outside.get(path, place)
+
+
+def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
+    """Records of the artefacts `start` and of everything behind them.
+
+    Parameters
+    ----------
+    start : iterable of str
+        Paths as records call them, relative to `root`.
+    root : path
+        Folder that the recorded paths are relative to.
+    outside : mapping
+        Where files are that a record calls by their name alone, because they lie elsewhere.
+
+    Returns
+    -------
+    dict
+        Path -> artefact, inputs before what was made from them.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, or is no longer the one that something was made from.
+    """
+    found: dict[str, Artefact] = {}
+
+    def visit(path: str) -> Artefact:
+        if path not in found:
+            artefact = read_artefact(path, locate(path, root, outside))
+            for name, digest in artefact.inputs.items():
+                if visit(name).sha256 != digest:
+                    raise BadInput(
+                        f"{name}: not the file that {path} was made from; "
+                        "bring the results up to date with: snakemake --cores 2 sample"
+                    )
+            found[path] = artefact
+        return found[path]
+
+    for path in start:
+        visit(path)
+    return found
+
+
+def carried_file(path: str) -> str:
+    """Where a release keeps the artefact `path` itself, if it carries it."""
+    return f"{RECORDS}/{path.removeprefix('results/')}"
+
+
+def record_file(path: str) -> str:
+    """Where a release keeps the record of the artefact `path`."""
+    return carried_file(path) + RECORD_SUFFIX
+
+
+def is_carried(artefact: Artefact) -> bool:
+    """Whether a release carries the artefact whole: small text, and files from outside."""
+    return not is_ours(artefact.path) or artefact.path.endswith(".json")
+
+
+def write_record(artefact: Artefact, folder: Path) -> None:
+    """Write the record into a release."""
+    target = folder / record_file(artefact.path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(asdict(artefact), indent=1, sort_keys=True, allow_nan=False)
+    target.write_text(text + "\n", encoding="utf-8")
+
+
+def read_record(path: Path) -> Artefact:
+    """A record of a release.
+
+    Raises
+    ------
+    ValueError
+        If it is no record; the message says why.
+    """
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, Mapping):
+        raise ValueError("not a record: no mapping")
+    try:
+        artefact = Artefact(**content)
+    except TypeError:
+        raise ValueError("not a record: other keys than a record's") from None
+    kinds = {"path": str, "sha256": str, "metadata": dict}
+    for name, kind in kinds.items():
+        if not isinstance(getattr(artefact, name), kind):
+            raise ValueError(f"not a record: {name} is not {kind.__name__}")
+    if not isinstance(artefact.provenance, dict | None) or not isinstance(artefact.inputs, dict):
+        raise ValueError("not a record: provenance is no mapping")
+    return artefact

@@ -1,0 +1,46 @@
+"""The sources that made a release, carried in it: what its code digests are digests of."""
+
+import os
+import shutil
+from pathlib import Path
+
+from slipstitch.errors import BadInput
+
+CODE = "code"
+SNAKEFILE = f"{CODE}/Snakefile"
+SOURCES = f"{CODE}/src"
+_NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff", "src/slipstitch")
+_TOO = ("rules", "config", "envs/requirements.lock", "pyproject.toml")
+_IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~", ".*")
+
+
+def check_project(project: str | os.PathLike) -> Path:
+    """The project's folder.
+
+    Raises
+    ------
+    BadInput
+        If it is not the checkout that the running code comes from.
+    """
+    folder = Path(project).resolve()
+    for name in _NEEDED:
+        if not (folder / name).exists():
+            raise BadInput(f"{project}: not a checkout of Slipstitch: it has no {name}")
+    running = Path(__file__).resolve().parents[3]
+    if folder != running:
+        raise BadInput(f"{project}: the code that runs comes from another folder ({running.name})")
+    return folder
+
+
+def copy_code(project: Path, release: Path) -> None:
+    """Copy workflow and sources to ``code/`` in the release, licence and citation beside it."""
+    target = release / CODE
+    for name in (*_NEEDED, *_TOO):
+        source, copy = project / name, target / name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, copy, ignore=_IGNORED, copy_function=shutil.copyfile)
+        elif source.is_file():
+            shutil.copyfile(source, copy)
+    for name in ("LICENSE", "CITATION.cff"):
+        shutil.copyfile(project / name, release / name)

@@ -1,0 +1,162 @@
+"""RO-Crate: the release as a research object, every job behind it as an action.
+
+Follows Process, Workflow Run Crate 0.5 and Workflow RO-Crate 1.0: the Snakefile is the main
+entity, the run of the whole workflow is one ``CreateAction``, every job another one. Files between
+the jobs are not in the release: they appear as contextual entities with their digests, described by
+the records that the release carries. The steps of Provenance Run Crate (``HowToStep``,
+``ControlAction``) are left out: Snakemake keeps no record of them.
+"""
+
+import json
+import mimetypes
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rocrate.model.contextentity import ContextEntity
+from rocrate.model.file import File
+from rocrate.rocrate import ROCrate
+
+from slipstitch.provenance import file_digest
+from slipstitch.release.chain import Artefact, record_file
+from slipstitch.release.checksums import files_below
+from slipstitch.release.code import CODE, SNAKEFILE
+
+FILE = "ro-crate-metadata.json"
+PROFILES = {
+    "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
+    "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
+    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
+}
+_CONTEXT = "https://w3id.org/ro/terms/workflow-run/context"
+_TYPES = {".parquet": "application/vnd.apache.parquet", ".cff": "text/yaml", ".smk": "text/plain"}
+
+
+def _media_type(name: str) -> str:
+    suffix = Path(name).suffix
+    return _TYPES.get(suffix) or mimetypes.guess_type(name)[0] or "text/plain"
+
+
+def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, Artefact]) -> None:
+    """Write ``ro-crate-metadata.json`` over everything else that is in `folder`.
+
+    Parameters
+    ----------
+    folder : path
+        The release.
+    facts : mapping
+        ``title, description, licence_url, date, keywords, version``.
+    artefacts : mapping
+        Path -> record of every file behind the release; of the release itself under ``"."``.
+    """
+    crate = ROCrate()
+    crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
+    root = crate.root_dataset
+    crate.name, crate.description = facts["title"], facts["description"]
+    crate.license, crate.keywords = facts["licence_url"], list(facts["keywords"])
+    root["version"] = facts["version"]
+    root["datePublished"] = facts["date"]
+    main = crate.add_workflow(
+        dest_path=SNAKEFILE,
+        main=True,
+        lang="snakemake",
+        properties={"name": "Slipstitch workflow", "sha256": file_digest(folder / SNAKEFILE)},
+    )
+    root["conformsTo"] = [
+        crate.add(
+            ContextEntity(crate, url, {"@type": "CreativeWork", "name": name, "version": "0.5"})
+            if "wfrun" in url
+            else ContextEntity(crate, url, {"@type": "CreativeWork", "name": name})
+        )
+        for url, name in PROFILES.items()
+    ]
+    entities = {
+        name: crate.add(
+            File(
+                crate,
+                dest_path=name,
+                properties={
+                    "contentSize": str((folder / name).stat().st_size),
+                    "encodingFormat": _media_type(name),
+                    "sha256": file_digest(folder / name),
+                },
+            )
+        )
+        for name in files_below(folder)
+        if name not in (SNAKEFILE, FILE) and not name.startswith(f"{CODE}/src")
+    }
+    crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
+    for path, artefact in artefacts.items():
+        if path != ".":
+            entities[path] = crate.add(
+                ContextEntity(
+                    crate,
+                    f"#{path}",
+                    {
+                        "@type": "CreativeWork",
+                        "name": path,
+                        "sha256": artefact.sha256,
+                        "subjectOf": {"@id": record_file(path)},
+                    },
+                )
+            )
+    actions = [
+        _action(crate, artefact, entities)
+        for artefact in artefacts.values()
+        if artefact.provenance is not None
+    ]
+    whole = crate.add_action(
+        main,
+        "#run",
+        object=[entities["records/config.json"]],
+        result=[entities["manifest.parquet"], *_shards(entities)],
+        properties={"name": "The run of the workflow that made this release"},
+    )
+    root["mentions"] = [whole, *actions]
+    (folder / FILE).write_text(
+        json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
+
+
+def _shards(entities: Mapping[str, Any]) -> list:
+    return [entity for name, entity in entities.items() if name.startswith("data/")]
+
+
+def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
+    """The job that wrote an artefact."""
+    record = artefact.provenance
+    tool = _tool(crate, record["stage"], record)
+    is_release = artefact.path == "."
+    result = _shards(entities) if is_release else [entities[artefact.path]]
+    return crate.add_action(
+        tool,
+        "#job/release" if is_release else f"#job/{artefact.path}",
+        object=[entities[path] for path in record["inputs"] if path in entities],
+        result=result,
+        properties={
+            "name": f"slipstitch {record['stage']}",
+            "actionStatus": "http://schema.org/CompletedActionStatus",
+            "description": f"{record['wall_s']} s, {record['cpu_s']} CPU s; {record['host_kind']}",
+        },
+    )
+
+
+def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
+    """The stage as software, one entity for each state of its code."""
+    identity = f"#stage/{stage}/{record['code_digest'][:12]}"
+    known = crate.get(identity)
+    if known is not None:
+        return known
+    return crate.add(
+        ContextEntity(
+            crate,
+            identity,
+            {
+                "@type": "SoftwareApplication",
+                "name": f"slipstitch {stage}",
+                "softwareVersion": record["versions"]["slipstitch"],
+                "sha256": record["code_digest"],
+                "identifier": record["git_commit"] or "no commit known",
+            },
+        )
+    )

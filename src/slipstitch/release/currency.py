@@ -1,0 +1,60 @@
+"""Whether artefacts are what the code and the configuration would make now."""
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from slipstitch.config import Config
+from slipstitch.provenance import code_digest
+from slipstitch.release.chain import Artefact
+
+# Which viewpoints there are decides which shards there are, not what one shard holds
+# (rules/render.smk); a shard's own viewpoint is compared by its id.
+NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints"})
+ONE_VIEW = "viewpoint"
+
+
+def current_digest(stage: str, root: str | os.PathLike | None = None) -> str | None:
+    """Digest of the stage's code below `root`; None if there is no such stage."""
+    try:
+        return code_digest(stage, root)
+    except ModuleNotFoundError:
+        return None
+
+
+def _plain(config: Config) -> dict[str, Any]:
+    return config.model_dump(mode="json")
+
+
+def config_changes(artefact: Artefact, config: Config) -> list[str]:
+    """Configuration values that the artefact was made with and that are others now.
+
+    Returns
+    -------
+    list of str
+        ``key: recorded -> now``. Only keys that the record holds are compared.
+    """
+    recorded = (artefact.provenance or {}).get("config", {})
+    now = _plain(config)
+    changes = []
+    for section, value in recorded.items():
+        if section in now:
+            skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
+            changes += _differences(section, value, now[section], skip)
+    return changes
+
+
+def _differences(name: str, then: Any, now: Any, skip: frozenset[str]) -> Iterator[str]:
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        for key in then:
+            if key not in skip:
+                yield from _differences(
+                    f"{name}.{key}", then[key], now.get(key, "no such key"), frozenset()
+                )
+    elif then != now:
+        yield f"{name}: {_shown(then)} -> {_shown(now)}"
+
+
+def _shown(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,125 @@
+"""The manifest of a release: the sample stage's, with the named splits and where images are."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.errors import BadInput
+from slipstitch.provenance import attach_metadata, read_metadata
+from slipstitch.release.splits import PREFIX, question
+from slipstitch.sample.dataset import dataset_digest
+from slipstitch.sample.shards import read_table
+
+MANIFEST = "manifest.parquet"
+# Columns of the sample stage's manifest that the release gives its own meaning.
+SAMPLED = "sampled_"
+
+COLUMNS = {
+    "video": "id of the video: simulation, texture, viewpoint",
+    "simulation": "id of the simulation: fabric, friction, replicate",
+    "material_id": "id of the fabric",
+    "friction_id": "id of the friction coefficient",
+    "replicate_id": "id of the replicate: same fabric and friction, bench set up anew",
+    "texture_id": "id of the texture",
+    "viewpoint_id": "id of the viewpoint",
+    "material": "fabric (Wang, O'Brien and Ramamoorthi 2011)",
+    "friction": "Coulomb friction coefficient of cloth and floor, and of cloth on itself where "
+    "the simulation has self-contact",
+    "texture": "texture of the cloth: its name in the manifest, its id in the shards",
+    "viewpoint": "viewpoint: its name in the manifest, its id in the shards",
+    "viewpoint_turn_deg": "azimuth of the viewpoint minus the calibrated one's, degrees",
+    "frames": "images of the video",
+    "pixels": "side of the square images",
+    "pixels_sha256": "SHA-256 of the decoded pixels: uint8, (frames, pixels, pixels, 3), RGB",
+    "position": "place of the image in its video, from 0",
+    "frame": "number of the simulated frame",
+    "time_s": "time since the stage began to move, s",
+    "stage_x_m": "position of the stage along the drag direction, m",
+    "image": "PNG, RGB",
+    "part": "videos with the same side in every split share a part",
+    "shard": "file that holds the images",
+    "first_row": "row of the first image in it; the others follow",
+}
+
+
+def described(column: str) -> str:
+    """What a column of the manifest or of a shard means."""
+    if column in COLUMNS:
+        return COLUMNS[column]
+    if column.endswith("_role"):
+        return f"train, or test where the {column.removesuffix('_role')} is for testing only"
+    if column.startswith(SAMPLED):
+        return f"`{column.removeprefix(SAMPLED)}` as the sampling stage wrote it"
+    if column.startswith(PREFIX):
+        return f"side in the split {column.removeprefix(PREFIX)}: train, validation, test or none"
+    return column.replace("_", " ")
+
+
+def _sampled_name(column: str) -> str:
+    renamed = column == "file" or column.startswith(PREFIX)
+    return f"{SAMPLED}{column}" if renamed else column
+
+
+def read_sampled(path: Path) -> list[dict[str, Any]]:
+    """Rows of the sample stage's manifest.
+
+    Raises
+    ------
+    BadInput
+        If it is missing, damaged, empty, or not as it was written.
+    """
+    needed = ("video", "simulation", "material", "friction", "frames", "pixels_sha256", "file")
+    read_table(path, needed)
+    rows = pq.read_table(path).to_pylist()
+    if not rows:
+        raise BadInput(f"{path}: no video in it")
+    if read_metadata(path).get("dataset_digest") != dataset_digest(rows):
+        raise BadInput(f"{path}: was altered: its rows do not have the digest noted in it")
+    return rows
+
+
+def released_rows(
+    sampled: Sequence[Mapping[str, Any]],
+    splits: Mapping[str, Sequence[str | None]],
+    part_of: Sequence[str],
+    places: Mapping[str, Mapping[str, Any]],
+) -> list[dict[str, Any]]:
+    """Rows of the release's manifest."""
+    rows = []
+    for number, row in enumerate(sampled):
+        released = {_sampled_name(name): value for name, value in row.items()}
+        released |= {PREFIX + name: sides[number] for name, sides in splits.items()}
+        rows.append({**released, "part": part_of[number], **places[row["video"]]})
+    return rows
+
+
+def sampled_rows(released: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dict]:
+    """The sample stage's rows again, from the release's; `names` are that manifest's columns."""
+    return [{name: row[_sampled_name(name)] for name in names} for row in released]
+
+
+def released_schema(sampled: pa.Schema, splits: Sequence[str]) -> pa.Schema:
+    """Columns of the release's manifest."""
+    fields = [pa.field(_sampled_name(column.name), column.type) for column in sampled]
+    fields += [pa.field(PREFIX + name, pa.string()) for name in splits]
+    fields += [("part", pa.string()), ("shard", pa.string()), ("first_row", pa.int64())]
+    return pa.schema(fields)
+
+
+def write_manifest(
+    rows: Sequence[Mapping[str, Any]],
+    sampled: pa.Schema,
+    splits: Sequence[str],
+    folder: Path,
+) -> None:
+    """Write ``manifest.parquet``; nothing in it differs between equal runs."""
+    table = pa.Table.from_pylist(list(rows), schema=released_schema(sampled, splits))
+    notes = {
+        "dataset_digest": dataset_digest(rows),
+        "sampled_columns": sampled.names,
+        "splits": {name: question(name) for name in splits},
+    }
+    pq.write_table(attach_metadata(table, notes), folder / MANIFEST, compression="zstd")

@@ -1,0 +1,154 @@
+"""The named splits of a release: which videos train, validate and test, for which question.
+
+Every split is a column ``split_<name>`` of the manifest; a video that a split does not use has no
+side in it. The videos that have the same side in every split form a *part*: shards hold whole
+parts, so that a split is a list of files and no image is stored twice.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from slipstitch.sample.splits import SIDES
+
+PREFIX = "split_"
+Row = Mapping[str, Any]
+
+QUESTIONS = {
+    "by_video": "videos at random, as the paper splits: the simulation of a test video stands in "
+    "the training set too, in another texture or view",
+    "by_simulation": "whole simulations kept from training: the honest figure",
+    "unseen_friction": "whole friction coefficients kept from training, never the lowest or the "
+    "highest: interpolation between the coefficients",
+    "unseen_fabric": "whole fabrics kept from training",
+}
+
+
+def question(name: str) -> str:
+    """What a split asks, in words."""
+    if name in QUESTIONS:
+        return QUESTIONS[name]
+    kind = name.removeprefix("unseen_")
+    return (
+        f"trained as by_video, tested with the test-only {kind}s in otherwise training conditions: "
+        f"the {kind} is new, the cloth's motion is not"
+    )
+
+
+def _roles(row: Row) -> dict[str, str]:
+    """Kind of variation -> train or test, from the columns ``<kind>_role``."""
+    return {name.removesuffix("_role"): row[name] for name in row if name.endswith("_role")}
+
+
+def may_train(row: Row) -> bool:
+    """Whether nothing in a video is for testing only."""
+    return "test" not in _roles(row).values()
+
+
+def unseen_frictions(frictions: Sequence[float], share: float) -> list[float]:
+    """Coefficients that unseen_friction tests: evenly spread between the lowest and the highest.
+
+    Empty for fewer than three coefficients.
+    """
+    inner = sorted(set(frictions))[1:-1]
+    if not inner:
+        return []
+    count = min(max(1, round(share * len(inner))), max(1, len(inner) - 1))
+    places = (np.arange(count) + 0.5) * len(inner) / count
+    return [inner[int(place)] for place in places]
+
+
+def unseen_fabrics(materials: Sequence[str], share: float, seed: int) -> list[str]:
+    """Fabrics that unseen_fabric tests, drawn at random; empty for fewer than two."""
+    names = sorted(set(materials))
+    if len(names) < 2:
+        return []
+    count = min(max(1, round(share * len(names))), len(names) - 1)
+    drawn = np.random.default_rng([seed, len(names)]).permutation(names)[:count]
+    return sorted(map(str, drawn))
+
+
+def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, list[str | None]]:
+    """Every named split's side of every video.
+
+    Parameters
+    ----------
+    rows : sequence of mappings
+        The sample stage's manifest: columns ``split_*`` (sides), ``*_role`` (train or test),
+        ``material`` and ``friction``.
+    share : float
+        Share of fabrics and inner friction coefficients that are kept for testing.
+    seed : int
+        Draws the fabrics.
+
+    Returns
+    -------
+    dict
+        Name of the split -> train, validation, test or None (not used), in the order of `rows`.
+        Splits that have no test video or none to train on are left out.
+    """
+    splits: dict[str, list[str | None]] = {}
+    trains = [may_train(row) for row in rows]
+    for column in (name for name in rows[0] if name.startswith(PREFIX)):
+        splits[column.removeprefix(PREFIX)] = [
+            row[column] if trained else None for row, trained in zip(rows, trains, strict=True)
+        ]
+    held = {
+        "unseen_friction": (
+            "friction",
+            unseen_frictions([row["friction"] for row in rows], share),
+        ),
+        "unseen_fabric": (
+            "material",
+            unseen_fabrics([row["material"] for row in rows], share, seed),
+        ),
+    }
+    for name, (column, values) in held.items():
+        splits[name] = [
+            _held_out(row, row[column] in values) if trained else None
+            for row, trained in zip(rows, trains, strict=True)
+        ]
+    for kind in _roles(rows[0]):
+        splits[f"unseen_{kind}"] = [_unseen_kind(row, kind) for row in rows]
+    return {name: sides for name, sides in splits.items() if {"train", "test"} <= set(sides)}
+
+
+def _held_out(row: Row, held: bool) -> str:
+    """Side in unseen_friction or unseen_fabric."""
+    if held:
+        return "test"
+    return "validation" if row[f"{PREFIX}by_simulation"] == "validation" else "train"
+
+
+def _unseen_kind(row: Row, kind: str) -> str | None:
+    """Side in unseen_<kind>: trained by video, tested on the videos whose `kind` alone is new."""
+    new = [name for name, role in _roles(row).items() if role == "test"]
+    if new == [kind]:
+        return "test"
+    side = row[f"{PREFIX}by_video"]
+    return side if not new and side != "test" else None
+
+
+def parts(splits: Mapping[str, Sequence[str | None]]) -> list[str]:
+    """Every video's part: part00, part01, ...; equal for videos with equal sides everywhere."""
+    order = {side: place for place, side in enumerate((*SIDES, None))}
+    cells = list(zip(*splits.values(), strict=True))
+    known = sorted(set(cells), key=lambda cell: [order[side] for side in cell])
+    names = {cell: f"part{place:02d}" for place, cell in enumerate(known)}
+    return [names[cell] for cell in cells]
+
+
+def parts_of_splits(
+    splits: Mapping[str, Sequence[str | None]], names: Sequence[str]
+) -> dict[str, dict[str, list[str]]]:
+    """Split -> side -> parts that make it up."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for split, sides in splits.items():
+        of_side: dict[str, set[str]] = defaultdict(set)
+        for side, part in zip(sides, names, strict=True):
+            if side is not None:
+                of_side[side].add(part)
+        found[split] = {side: sorted(of_side[side]) for side in SIDES if side in of_side}
+    return found

@@ -1,0 +1,109 @@
+"""A small results folder with complete records, quickly: invented motion, drawn images.
+
+Nothing in it was simulated or rendered; the records are those that the stages write.
+"""
+
+import contextlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import synthetic_cloth
+import synthetic_results
+import synthetic_videos
+
+from slipstitch.config import Config, write_config
+from slipstitch.config.grid import simulations, viewpoints, write_grid
+from slipstitch.provenance import provenance_record, write_parquet
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.simulate.drop_and_drag import draw_perturbation
+from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+
+
+def config(**sections) -> Config:
+    """2 fabrics, 4 coefficients, 2 replicates, a test-only texture and viewpoint, 16 pixels."""
+    render = {
+        "pixels": 16,
+        "viewpoints": ["calibrated", "side"],
+        "test_viewpoints": ["calibrated_+10"],
+        "textures": ["stripes", "tartan"],
+        "test_textures": ["chevron"],
+    }
+    grid = {
+        "materials": ["gray-interlock", "ivory-rib-knit"],
+        "frictions": [0.1, 0.3, 0.6, 1.0],
+        "replicates": 2,
+    }
+    return synthetic_results.config(
+        **{
+            "grid": grid,
+            "simulation": {"frames": 60, "vertices_per_side": 11},
+            "render": render,
+            "sample": {"frames": 5},
+            "release": {"shard_mb": 0.01},
+            **sections,
+        }
+    )
+
+
+def write(config: Config, folder: Path) -> Path:
+    """Write ``results/`` in `folder`, as the workflow does, up to the dataset; return it."""
+    results = folder / "results"
+    with contextlib.chdir(folder), contextlib.redirect_stderr(sys.stdout):
+        here = Path("results")
+        write_config(config, here / "config.json")
+        write_grid(config, here / "grid.parquet")
+        synthetic_results.write_calibrate(config, here)
+        _write_simulate(config, here)
+        shards = _write_render(config, here)
+        write_dataset(config, shards, here / "sample")
+    return results
+
+
+def _write_simulate(config: Config, results: Path) -> None:
+    for one in simulations(config):
+        motion = synthetic_cloth.motion(config.simulation.frames, n=11)
+        metadata = {
+            "material": one.material,
+            "friction": one.friction,
+            "seed": one.seed,
+            "simulation": one.id,
+            "perturbation": vars(draw_perturbation(config.simulation, one.seed)),
+            "solver": {"steps": 10, "newton_iterations": 30, "largest_residual": 9e-5},
+            "self_contact": False,
+        }
+        record = provenance_record(
+            "simulate",
+            inputs=[results / "calibrate/calibration.json"],
+            config={"simulation": config.simulation},
+            seed=one.seed,
+        )
+        write_trajectory(
+            results / f"simulate/{one.id}.parquet",
+            Trajectory(**motion, metadata=metadata),
+            record,
+            residual=np.full(len(motion["frame"]), 9e-5),
+        )
+
+
+def _write_render(config: Config, results: Path) -> list[Path]:
+    names = {view["id"]: view["name"] for view in viewpoints(config)}
+    paths = synthetic_videos.write_shards(config, results / "render")
+    for path in paths:
+        simulation, view = path.stem.rsplit("_", 1)
+        record = provenance_record(
+            "render",
+            inputs=[
+                results / f"simulate/{simulation}.parquet",
+                *filter(None, [config.render.camera_of(names[view])]),
+            ],
+            config={
+                "render": config.render,
+                "sample": {"frames": config.sample.frames},
+                "viewpoint": names[view],
+            },
+        )
+        notes = {"simulation": simulation, "viewpoint": {"id": view, "name": names[view]}}
+        write_parquet(pq.read_table(path), path, notes, record)
+    return paths
