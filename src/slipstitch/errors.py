@@ -10,4 +10,11 @@ class BadInput(SlipstitchError):  # noqa: N818 - the name is what the user did, 
 
 
 class NotConverged(SlipstitchError):  # noqa: N818
-    """A solver did not reach its tolerance; whatever it had is not a result."""
+    """A solver did not reach its tolerance; whatever it had is not a result.
+
+    ``state`` holds arrays to look into where it stood, if there are any.
+    """
+
+    def __init__(self, message: str, state: dict | None = None):
+        super().__init__(message)
+        self.state = state or {}

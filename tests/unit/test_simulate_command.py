@@ -117,3 +117,16 @@ def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp
 def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
     assert run("protocol", "tilt", "--out", tmp_path / "x.json") == 2
     assert "allowed: incline, flat-drag, strip-drag" in capfd.readouterr().err
+
+
+def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_path, capfd):
+    words = ["--material", "gray-interlock", "--friction", "0.3"]
+    for pair in ("vertices_per_side=5", "frames=2", "newton_iterations_max=1", "halvings_max=0"):
+        words += ["--set", pair]
+    out = tmp_path / "x.parquet"
+    assert run("simulate", *words, "--out", out) == 1
+    assert not out.exists()
+    state = np.load(tmp_path / "x.failed.npz")
+    assert state["positions_m"].shape == state["last_residual_N"].shape == (25, 3)
+    error = capfd.readouterr().err
+    assert f"did not converge to 0.0001 in 1 iterations; its state is in {tmp_path}" in error

@@ -637,7 +637,16 @@ class ClothSolver:
             raise NotConverged(
                 f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
                 f"{self.settings.friction_tolerance:g} in {self.settings.newton_iterations_max} "
-                "iterations"
+                "iterations",
+                {
+                    "time_s": self.time_s,
+                    "positions_m": self.positions_m,
+                    "velocities_m_s": self.velocities_m_s,
+                    "anchors_m": self._anchor.numpy(),
+                    "last_residual_N": self._residual.numpy(),
+                    "last_positions_m": self._x.numpy(),
+                    "faces": self.mesh.faces,
+                },
             )
         self.advance(duration_s / 2, prescribed, halvings + 1)
         self.advance(duration_s / 2, prescribed, halvings + 1)

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; prints one line on the result."""
-    from slipstitch.errors import BadInput
+    from slipstitch.errors import BadInput, NotConverged
     from slipstitch.provenance import provenance_record, start_clock
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
     from slipstitch.simulate.trajectory import write_trajectory
@@ -55,7 +55,10 @@ def run(arguments: argparse.Namespace) -> None:
         }
     if seed < 0:
         raise BadInput(f"--seed {seed}: must be at least 0")
-    trajectory, columns = simulate_drop_and_drag(material, friction, seed, config.simulation)
+    try:
+        trajectory, columns = simulate_drop_and_drag(material, friction, seed, config.simulation)
+    except NotConverged as error:
+        raise _with_state_saved(error, arguments.out) from None
     trajectory.metadata.update(ids)
     inputs = [arguments.calibration] if arguments.calibration else []
     record = provenance_record(
@@ -73,6 +76,23 @@ def run(arguments: argparse.Namespace) -> None:
         f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
         f"{record['cpu_s']:.1f} CPU s"
     )
+
+
+def _with_state_saved(error, out: str):
+    """Keep what the solver had beside where the result would have been."""
+    from pathlib import Path
+
+    import numpy as np
+
+    from slipstitch.errors import NotConverged
+    from slipstitch.provenance import atomic_path
+
+    if not error.state:
+        return error
+    path = Path(out).with_suffix(".failed.npz")
+    with atomic_path(path) as partial, open(partial, "wb") as stream:
+        np.savez_compressed(stream, **error.state)
+    return NotConverged(f"{error}; its state is in {path}")
 
 
 def _configuration(arguments: argparse.Namespace, by_hand: bool):

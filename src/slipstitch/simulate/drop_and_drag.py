@@ -175,7 +175,6 @@ def simulate_drop_and_drag(
             "stage_path": asdict(path),
             "step_s": step_s,
             "solver": asdict(totals),
-            "self_contact": False,
         },
     )
     return trajectory, {"newton_iterations": iterations, "residual": residuals}

@@ -35,6 +35,18 @@ class SimulationSettings(BaseModel):
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
     )
+    self_contact: bool = Field(
+        True, description="layers of the cloth touch one another instead of passing through"
+    )
+    thickness_m: float = Field(
+        0.001, ge=1e-5, le=0.01, description="distance of the middle surfaces of touching layers"
+    )
+    layer_friction: float | None = Field(
+        None,
+        ge=0,
+        allow_inf_nan=False,
+        description="friction coefficient between layers of the cloth; null: that of the floor",
+    )
     pins: Literal["tabs", "corner"] = Field(
         "tabs", description="held: the upper edge within 1 cm of each corner, or the corners only"
     )
