@@ -121,6 +121,46 @@ def test_the_error_of_the_slip_strain_falls_with_the_mesh():
     assert errors[2] < 1e-4
 
 
+@pytest.mark.parametrize("friction, outcome", [(0.385, "slips"), (0.405, "folds")])
+def test_a_landing_strip_slips_or_folds_under_on_either_side_of_the_threshold(friction, outcome):
+    """Weight moves the threshold from 0.356 to 0.396 at a gravity length of 2 cm."""
+    result = run_protocol("landed-strip", {"friction": friction}, SimulationSettings())
+    assert result["outcome"] == result["theory_outcome"] == outcome
+    assert result["theory_threshold_friction"] == pytest.approx(0.396, abs=1e-3)
+    if outcome == "folds":
+        assert result["flat_strain"] == pytest.approx(result["theory_flat_strain"], abs=0.002)
+        assert result["foot_moved_m"] < 1e-3
+    else:
+        assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=0.003)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gravity_length_m", [0.015, 0.02, 0.043])
+@pytest.mark.parametrize("above", [-0.01, 0.01])
+def test_the_threshold_of_folding_follows_theory_at_other_stiffnesses(gravity_length_m, above):
+    threshold = theory.landed_strip((0.2 / gravity_length_m) ** 3).load_ratio
+    options = {"friction": threshold + above, "gravity_length_m": gravity_length_m}
+    result = run_protocol("landed-strip", options, SimulationSettings(time_step_s=0.01))
+    assert result["outcome"] == result["theory_outcome"] == ("folds" if above > 0 else "slips")
+
+
+@pytest.mark.parametrize("gamma", [0.1, 1.0, 10.0, 100.0])
+def test_heavy_cantilever_follows_the_master_curve(gamma):
+    result = run_protocol("cantilever", {"gamma": gamma}, SimulationSettings())
+    assert result["height_over_width"] == pytest.approx(
+        result["theory_height_over_width"], rel=0.01
+    )
+    assert 4.0 < result["hinge_stiffness_over_rigidity"] < 5.0
+
+
+@pytest.mark.slow
+def test_lateral_buckling_of_a_narrow_strip():
+    result = run_protocol("lateral-buckling", {"width_over_length": 0.05}, SimulationSettings())
+    assert result["critical_gamma"] == pytest.approx(result["theory_critical_gamma"], rel=0.05)
+    # The diagonals bear the twist: 4 D b, where an isotropic plate has 2 (1 - nu) D b.
+    assert result["torsion_over_plate"] == pytest.approx(4.0, rel=0.01)
+
+
 @pytest.mark.parametrize("friction, wrap_deg", [(0.0, 90), (0.3, 180), (1.0, 180), (0.5, 270)])
 def test_tensions_around_a_cylinder_follow_the_capstan_law(friction, wrap_deg):
     result = run_protocol(
@@ -155,6 +195,10 @@ def test_frictionless_cloth_slides_on_any_slope():
         ("strip", {"friction": 0.3, "vertices": 3}, "vertices 3: at least 8"),
         ("strip", {"friction": 0.3, "gamma": 0.5}, "gamma 0.5: at most 0.3"),
         ("strip", {"friction": 0.3, "strain": 0}, "strain 0: above 0.0001"),
+        ("landed-strip", {"friction": 0.01}, "friction 0.01: must be at least 0.02"),
+        ("landed-strip", {"friction": 0.3, "gravity_length_m": 0}, "gravity_length_m 0: must be"),
+        ("cantilever", {"gamma": 0.001}, "gamma 0.001: must be between 0.05 and 200"),
+        ("lateral-buckling", {"width_over_length": 1}, "width_over_length must be at least 0.02"),
         ("capstan", {"friction": 0.3, "wrap_deg": 300}, "wrap_deg 300: must be above 0, at most"),
         ("capstan", {"friction": 3, "wrap_deg": 180}, "at most 100"),
     ],

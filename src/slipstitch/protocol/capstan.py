@@ -13,8 +13,7 @@ import numpy as np
 from slipstitch import theory
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.errors import BadInput
-from slipstitch.material import isotropic_tables
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
+from slipstitch.protocol.specimen import cylindrical_strip_tables
 from slipstitch.simulate.settings import SimulationSettings
 
 RADIUS_M = 0.020
@@ -109,7 +108,7 @@ def _wrapped(
     tension_N = MEMBRANE_STIFFNESS_N_M * held_strain * rest_m
     solver = ClothSolver(
         mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, 4 * _rigidity(held_strain)),
+        cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain)),
         start_m,
         friction=friction,
         fixed=fixed,

@@ -4,6 +4,16 @@ import argparse
 
 SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
 EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
+OPTIONS = (
+    "friction",
+    "slope_deg",
+    "gravity_length_m",
+    "gamma",
+    "strain",
+    "width_over_length",
+    "wrap_deg",
+    "vertices",
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -15,13 +25,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
     parser.add_argument(
-        "--gravity-length-m", type=float, help="strip-drag: (B/w)^(1/3), in m (default 0.02)"
+        "--gravity-length-m",
+        type=float,
+        help="strip-drag, landed-strip: (B/w)^(1/3), in m (default 0.02)",
     )
-    parser.add_argument("--vertices", type=int, help="strip, strip-drag: vertices along the strip")
     parser.add_argument(
-        "--gamma", type=float, help="areal density x gravity x length^3 / B (strip: at most 0.3)"
+        "--vertices", type=int, help="strip, landed-strip, strip-drag: vertices along it"
+    )
+    parser.add_argument(
+        "--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B"
     )
     parser.add_argument("--strain", type=float, help="strip: how far it is pushed, over its length")
+    parser.add_argument("--width-over-length", type=float, help="lateral-buckling: of the strip")
     parser.add_argument("--wrap-deg", type=float, help="capstan: angle of contact in degrees")
     parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
 
@@ -35,8 +50,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
     started = start_clock()
-    names = ("friction", "slope_deg", "gravity_length_m", "gamma", "strain", "wrap_deg", "vertices")
-    options = {name: getattr(arguments, name) for name in names}
+    options = {name: getattr(arguments, name) for name in OPTIONS}
     options = {name: value for name, value in options.items() if value is not None}
     given = {"time_step_s": arguments.time_step}
     if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
@@ -44,11 +58,12 @@ def run(arguments: argparse.Namespace) -> None:
     overrides = {key: value for key, value in given.items() if value is not None}
     settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
     result = run_protocol(arguments.name, options, settings)
-    text = json.dumps(result, indent=1)
     with atomic_path(arguments.out) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     record = provenance_record(
         "protocol", config={"options": options, "simulation": settings}, started=started
     )
     write_sidecar(arguments.out, record)
-    print(text)
+    # Curves and histories are in the file only.
+    numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
+    print(json.dumps(numbers, indent=1))

@@ -8,9 +8,12 @@ from math import isfinite
 from typing import Any
 
 from slipstitch.errors import BadInput
+from slipstitch.protocol.cantilever import cantilever
 from slipstitch.protocol.capstan import capstan
 from slipstitch.protocol.flat_drag import flat_drag
 from slipstitch.protocol.incline import incline
+from slipstitch.protocol.landed_strip import landed_strip
+from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
 from slipstitch.simulate.settings import SimulationSettings
@@ -25,6 +28,7 @@ class Protocol:
 
 
 _FRICTION = (None, "friction coefficient")
+_GRAVITY_LENGTH = (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in m")
 PROTOCOLS: dict[str, Protocol] = {
     "incline": Protocol(incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}),
     "flat-drag": Protocol(flat_drag, {"friction": _FRICTION}),
@@ -32,7 +36,7 @@ PROTOCOLS: dict[str, Protocol] = {
         strip_drag,
         {
             "friction": _FRICTION,
-            "gravity_length_m": (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in m"),
+            "gravity_length_m": _GRAVITY_LENGTH,
         },
     ),
     "strip": Protocol(
@@ -43,6 +47,18 @@ PROTOCOLS: dict[str, Protocol] = {
             "gamma": (0.0, "weight over rigidity, areal density x gravity x length^3 / B"),
             "strain": (LARGEST_STRAIN, "how far it is pushed, over its length"),
         },
+    ),
+    "landed-strip": Protocol(
+        landed_strip,
+        {
+            "friction": _FRICTION,
+            "gravity_length_m": _GRAVITY_LENGTH,
+            "vertices": (149, "vertices along the strip"),
+        },
+    ),
+    "cantilever": Protocol(cantilever, {"gamma": (None, "areal density x gravity x length^3 / B")}),
+    "lateral-buckling": Protocol(
+        lateral_buckling, {"width_over_length": (None, "width of the strip over its length")}
     ),
     "capstan": Protocol(
         capstan, {"friction": _FRICTION, "wrap_deg": (None, "angle of contact in degrees")}

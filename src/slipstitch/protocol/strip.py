@@ -17,8 +17,7 @@ from slipstitch import theory
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput
-from slipstitch.material import isotropic_tables
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
+from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2, cylindrical_strip_tables
 from slipstitch.simulate.settings import SimulationSettings
 
 LENGTH_M = 0.20
@@ -213,7 +212,7 @@ def _buckled_strip(
     fixed[:4] = True
     solver = ClothSolver(
         mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, 12 * rigidity_Nm / THICKNESS_M**2, 4 * rigidity_Nm),
+        cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm),
         start_m,
         friction=friction,
         fixed=fixed,

@@ -10,10 +10,10 @@ import numpy as np
 from slipstitch import theory
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
-from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
+    cylindrical_strip_tables,
 )
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -53,9 +53,7 @@ def strip_drag(
     fixed[down == 0] = True
     solver = ClothSolver(
         mesh,
-        isotropic_tables(
-            AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, 4 * weight_N_m2 * gravity_length_m**3
-        ),
+        cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, weight_N_m2 * gravity_length_m**3),
         start_m,
         friction=friction,
         fixed=fixed,

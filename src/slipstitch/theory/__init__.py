@@ -6,7 +6,8 @@ solver. The laws, their sources and the tests that check each are listed in ``do
 
 from slipstitch.theory.cantilever import HeavyCantilever, cantilever_rule_gamma, heavy_cantilever
 from slipstitch.theory.drag import SteadyDrag, flexible_strip_drag, steady_strip_drag
-from slipstitch.theory.lateral import lateral_buckling
+from slipstitch.theory.landed import LandedStrip, landed_strip, landed_strip_slip_strain
+from slipstitch.theory.lateral import lateral_buckling, lateral_buckling_of_beam
 from slipstitch.theory.rigid import Incline, capstan, flat_drag, incline
 from slipstitch.theory.strip import (
     StripState,
@@ -19,6 +20,7 @@ from slipstitch.theory.strip import (
 __all__ = [
     "HeavyCantilever",
     "Incline",
+    "LandedStrip",
     "SteadyDrag",
     "StripState",
     "cantilever_rule_gamma",
@@ -27,7 +29,10 @@ __all__ = [
     "flexible_strip_drag",
     "heavy_cantilever",
     "incline",
+    "landed_strip",
+    "landed_strip_slip_strain",
     "lateral_buckling",
+    "lateral_buckling_of_beam",
     "steady_strip_drag",
     "strip_buckling_load",
     "strip_slip_strain",

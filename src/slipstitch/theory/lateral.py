@@ -39,4 +39,29 @@ def lateral_buckling(width_over_length: float, poisson_ratio: float) -> float:
     """
     require("width_over_length", width_over_length, 0.0, 0.5, open_below=True)
     ratio = require("poisson_ratio", poisson_ratio, -1.0, 1.0, open_below=True, open_above=True)
-    return NARROW_STRIP * math.sqrt(2.0) * (1.0 - ratio) * math.sqrt(1.0 + ratio)
+    return lateral_buckling_of_beam(1.0 - ratio**2, 2.0 * (1.0 - ratio))
+
+
+def lateral_buckling_of_beam(bending: float, torsion: float) -> float:
+    """Critical weight of the same strip from its rigidities, whatever it is made of.
+
+    q L³ = 12.854 √(EI · GJ), q the weight per length (Prandtl 1899).
+
+    Parameters
+    ----------
+    bending, torsion : float
+        Lateral bending rigidity EI and torsional rigidity GJ, both over D b.
+
+    Returns
+    -------
+    float
+        Γ* = ρ g L³ / D, dimensionless.
+
+    Raises
+    ------
+    BadInput
+        If a rigidity is not positive.
+    """
+    bending = require("bending", bending, 0.0, open_below=True)
+    torsion = require("torsion", torsion, 0.0, open_below=True)
+    return NARROW_STRIP * math.sqrt(bending * torsion)
