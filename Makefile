@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark benchmark-criticise criticise-measured clean
+.PHONY: help setup all test lint format benchmark benchmark-criticise convergence criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -17,6 +17,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  CPU time and memory of whole simulations'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
+	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
@@ -45,6 +46,10 @@ benchmark: setup
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
+
+convergence: setup
+	$(BIN)/snakemake --cores $(CORES) convergence
+	$(BIN)/python -m slipstitch.convergence publish
 
 criticise-measured: setup
 	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs

@@ -17,6 +17,7 @@ configfile: Path(workflow.basedir) / "config.yaml"
 include: "rules/common.smk"
 include: "rules/calibrate.smk"
 include: "rules/simulate.smk"
+include: "rules/convergence.smk"
 include: "rules/render.smk"
 include: "rules/sample.smk"
 include: "rules/train.smk"
@@ -29,6 +30,7 @@ localrules:
     all,
     calibrate,
     simulate,
+    convergence,
     render,
     sample,
     train,

@@ -6,7 +6,7 @@ import pytest
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
 from slipstitch.errors import BadInput
-from slipstitch.material import ElasticTables, isotropic_tables, load_fabric
+from slipstitch.material import isotropic_tables
 
 HINGE_N_M = 5e-5
 
@@ -60,42 +60,6 @@ def test_forces_are_minus_the_gradient_of_the_energy():
         step[index] = 1e-7
         gradient[index] = (_energy(solver, x + step, k) - _energy(solver, x - step, k)) / 2e-7
     np.testing.assert_allclose(solver._evaluate(x), gradient, atol=2e-6 * np.abs(gradient).max())
-
-
-@pytest.mark.parametrize("fabric", ["gray-interlock", "11oz-black-denim", "white-dots-on-blk"])
-@pytest.mark.parametrize("strain", [0.01, 0.05, 0.2])
-def test_homogeneous_stretch_gives_the_stress_of_the_fabric_law(fabric, strain):
-    """Uniform deformation x = F u: the force on an edge is the first Piola stress times length.
-
-    The reference interpolates the sampled law with SciPy, not with the kernel.
-    """
-    from scipy.interpolate import RegularGridInterpolator
-
-    from slipstitch.material.law import sample_stretching
-
-    tables = ElasticTables.of_fabric(load_fabric(fabric))
-    size_m = 0.02
-    solver, rest_m = _solver(tables, size_m=size_m)
-    F = np.array([[1 + strain, 0.02], [0.0, 1 - 0.3 * strain]])
-    x = rest_m.copy()
-    x[:, :2] = rest_m[:, :2] @ F.T
-    force_N = -solver._evaluate(x)
-
-    nodes = -0.25 + np.arange(30) / 30
-    law = RegularGridInterpolator(
-        (nodes, nodes, np.arange(30) / 30), sample_stretching(load_fabric(fabric).stretching_N_m)
-    )
-    G = (F.T @ F - np.eye(2)) / 2
-    k = law([G[0, 0], G[1, 1], abs(G[0, 1])])[0]
-    S = np.array(
-        [
-            [k[0] * G[0, 0] + k[1] * G[1, 1], k[3] * G[0, 1]],
-            [k[3] * G[0, 1], k[2] * G[1, 1] + k[1] * G[0, 0]],
-        ]
-    )
-    edge = np.isclose(solver.mesh.rest_uv_m[:, 0], size_m)
-    pull_N = -force_N[edge, :2].sum(axis=0)  # what holds this edge against the cloth
-    np.testing.assert_allclose(pull_N, (F @ S)[:, 0] * size_m, rtol=1e-9, atol=1e-12)
 
 
 def test_a_cylinder_bends_with_a_quarter_of_the_hinge_stiffness():

@@ -2,7 +2,9 @@
 
 import base64
 import io
+import json
 import re
+import shutil
 from datetime import UTC, datetime
 
 import numpy as np
@@ -95,6 +97,31 @@ def test_table_2_shows_the_paper_where_known_and_says_where_not(page):
 
 def test_a_coarse_grid_is_said_to_make_both_error_columns_the_same(page):
     assert "no wrong class is that close" in text_of(page)
+
+
+def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path):
+    """The published one stands in where the folder has none of its own."""
+    distance = {"mean_m": 2.5e-3, "worst_m": 0.03, "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
+                "events_missing": ["flip"]}  # fmt: skip
+    curve = {"time_s": [0, 1], "mean_m": [0, 1e-3], "shifted_mean_m": [0, 1e-4]}
+    study = {
+        "settings": {
+            "convergence": {"window_s": 38, "mean_distance_m": 1e-3, "vertices_per_side": [41, 61]},
+            "time_step_s": 0.02,
+        },
+        "summary": [{"material": "royal-target", "friction": 0.5, "time_step": distance,
+                     "mesh": None, "converged": False}],
+        "comparisons": [{"material": "royal-target", "friction": 0.5, "kind": "time step",
+                         "curve": curve}],
+    }  # fmt: skip
+    folder = tmp_path / "results"
+    shutil.copytree(whole, folder)
+    (folder / "published" / "convergence").mkdir(parents=True)
+    (folder / "published" / "convergence" / "convergence.json").write_text(json.dumps(study))
+    text = text_of(render_page(page_context(Results(folder, CONFIG), NOW)))
+    assert "royal-target 0.5 finest time step 2.5 mm 30 mm 0.4 mm 0.3 s; flip in one only" in text
+    assert "not converged" in text
+    assert "finest mesh" not in text
 
 
 def test_checks_show_measured_theory_and_demand(page):

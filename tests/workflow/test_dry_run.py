@@ -73,6 +73,15 @@ def test_release_is_a_target_of_its_own(workflow):
     assert not {"train_one", "report_page"} & set(counts)
 
 
+def test_the_convergence_study_is_a_target_of_its_own(workflow):
+    """A job a run: nine pairs, each with two halvings and two finer meshes."""
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "convergence")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert counts["convergence_run"] == 3 * 3 * (1 + 2 + 2)
+    assert "simulate_one" not in counts
+
+
 def test_single_keys_from_the_command_line(workflow):
     overrides = ("--config", "grid={frictions: [0.2, 4e-1], replicates: 1}")
     answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")

@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from slipstitch.calibrate.settings import CalibrateSettings
+from slipstitch.convergence.settings import ConvergenceSettings
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.material import fabric_names
 from slipstitch.release.settings import ReleaseSettings
@@ -66,6 +67,7 @@ class Config(BaseModel):
     grid: GridSettings = Field(default_factory=GridSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     calibrate: CalibrateSettings = Field(default_factory=CalibrateSettings)
+    convergence: ConvergenceSettings = Field(default_factory=ConvergenceSettings)
     render: RenderSettings = Field(default_factory=RenderSettings)
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
@@ -74,6 +76,12 @@ class Config(BaseModel):
 
     @model_validator(mode="after")
     def _sections_agree(self) -> "Config":
+        for name in self.convergence.materials:
+            if name not in fabric_names():
+                raise ValueError(
+                    f"convergence.materials: no material {name!r}; there are: "
+                    f"{', '.join(fabric_names())}"
+                )
         if self.sample.frames > self.simulation.frames:
             raise ValueError(
                 f"sample.frames: {self.sample.frames} frames cannot be sampled from the "

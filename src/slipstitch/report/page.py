@@ -309,6 +309,37 @@ def _physics(results: Results) -> dict[str, Any] | None:
     }
 
 
+def _convergence(results: Results) -> dict[str, Any] | None:
+    study = results.convergence()
+    if study is None:
+        return None
+    rows = []
+    for row in study["summary"]:
+        for key, name in (("time_step", "time step"), ("mesh", "mesh")):
+            found = row[key]
+            if found is not None:
+                rows.append(
+                    {
+                        "material": row["material"],
+                        "friction": row["friction"],
+                        "against": f"finest {name}",
+                        "mean": _quantity(found["mean_m"], 1e3, "mm", 2),
+                        "worst": _quantity(found["worst_m"], 1e3, "mm", 2),
+                        "shifted": _quantity(found["shifted_mean_m"], 1e3, "mm", 2),
+                        "shift": _quantity(found["event_shift_s"], 1.0, "s", 2),
+                        "missing": ", ".join(found["events_missing"]),
+                        "met": found["mean_m"]
+                        <= study["settings"]["convergence"]["mean_distance_m"],
+                    }
+                )
+    return {
+        "figure": _svg(pictures.convergence(study)),
+        "rows": rows,
+        "settings": study["settings"],
+        "demand": _quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),
+    }
+
+
 _OPTION_NAMES = {
     "friction": "µ",
     "slope_deg": "slope in degrees",
@@ -483,6 +514,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "headline": _headline(config, metrics, details),
         "simulations": _simulations(results),
         "physics": _physics(results),
+        "convergence": _convergence(results),
         "rendered": results.rendered(),
         "shards": len(simulations(config)) * len(viewpoints(config)),
         "dataset": _dataset(results),

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipstitch.calibrate.picture import FAINT, MEASURED, THEORY, calibration_figure
+from slipstitch.convergence.picture import convergence_figure
 from slipstitch.report.results import Benchmark, History, Trajectory
 
 INK = "#23262b"
@@ -80,6 +81,12 @@ def friction_colour(friction: float, frictions: Sequence[float]):
 def calibration(data: Mapping[str, Any]) -> str:
     """Measured against theory, a panel an experiment."""
     return _svg(calibration_figure(data))
+
+
+@_styled
+def convergence(study: Mapping[str, Any]) -> str:
+    """Distance from the finest runs over time."""
+    return _svg(convergence_figure(study))
 
 
 # What the profiles show: the paper's protocol (Sec. 4.1) lowers for 7 s, each stroke takes 31 s.

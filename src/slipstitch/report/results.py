@@ -18,7 +18,7 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import read_provenance
 from slipstitch.simulate.trajectory import read_trajectory
 
-STAGES = ("calibrate", "simulate", "render", "sample", "train", "evaluate", "report")
+STAGES = ("calibrate", "simulate", "convergence", "render", "sample", "train", "evaluate", "report")
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,11 @@ class Results:
     def calibration(self) -> Mapping[str, Any] | None:
         """Content of calibration.json."""
         return read_json(self.folder / "calibrate" / "calibration.json")
+
+    def convergence(self) -> Mapping[str, Any] | None:
+        """The convergence study: this folder's own, else the published one in it."""
+        own = read_json(self.folder / "convergence" / "convergence.json")
+        return own or read_json(self.folder / "published" / "convergence" / "convergence.json")
 
     def simulation_path(self, simulation: Simulation) -> Path:
         """Where a simulation's trajectory lies."""

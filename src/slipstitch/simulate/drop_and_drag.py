@@ -13,6 +13,7 @@ from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord, rectangle
 from slipstitch.errors import BadInput
 from slipstitch.material import ElasticTables, load_fabric
 from slipstitch.protocol.stage import StagePath
+from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -175,6 +176,7 @@ def simulate_drop_and_drag(
             "stage_path": asdict(path),
             "step_s": step_s,
             "solver": asdict(totals),
+            "convergence": measured_convergence(material, friction, settings, step_s),
         },
     )
     return trajectory, {"newton_iterations": iterations, "residual": residuals}

@@ -1,0 +1,1 @@
+"""How far drop-and-drag depends on the time step and on the mesh."""

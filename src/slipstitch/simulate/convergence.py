@@ -1,0 +1,92 @@
+"""What the convergence study found for runs like the one at hand, for its own record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipstitch.material import load_fabric
+from slipstitch.simulate.settings import SimulationSettings
+
+# Written by `python -m slipstitch.convergence publish`.
+MEASURED = Path(__file__).with_name("convergence.json")
+GRAVITY_M_S2 = 9.81
+
+
+def bending_length_m(material: str) -> float:
+    """(ke / rho g)^(1/3) of nearly flat cloth, the mean over directions: how a fabric drapes."""
+    fabric = load_fabric(material)
+    stiffness_N_m = fabric.bending_N_m[:, 0].mean()
+    return float(np.cbrt(stiffness_N_m / fabric.areal_density_kg_m2 / GRAVITY_M_S2))
+
+
+def measured_convergence(
+    material: str,
+    friction: float,
+    settings: SimulationSettings,
+    step_s: float,
+    measured: Path = MEASURED,
+) -> dict[str, Any] | None:
+    """The studied case nearest to a run: the fabric that drapes most alike, then the friction.
+
+    Parameters
+    ----------
+    material, friction, settings
+        Of the run.
+    step_s : float
+        The time step that it uses.
+    measured : path
+        Summary of a study.
+
+    Returns
+    -------
+    dict or None
+        ``nearest`` (material, friction), ``studied`` (time_step_s, vertices_per_side, window_s),
+        ``applies`` (whether the run is at least as fine), ``time_step`` and ``mesh`` (distances
+        to the finest run, timing of events; see `slipstitch.convergence.study.summary`),
+        ``converged``, and ``note`` in words. None if no study came with the package.
+    """
+    if not measured.is_file():
+        return None
+    study = json.loads(measured.read_text(encoding="utf-8"))
+    length_m = bending_length_m(material)
+
+    def far(case):
+        return abs(np.log(bending_length_m(case["material"]) / length_m)), abs(
+            case["friction"] - friction
+        )
+
+    case = min(study["cases"], key=far)
+    studied = study["studied"]
+    applies = (
+        step_s <= studied["time_step_s"] * (1 + 1e-9)
+        and settings.vertices_per_side >= studied["vertices_per_side"]
+    )
+    return {
+        "nearest": {"material": case["material"], "friction": case["friction"]},
+        "studied": studied,
+        "applies": applies,
+        "time_step": case["time_step"],
+        "mesh": case["mesh"],
+        "converged": bool(case["converged"] and applies),
+        "note": _note(case, applies),
+    }
+
+
+def _note(case: dict[str, Any], applies: bool) -> str:
+    if not applies:
+        return "coarser than the settings that were studied: nothing is known"
+    parts = []
+    for key, name in (("time_step", "finest time step"), ("mesh", "finest mesh")):
+        found = case[key]
+        if found is not None:
+            parts.append(
+                f"{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
+                f"{1e3 * found['worst_m']:.1f} mm at worst, events up to "
+                f"{found['event_shift_s']:.2f} s apart"
+            )
+    verdict = "converged" if case["converged"] else "not converged"
+    return f"{verdict} at {case['material']}, friction {case['friction']:g}: {'; '.join(parts)}"
