@@ -12,6 +12,9 @@ from slipstitch.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, 
 from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.material import isotropic_tables
+from slipstitch.protocol.stage import StagePath
+from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+from slipstitch.simulate.settings import SimulationSettings
 
 THICKNESS_M = 1e-3
 
@@ -230,3 +233,30 @@ def test_layers_thrown_at_each_other_do_not_pass_through(speed_m_s):
         assert not len(crossing_pairs(solver.positions_m, mesh.faces))
         assert solver.positions_m[81:, 2].mean() > solver.positions_m[:81, 2].min() - 0.01
     assert solver.record.touching_pairs > 0
+
+
+def _frames_with_crossings(trajectory) -> int:
+    return sum(
+        len(crossing_pairs(positions_m, trajectory.faces)) > 0
+        for positions_m in trajectory.positions_m
+    )
+
+
+@pytest.mark.parametrize("self_contact", [True, False])
+def test_cloth_lowered_into_a_heap_lies_on_itself(self_contact):
+    settings = SimulationSettings(
+        vertices_per_side=13, frames=22, frame_rate_hz=4, self_contact=self_contact
+    )
+    path = StagePath(drop_m=0.18, speed_m_s=0.04, acceleration_m_s2=0.04, strokes=0)
+    trajectory, _ = simulate_drop_and_drag("gray-interlock", 0.5, 1, settings, path)
+    # Without it the layers do cross: the heap is a test.
+    assert (_frames_with_crossings(trajectory) == 0) == self_contact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.0, 0.5, 1.0, 1.5])
+@pytest.mark.parametrize("material", ["gray-interlock", "camel-ponte-roma", "navy-sparkle-sweat"])
+def test_no_triangles_of_the_softest_fabrics_cross_in_the_whole_protocol(material, friction):
+    settings = SimulationSettings(frames=315)  # 131 s
+    trajectory, _ = simulate_drop_and_drag(material, friction, 1, settings)
+    assert _frames_with_crossings(trajectory) == 0
