@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import synthetic_cloth
 import synthetic_results
@@ -15,6 +16,7 @@ import synthetic_videos
 
 from slipstitch.config import Config, write_config
 from slipstitch.config.grid import simulations, viewpoints, write_grid
+from slipstitch.protocol.stage import StagePath
 from slipstitch.provenance import provenance_record, write_parquet
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.simulate.drop_and_drag import draw_perturbation
@@ -72,6 +74,7 @@ def _write_simulate(config: Config, results: Path) -> None:
             "perturbation": vars(draw_perturbation(config.simulation, one.seed)),
             "solver": {"steps": 10, "newton_iterations": 30, "largest_residual": 9e-5},
             "self_contact": False,
+            "stage_path": vars(StagePath()),
         }
         record = provenance_record(
             "simulate",
@@ -104,6 +107,14 @@ def _write_render(config: Config, results: Path) -> list[Path]:
                 "viewpoint": names[view],
             },
         )
-        notes = {"simulation": simulation, "viewpoint": {"id": view, "name": names[view]}}
-        write_parquet(pq.read_table(path), path, notes, record)
+        notes = {
+            "simulation": simulation,
+            "viewpoint": {"id": view, "name": names[view]},
+            "textures": config.render.texture_ids(),
+        }
+        table = pq.read_table(path)
+        column = table.schema.get_field_index("stage_x_m")
+        x_m, _ = StagePath().position_m(table["time_s"].to_numpy())
+        table = table.set_column(column, "stage_x_m", pa.array(x_m))
+        write_parquet(table, path, notes, record)
     return paths

@@ -213,3 +213,13 @@ def test_release_of_the_chain_is_whole_and_protected(chain, results):
     assert all(path.stat().st_mode & 0o222 == 0 for path in release.rglob("*"))
     again = chain.snakemake("release")
     assert "Nothing to be done" in again.stdout + again.stderr
+
+
+def test_audit_of_the_release_finds_nothing_and_a_clip_can_be_made_again(chain, results, config):
+    chain.snakemake("release")
+    answer = chain.run("slipstitch", "audit", "results/release", "--config", "results/config.json")
+    assert answer.returncode == 0, answer.stdout
+    clip = f"{simulations(config)[0].id}_t01_v01"
+    answer = chain.run("slipstitch", "audit", "results/release", "--rebuild", clip)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "the same motion, bit by bit; all 8 images have equal pixels" in answer.stdout

@@ -39,14 +39,21 @@ def _module_file(name: str, root: Path) -> Path | None:
 
 def _imported(name: str, source: Path) -> set[str]:
     """Dotted names that the module imports inside the package; some may be no modules."""
+    text = source.read_text(encoding="utf-8")
+    return _imports_in(name, source.name == "__init__.py", text)
+
+
+@functools.cache
+def _imports_in(name: str, is_package: bool, text: str) -> set[str]:
+    """`_imported` by the source's text: an audit reads the same sources in several places."""
     parts = name.split(".")
     names: set[str] = set()
-    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"), filename=str(source))):
+    for node in ast.walk(ast.parse(text, filename=name)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             if node.level:
-                depth = len(parts) - node.level + (source.name == "__init__.py")
+                depth = len(parts) - node.level + is_package
                 base = ".".join(parts[:depth] + ([node.module] if node.module else []))
             else:
                 base = node.module or ""

@@ -197,6 +197,14 @@ def read_record(path: Path) -> Artefact:
     for name, kind in kinds.items():
         if not isinstance(getattr(artefact, name), kind):
             raise ValueError(f"not a record: {name} is not {kind.__name__}")
-    if not isinstance(artefact.provenance, dict | None) or not isinstance(artefact.inputs, dict):
-        raise ValueError("not a record: provenance is no mapping")
+    record = artefact.provenance
+    if record is not None:
+        for name, kind in {
+            "stage": str,
+            "inputs": dict,
+            "config": dict,
+            "code_digest": str,
+        }.items():
+            if not isinstance(record, dict) or not isinstance(record.get(name), kind):
+                raise ValueError(f"not a record: provenance has no {name}")
     return artefact

@@ -1,0 +1,276 @@
+"""Every clip followed to its origin: rendering, simulation, calibration, fabric, configuration.
+
+Two sorts of evidence. Records are compared with each other: what a file was made from must be the
+file that the next record is about. And what follows from configuration and seed alone (labels,
+seeds, perturbations, stage positions, splits) is computed anew; no edit of the release can make
+that agree, short of editing the configuration and every record with it.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from slipstitch.audit.contents import Contents
+from slipstitch.audit.files import Shard
+from slipstitch.audit.findings import Finding, Kind
+from slipstitch.audit.walk import SAMPLED_MANIFEST, Chain
+from slipstitch.config.grid import Simulation, simulations
+from slipstitch.errors import BadInput
+from slipstitch.provenance import file_digest
+from slipstitch.release.assembly import RELEASE_RECORD
+from slipstitch.release.chain import Artefact, carried_file, is_carried, is_ours, record_file
+from slipstitch.release.code import SOURCES
+from slipstitch.release.currency import config_changes, current_digest
+from slipstitch.release.manifest import MANIFEST, sampled_rows
+from slipstitch.release.splits import PREFIX, parts, split_columns
+from slipstitch.sample.dataset import dataset_digest, manifest_sides
+from slipstitch.sample.frames import sampled_frames
+
+_STAGE_TOLERANCE_M = 1e-9
+
+
+def check_chain(contents: Contents, shards: Mapping[str, Shard]) -> tuple[list[Finding], list[str]]:
+    """Follow every clip.
+
+    Parameters
+    ----------
+    contents : Contents
+    shards : mapping
+        What `slipstitch.audit.files.check_files` read.
+
+    Returns
+    -------
+    findings : list of Finding
+        All of kind BROKEN.
+    notes : list of str
+        Comparisons that could not be made, and why.
+    """
+    if not contents.rows:
+        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be followed without it")], []
+    chain = Chain(contents)
+    findings = [
+        *_links(chain),
+        *_configuration(chain),
+        *_sampled(chain),
+        *_release_record(contents),
+    ]
+    notes = []
+    if contents.config is not None:
+        stale = sorted({one.stage for one in _ours(chain) if _is_stale(one)})
+        if stale:
+            notes.append(
+                "seeds, perturbations, stage positions, labels and splits were computed with code "
+                f"that has changed since ({', '.join(stale)})"
+            )
+        findings += _recomputed(chain, shards, "sample" not in stale)
+    return findings, notes
+
+
+def _ours(chain: Chain) -> Iterator[Artefact]:
+    return (one for path, one in chain.artefacts.items() if is_ours(path) and one.provenance)
+
+
+def _is_stale(artefact: Artefact) -> bool:
+    return artefact.provenance.get("code_digest") != current_digest(artefact.stage)
+
+
+def _links(chain: Chain) -> Iterator[Finding]:
+    """Records that are missing, or about other files than what was made from them says."""
+    folder = chain.contents.folder
+    starts = {path for row in chain.contents.rows for path in chain.behind(row)}
+    for path in sorted({SAMPLED_MANIFEST} | starts):
+        artefact = chain.artefacts.get(path)
+        where, clips = record_file(path), chain.clips(path)
+        if artefact is None:
+            yield Finding(Kind.BROKEN, where, f"there is no readable record of {path}", clips)
+            continue
+        if is_ours(path) and artefact.provenance is None:
+            yield Finding(Kind.BROKEN, where, "does not say what made it", clips)
+        if is_carried(artefact):
+            carried = folder / carried_file(path)
+            if carried.is_file() and file_digest(carried) != artefact.sha256:
+                what = f"not the file that {record_file(path)} is about"
+                yield Finding(Kind.BROKEN, carried_file(path), what, clips)
+        for name, digest in artefact.inputs.items():
+            behind = chain.artefacts.get(name)
+            if behind is not None and behind.sha256 != digest:
+                what = f"was made from another {name} than {record_file(name)} is about"
+                touched = clips if len(clips) < len(chain.clips(name)) else chain.clips(name)
+                yield Finding(Kind.BROKEN, where, what, touched)
+    for path in sorted(set(chain.artefacts) - starts - {SAMPLED_MANIFEST}):
+        yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
+
+
+def _configuration(chain: Chain) -> Iterator[Finding]:
+    """Records against the configuration and the sources that the release carries."""
+    contents = chain.contents
+    sources = contents.folder / SOURCES
+    for artefact in _ours(chain):
+        where, clips = record_file(artefact.path), chain.clips(artefact.path)
+        changes = config_changes(artefact, contents.config) if contents.config else []
+        if changes:
+            what = f"made with another configuration than records/config.json: {changes[0]}"
+            yield Finding(Kind.BROKEN, where, what, clips)
+        digest = artefact.provenance.get("code_digest")
+        if sources.is_dir() and digest != current_digest(artefact.stage, sources):
+            what = f"its code digest is not that of {artefact.stage} in code/src"
+            yield Finding(Kind.BROKEN, where, what, clips)
+
+
+def _sampled(chain: Chain) -> Iterator[Finding]:
+    """The manifest against the digest that the sampling stage noted of its rows."""
+    contents = chain.contents
+    record = chain.artefacts.get(SAMPLED_MANIFEST)
+    names = contents.notes.get("sampled_columns")
+    try:
+        digest = dataset_digest(sampled_rows(contents.rows, names))
+    except (KeyError, TypeError):
+        digest = None
+    if record is not None and digest != record.metadata.get("dataset_digest"):
+        what = "labels, splits or pixel digests are not those that were sampled"
+        yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
+    if dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
+        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not have the digest noted in it")
+
+
+def _release_record(contents: Contents) -> Iterator[Finding]:
+    """The release's own record against SHA256SUMS, configuration and carried sources."""
+    stated = contents.release.get("files", {})
+    if contents.release:
+        digest = contents.release["provenance"].get("code_digest")
+        sources = contents.folder / SOURCES
+        if sources.is_dir() and digest != current_digest("release", sources):
+            what = "its code digest is not that of release in code/src"
+            yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
+        for name in sorted(set(stated) - set(contents.sums)):
+            yield Finding(Kind.BROKEN, name, "records/release.json names it, SHA256SUMS does not")
+        for name in sorted(set(contents.sums) - set(stated) - {RELEASE_RECORD}):
+            yield Finding(Kind.BROKEN, name, "SHA256SUMS names it, records/release.json does not")
+
+
+def _recomputed(chain: Chain, shards: Mapping[str, Shard], sides_too: bool) -> Iterator[Finding]:
+    """What follows from configuration and seed, computed anew."""
+    contents, config = chain.contents, chain.contents.config
+    grid = {one.id: one for one in simulations(config)}
+    frames = sampled_frames(config.simulation.frames, config.sample.frames)
+    times_s = frames / config.simulation.frame_rate_hz
+    stage_x: dict[str, np.ndarray | None] = {}
+    for row in contents.rows:
+        video, name = row["video"], row["simulation"]
+        one = grid.get(name)
+        if one is None:
+            yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not of the configured grid", (video,))
+            continue
+        problem = _row_problem(row, one)
+        if problem:
+            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {problem}", (video,))
+        if name not in stage_x:
+            stage_x[name] = None
+            for record in chain.of_stage(row, "simulate"):
+                yield from _simulation(chain, record, one)
+                stage_x[name] = _stage_x_m(record, times_s)
+        shard = shards.get(row["shard"])
+        columns = shard.columns.get(video) if shard else None
+        problem = _times(columns, frames, times_s, stage_x[name]) if columns else None
+        if problem:
+            yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
+        yield from _rendering(chain, row)
+    missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
+    if missing:
+        yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
+    if sides_too:
+        yield from _sides(contents)
+
+
+def _row_problem(row: Mapping[str, Any], one: Simulation) -> str | None:
+    for name in ("material", "friction", "material_id", "friction_id", "replicate_id"):
+        if name in row and row[name] != getattr(one, name):
+            return f"{name} is {row[name]!r}, the configuration says {getattr(one, name)!r}"
+    return None
+
+
+def _simulation(chain: Chain, record: Artefact, one: Simulation) -> Iterator[Finding]:
+    """What the record of a simulation says against what the grid makes of its id."""
+    from slipstitch.simulate.drop_and_drag import draw_perturbation
+
+    where, clips = record_file(record.path), chain.clips(record.path)
+    for name in ("material", "friction", "seed"):
+        if record.metadata.get(name) != getattr(one, name):
+            what = (
+                f"{name} is {record.metadata.get(name)!r}, the configuration gives "
+                f"{getattr(one, name)!r}"
+            )
+            yield Finding(Kind.BROKEN, where, what, clips)
+    drawn = vars(draw_perturbation(chain.contents.config.simulation, one.seed))
+    if record.metadata.get("perturbation") != drawn:
+        yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
+
+
+def _stage_x_m(record: Artefact, times_s: np.ndarray) -> np.ndarray | None:
+    """Stage positions at the sampled times; None if the record does not tell the path."""
+    from slipstitch.protocol.stage import StagePath
+
+    try:
+        return StagePath(**record.metadata["stage_path"]).position_m(times_s)[0]
+    except (KeyError, TypeError):
+        return None
+
+
+def _times(
+    columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray | None
+) -> str | None:
+    """What is wrong with frame numbers, times and stage positions of a clip."""
+    if columns.get("frame") != frames.tolist():
+        return "its frames are not the sampled ones"
+    for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):
+        found = columns.get(name)
+        if expected is None or found is None:
+            continue
+        if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
+            return f"{name} is not what the protocol gives"
+    return None
+
+
+def _rendering(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """The record of the rendering against the clip's labels."""
+    for record in chain.of_stage(row, "render"):
+        view = record.metadata.get("viewpoint") or {}
+        if view and (view.get("id"), view.get("name")) != (row["viewpoint_id"], row["viewpoint"]):
+            what = f"shows viewpoint {view.get('name')!r}, not {row['viewpoint']!r}"
+            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
+        textures = record.metadata.get("textures")
+        if textures and textures.get(row["texture_id"]) != row["texture"]:
+            what = f"{row['texture_id']} is {textures.get(row['texture_id'])!r} there"
+            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
+    if not chain.of_stage(row, "render") or not chain.of_stage(row, "simulate"):
+        what = f"{row['video']}: no rendering or no simulation stands behind it"
+        yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+
+
+def _sides(contents: Contents) -> Iterator[Finding]:
+    """Splits, drawn anew."""
+    config = contents.config
+    try:
+        expected = manifest_sides(config)
+    except BadInput as error:
+        yield Finding(Kind.BROKEN, "records/config.json", f"no split can be drawn: {error}")
+        return
+    names = contents.notes.get("sampled_columns") or []
+    sampled = sampled_rows(contents.rows, names)
+    for row in sampled:
+        found = row.get("split_by_video"), row.get("split_by_simulation")
+        if row["video"] in expected and found != expected[row["video"]]:
+            what = f"{row['video']}: its sides are {found}, drawn anew {expected[row['video']]}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+    splits = split_columns(sampled, config.release.unseen_share, config.seed)
+    for name, sides in splits.items():
+        yield from _differing(contents.rows, PREFIX + name, sides)
+    yield from _differing(contents.rows, "part", parts(splits))
+
+
+def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:
+    for row, value in zip(rows, expected, strict=True):
+        if row.get(column) != value:
+            what = f"{row['video']}: {column} is {row.get(column)!r}, drawn anew {value!r}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))

@@ -1,0 +1,139 @@
+"""What lies in a release, read as far as it can be read."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.audit.findings import Finding, Kind
+from slipstitch.config import Config, load_config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import read_metadata
+from slipstitch.release.assembly import CONFIG, RELEASE_RECORD
+from slipstitch.release.chain import RECORD_SUFFIX, RECORDS, Artefact, read_record, record_file
+from slipstitch.release.checksums import SUMS, read_sums
+from slipstitch.release.manifest import MANIFEST
+
+
+@dataclass
+class Contents:
+    """A release in a folder; what cannot be read is empty here and a finding there."""
+
+    folder: Path
+    sums: dict[str, str]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    notes: dict[str, Any] = field(default_factory=dict)
+    artefacts: dict[str, Artefact] = field(default_factory=dict)
+    release: dict[str, Any] = field(default_factory=dict)
+    config: Config | None = None
+    findings: list[Finding] = field(default_factory=list)
+
+    @cached_property
+    def clips(self) -> list[str]:
+        """Ids of all videos."""
+        return [row["video"] for row in self.rows]
+
+    @cached_property
+    def row_of(self) -> dict[str, dict[str, Any]]:
+        """Video -> its row of the manifest."""
+        return {row["video"]: row for row in self.rows}
+
+    @property
+    def name(self) -> str:
+        """Name and version."""
+        facts = self.release.get("facts", {})
+        return f"{facts.get('name', 'unnamed')} {facts.get('version', '')}".strip()
+
+    @property
+    def sums_sha256(self) -> str:
+        """SHA-256 of ``SHA256SUMS``."""
+        return hashlib.sha256((self.folder / SUMS).read_bytes()).hexdigest()
+
+
+NEEDED_COLUMNS = {
+    "video": pa.string(),
+    "simulation": pa.string(),
+    "material": pa.string(),
+    "friction": pa.float64(),
+    "frames": pa.int32(),
+    "pixels_sha256": pa.string(),
+    "sampled_file": pa.string(),
+    "shard": pa.string(),
+    "first_row": pa.int64(),
+    "part": pa.string(),
+}
+
+
+def read_contents(folder: Path) -> Contents:
+    """Read a release.
+
+    Raises
+    ------
+    BadInput
+        If the folder is not there or no release: a foreign folder, or one half written.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder")
+    contents = Contents(folder, dict(read_sums(folder)))
+    for name in (MANIFEST, RELEASE_RECORD, CONFIG):
+        if name not in contents.sums:
+            raise BadInput(f"{folder}: not a release of Slipstitch: {SUMS} names no {name}")
+    _read(contents, MANIFEST, _read_manifest)
+    _read(contents, RELEASE_RECORD, _read_release)
+    _read(contents, CONFIG, _read_config)
+    for name in sorted(contents.sums):
+        if name.startswith(f"{RECORDS}/") and name.endswith(RECORD_SUFFIX):
+            _read(contents, name, _read_artefact)
+    return contents
+
+
+def _read(contents: Contents, name: str, read) -> None:
+    """Call `read`; what goes wrong becomes a finding."""
+    if not (contents.folder / name).is_file():
+        return  # the files' own check says so
+    try:
+        read(contents, contents.folder / name)
+    except BadInput as error:
+        what = str(error).removeprefix(f"{contents.folder}/")
+        contents.findings.append(Finding(Kind.BROKEN, name, what))
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+        what = str(error).splitlines()[0] if str(error) else type(error).__name__
+        contents.findings.append(Finding(Kind.BROKEN, name, f"cannot be read: {what}"))
+
+
+def _read_manifest(contents: Contents, path: Path) -> None:
+    schema = pq.read_schema(path)
+    for column, kind in NEEDED_COLUMNS.items():
+        if column not in schema.names or schema.field(column).type != kind:
+            raise ValueError(f"no column {column!r} of type {kind}")
+    contents.notes = read_metadata(schema)
+    rows = pq.read_table(path).to_pylist()
+    if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
+        raise ValueError("a value is missing")
+    if len({row["video"] for row in rows}) != len(rows):
+        raise ValueError("a video is in it twice")
+    contents.rows = rows
+
+
+def _read_release(contents: Contents, path: Path) -> None:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not all(isinstance(content[key], dict) for key in ("facts", "files", "provenance")):
+        raise ValueError("facts, files or provenance is no mapping")
+    contents.release = content
+
+
+def _read_config(contents: Contents, path: Path) -> None:
+    contents.config = load_config(path)
+
+
+def _read_artefact(contents: Contents, path: Path) -> None:
+    artefact = read_record(path)
+    name = path.relative_to(contents.folder).as_posix()
+    if record_file(artefact.path) != name:
+        raise ValueError(f"the record is of {artefact.path}")
+    contents.artefacts[artefact.path] = artefact

@@ -1,0 +1,155 @@
+"""One clip's whole story, from the records that the release carries."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from slipstitch.audit.contents import Contents
+from slipstitch.audit.files import read_shard
+from slipstitch.audit.walk import Chain
+from slipstitch.errors import BadInput
+from slipstitch.release.chain import Artefact, carried_file, is_carried, is_ours, record_file
+from slipstitch.release.currency import current_digest
+from slipstitch.release.splits import PREFIX
+
+
+def find_clip(contents: Contents, clip: str) -> dict[str, Any]:
+    """The clip's row of the manifest; BadInput if the release has no such clip."""
+    row = contents.row_of.get(clip)
+    if row is None:
+        some = f"; ids are like {contents.clips[0]}" if contents.clips else ""
+        raise BadInput(f"{contents.folder}: no clip {clip!r}{some}")
+    return row
+
+
+def explain(contents: Contents, clip: str) -> str:
+    """The story as lines.
+
+    Raises
+    ------
+    BadInput
+        If the release has no such clip.
+    """
+    row = find_clip(contents, clip)
+    chain = Chain(contents)
+    lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
+    seen: set[str] = set()
+    below = dict.fromkeys(chain.behind(row))
+    for path in below:
+        artefact = chain.artefacts.get(path)
+        if artefact is None:
+            lines += ["", f"{path}: NO RECORD, the chain is broken here"]
+        elif path not in seen:
+            lines += ["", *_artefact(contents, chain, artefact, row)]
+        seen.add(path)
+    lines += ["", *_fabric(contents, row)]
+    return "\n".join(lines)
+
+
+def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
+    shard = contents.folder / row["shard"]
+    if not shard.is_file():
+        pixels = "the shard is not there"
+    else:
+        found = read_shard(shard).pixels.get(row["video"])
+        same = found == row["pixels_sha256"]
+        pixels = "as decoded just now" if same else f"NOT as decoded just now ({found})"
+    known = {"video", "pixels_sha256", "shard", "first_row", "frames", "pixels"}
+    labels = [
+        f"{name} {value}"
+        for name, value in row.items()
+        if name not in known and not name.startswith((PREFIX, "sampled_"))
+    ]
+    sides = [
+        f"{name.removeprefix(PREFIX)}: {value or 'not used'}"
+        for name, value in row.items()
+        if name.startswith(PREFIX)
+    ]
+    last = row["first_row"] + row["frames"] - 1
+    return [
+        f"  images   {row['frames']} of {row['pixels']} px, {row['shard']} rows {row['first_row']} "
+        f"to {last}",
+        f"  pixels   SHA-256 {row['pixels_sha256']}, {pixels}",
+        f"  labels   {'; '.join(labels)}",
+        f"  splits   {'; '.join(sides)}",
+    ]
+
+
+def _artefact(contents: Contents, chain: Chain, one: Artefact, row: Mapping) -> list[str]:
+    record = one.provenance
+    lines = [one.path, f"  record   {record_file(one.path)}", f"  SHA-256  {one.sha256}"]
+    if is_carried(one):
+        lines.append(f"  carried  {carried_file(one.path)}")
+    if record is None or not is_ours(one.path):
+        return [*lines, "  from outside: no stage made it"]
+    now = current_digest(one.stage)
+    code = "as the code of today" if now == record["code_digest"] else "NOT the code of today"
+    commit = record.get("git_commit") or "no commit known"
+    changed = ", with changes that are in no commit" if record.get("git_dirty") else ""
+    lines += [
+        f"  made by  slipstitch {one.stage}, code {record['code_digest'][:16]} ({code}), commit "
+        f"{commit[:12]}{changed}",
+        f"  on       {record.get('host_kind')}; {record.get('wall_s')} s, "
+        f"{record.get('cpu_s')} CPU s",
+        f"  with     {_short(record.get('versions', {}))}",
+        f"  seed     {record.get('seed')}",
+        f"  config   {_short(record['config'])}",
+    ]
+    lines += [f"  says     {line}" for line in _says(contents, one)]
+    for name in chain.inputs(one.path, row.get("viewpoint_id")):
+        behind = chain.artefacts.get(name)
+        link = "NO RECORD"
+        if behind is not None:
+            link = "the next" if behind.sha256 == one.inputs[name] else "ANOTHER FILE than the next"
+        lines.append(f"  from     {name} ({link})")
+    return lines
+
+
+def _says(contents: Contents, one: Artefact) -> list[str]:
+    """What an artefact tells of itself, in a few lines."""
+    lines = [
+        f"{name}: {_short(value)}"
+        for name, value in one.metadata.items()
+        if name not in ("settings", "camera")
+    ]
+    if one.stage == "calibrate":
+        lines += _checks(contents, one)
+    return lines
+
+
+def _checks(contents: Contents, one: Artefact) -> list[str]:
+    try:
+        path = contents.folder / carried_file(one.path)
+        checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
+        worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
+    except (OSError, ValueError, KeyError, TypeError):
+        return ["checks: cannot be read"]
+    return [
+        f"{sum(check['met'] for check in checks)} of {len(checks)} checks against theory met; "
+        f"the closest to its limit: {worst['name']}, error {worst['error']:.2e} of "
+        f"{worst['demand']:.2e} allowed"
+    ]
+
+
+def _short(value: Any, most: int = 400) -> str:
+    text = json.dumps(value, ensure_ascii=False) if not isinstance(value, str) else value
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
+    """The measured fabric, as the carried sources have it, against today's."""
+    from slipstitch.material.catalogue import CATALOGUE
+
+    name = row["material"]
+    there = contents.folder / "code/src/slipstitch/material/fabrics.json"
+    try:
+        then = json.loads(there.read_text(encoding="utf-8"))["fabrics"][name]
+    except (OSError, ValueError, KeyError, TypeError):
+        return [f"fabric {name}: not in the release's own sources"]
+    now = json.loads(CATALOGUE.read_text(encoding="utf-8"))["fabrics"].get(name)
+    same = "as today" if now == then else "NOT as today"
+    return [
+        f"fabric {name} ({same})",
+        f"  areal density {then['areal_density_kg_m2']} kg/m2; stretching and bending tables in "
+        "code/src/slipstitch/material/fabrics.json",
+    ]

@@ -1,0 +1,127 @@
+"""What an audit finds, and the verdict that follows."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+
+class Kind(StrEnum):
+    """Sorts of findings, the worst first."""
+
+    ALTERED = "altered"
+    MISSING = "missing"
+    UNEXPLAINED = "unexplained"
+    BROKEN = "broken chain"
+    STALE = "stale"
+
+
+MEANING = {
+    Kind.ALTERED: "a file or its images are not what the release says",
+    Kind.MISSING: "a file of the release is not there",
+    Kind.UNEXPLAINED: "a file that the release does not know",
+    Kind.BROKEN: "a clip cannot be followed to its origin, or its record contradicts itself",
+    Kind.STALE: "intact, but the code or configuration of today would make something else",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is not as it should be.
+
+    Attributes
+    ----------
+    kind : Kind
+    where : str
+        A file of the release, an artefact as the records call it, or a stage.
+    what : str
+    clips : tuple of str
+        Videos that it touches.
+    """
+
+    kind: Kind
+    where: str
+    what: str
+    clips: tuple[str, ...] = ()
+
+
+@dataclass
+class Audit:
+    """The outcome of an audit.
+
+    Attributes
+    ----------
+    release : str
+        Name and version, as the release calls itself.
+    sums_sha256 : str
+        SHA-256 of its ``SHA256SUMS``.
+    numbers : dict
+        Files, bytes, clips and images that were looked at; ``wall_s, cpu_s``.
+    findings : list of Finding
+    notes : list of str
+        What could not be compared, and why.
+    clips : list of str
+        All videos of the release.
+    """
+
+    release: str
+    sums_sha256: str
+    numbers: dict[str, Any] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    clips: list[str] = field(default_factory=list)
+
+    @property
+    def verdict(self) -> str:
+        """``intact``, ``stale`` (intact, but older than the code or configuration), ``damaged``."""
+        kinds = {finding.kind for finding in self.findings}
+        if not kinds:
+            return "intact"
+        return "stale" if kinds == {Kind.STALE} else "damaged"
+
+    def of_kind(self, kind: Kind) -> list[Finding]:
+        """Findings of one sort."""
+        return [finding for finding in self.findings if finding.kind is kind]
+
+    def clip_kinds(self) -> dict[str, list[str]]:
+        """Clip -> sorts of what was found of it; empty for an intact one."""
+        kinds: dict[str, set[str]] = {clip: set() for clip in self.clips}
+        for finding in self.findings:
+            for clip in finding.clips:
+                kinds.setdefault(clip, set()).add(finding.kind.value)
+        return {clip: sorted(found) for clip, found in kinds.items()}
+
+    def damaged_clips(self) -> dict[str, list[str]]:
+        """`clip_kinds` of the clips of which more is wrong than that they are stale."""
+        kinds = self.clip_kinds()
+        return {clip: found for clip, found in kinds.items() if set(found) - {Kind.STALE.value}}
+
+    def as_json(self) -> dict[str, Any]:
+        """The outcome as JSON can hold it."""
+        return {
+            "release": self.release,
+            "verdict": self.verdict,
+            "sums_sha256": self.sums_sha256,
+            "numbers": self.numbers,
+            "counts": {kind.value: len(self.of_kind(kind)) for kind in Kind},
+            "findings": [asdict(finding) for finding in self.findings],
+            "notes": self.notes,
+            "clips": self.clip_kinds(),
+        }
+
+
+def sorted_findings(findings: Iterable[Finding]) -> list[Finding]:
+    """Without repetitions, the worst kind first, then by place."""
+    order = list(Kind)
+    unique = dict.fromkeys(findings)
+    return sorted(unique, key=lambda finding: (order.index(finding.kind), finding.where))
+
+
+def in_words(clips: Sequence[str], all_clips: int) -> str:
+    """Which clips, in a few words."""
+    if not clips:
+        return ""
+    if len(clips) == all_clips:
+        return f"all {all_clips} clips"
+    named = ", ".join(clips[:3])
+    return f"{named} and {len(clips) - 3} more" if len(clips) > 3 else named

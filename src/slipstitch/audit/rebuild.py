@@ -1,0 +1,162 @@
+"""One clip simulated, rendered and compared anew, from its record."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from slipstitch.audit.contents import Contents
+from slipstitch.audit.explain import find_clip
+from slipstitch.audit.walk import Chain
+from slipstitch.config import write_config
+from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.release.chain import carried_file, is_ours, rows_digest
+from slipstitch.sample.shards import decode, read_shard
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """A clip made again beside the released one.
+
+    Attributes
+    ----------
+    clip : str
+    same_motion : bool
+        Whether the simulation gave the same bits.
+    same_pixels : bool
+    images_differing : int
+    images : int
+    largest_difference : int
+        Of a channel of a pixel, 0 ... 255.
+    psnr_db : float or None
+        None if equal.
+    """
+
+    clip: str
+    same_motion: bool
+    same_pixels: bool
+    images_differing: int
+    images: int
+    largest_difference: int
+    psnr_db: float | None
+
+
+# Sums over several threads round otherwise; the workflow's jobs have one thread each.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def _run(*words: str) -> None:
+    """Run a verb of Slipstitch; Blender wants a process of its own."""
+    answer = subprocess.run(
+        [sys.executable, "-m", "slipstitch", *words],
+        env=os.environ | ONE_THREAD,
+        capture_output=True,
+        text=True,
+    )
+    if answer.returncode:
+        said = answer.stderr.strip().splitlines()
+        raise SlipstitchError(f"slipstitch {words[0]}: {said[-1] if said else 'failed'}")
+
+
+def _configuration(contents: Contents, folder: Path) -> Path:
+    """The release's configuration, with files from outside taken from the release."""
+    config = contents.config
+    if config.render.camera is not None:
+        name = next(
+            (path for path in contents.artefacts if not is_ours(path)), config.render.camera
+        )
+        camera = (contents.folder / carried_file(name)).resolve()
+        render = config.render.model_copy(update={"camera": str(camera)})
+        config = config.model_copy(update={"render": render})
+    write_config(config, folder / "config.json")
+    return folder / "config.json"
+
+
+def _released(contents: Contents, row: dict[str, Any]) -> np.ndarray:
+    """The released clip, uint8 (frames, pixels, pixels, 3)."""
+    table = pq.read_table(contents.folder / row["shard"], columns=["image"])
+    images = table["image"].slice(row["first_row"], row["frames"]).to_pylist()
+    return np.stack([decode(image["bytes"], row["video"], row["pixels"]) for image in images])
+
+
+def rebuild(contents: Contents, clip: str) -> Rebuilt:
+    """Simulate and render a clip again with the code that is installed.
+
+    Raises
+    ------
+    BadInput
+        If the release has no such clip, or lacks what it takes.
+    SlipstitchError
+        If the simulation or the rendering fails.
+    """
+    row = find_clip(contents, clip)
+    chain = Chain(contents)
+    simulated, rendered = chain.of_stage(row, "simulate"), chain.of_stage(row, "render")
+    calibrated = chain.of_stage(row, "calibrate")
+    if contents.config is None or not (simulated and rendered and calibrated):
+        raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = _configuration(contents, folder)
+        trajectory = folder / f"{row['simulation']}.parquet"
+        shard = folder / "shard.parquet"
+        _run(
+            "simulate", "--config", str(config), "--simulation", row["simulation"],
+            "--calibration", str(contents.folder / carried_file(calibrated[0].path)),
+            "--out", str(trajectory),
+        )  # fmt: skip
+        same_motion = rows_digest(trajectory) == simulated[0].rows_sha256
+        _run(
+            "render", "--config", str(config), "--trajectory", str(trajectory),
+            "--viewpoint", row["viewpoint_id"], "--out", str(shard),
+        )  # fmt: skip
+        frames = np.array(_frames(contents, row))
+        videos = read_shard(shard, frames)
+        key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
+        if key not in videos:
+            raise BadInput(f"{clip}: rendered anew, it is not among {len(videos)} videos")
+        again = np.stack([decode(one.png, clip, row["pixels"]) for one in videos[key]])
+    return compare(clip, _released(contents, row), again, same_motion)
+
+
+def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:
+    table = pq.read_table(contents.folder / row["shard"], columns=["frame"])
+    return table["frame"].slice(row["first_row"], row["frames"]).to_pylist()
+
+
+def compare(clip: str, released: np.ndarray, again: np.ndarray, same_motion: bool) -> Rebuilt:
+    """Compare two arrays of images, uint8 of equal shape."""
+    difference = released.astype(np.int16) - again
+    mean_square = float(np.mean(np.square(difference, dtype=np.float64)))
+    return Rebuilt(
+        clip=clip,
+        same_motion=same_motion,
+        same_pixels=not difference.any(),
+        images_differing=int(difference.any(axis=(1, 2, 3)).sum()),
+        images=len(released),
+        largest_difference=int(np.abs(difference).max()),
+        psnr_db=round(10 * np.log10(255**2 / mean_square), 2) if mean_square else None,
+    )
+
+
+def in_words(done: Rebuilt) -> str:
+    """The comparison as a line."""
+    motion = "the same motion, bit by bit" if done.same_motion else "ANOTHER MOTION"
+    if done.same_pixels:
+        return f"{done.clip}: made again, {motion}; all {done.images} images have equal pixels"
+    return (
+        f"{done.clip}: made again, {motion}; {done.images_differing} of {done.images} images "
+        f"DIFFER, by up to {done.largest_difference} of 255, {done.psnr_db} dB"
+    )
+
+
+def as_json(done: Rebuilt) -> str:
+    """The comparison as JSON."""
+    return json.dumps(vars(done), indent=1)

@@ -1,0 +1,521 @@
+"""An audit finds every planted alteration, says where, and raises no false alarm."""
+
+import json
+import random
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import synthetic_chain
+
+from slipstitch.audit import currency, rebuild
+from slipstitch.audit.auditing import audit_release
+from slipstitch.audit.contents import read_contents
+from slipstitch.audit.findings import Kind
+from slipstitch.command import main
+from slipstitch.config import write_config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import attach_metadata, file_digest
+from slipstitch.release.assembly import RELEASE_RECORD, write_release
+from slipstitch.release.checksums import files_below, read_sums, write_sums
+from slipstitch.release.manifest import sampled_rows
+from slipstitch.sample.dataset import dataset_digest
+
+ROOT = Path(__file__).parents[2]
+CONFIG = synthetic_chain.config()
+CLIP = "m05_f01_r00_t00_v00"
+OF_SIMULATION = {f"m05_f01_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
+pytestmark = pytest.mark.xdist_group("release")
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("audit")
+    results = synthetic_chain.write(CONFIG, folder)
+    write_release(CONFIG, results, folder / "release", ROOT)
+    return folder / "release"
+
+
+@pytest.fixture
+def release(original, tmp_path):
+    """A copy that a test may damage."""
+    copy = Path(shutil.copytree(original, tmp_path / "release"))
+    for path in copy.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    return copy
+
+
+def reseal(release: Path) -> None:
+    """What a forger does who knows both lists of digests: write them anew."""
+    path = release / RELEASE_RECORD
+    content = json.loads(path.read_text())
+    names = [name for name in files_below(release) if name != RELEASE_RECORD]
+    content["files"] = {name: file_digest(release / name) for name in names}
+    path.write_text(json.dumps(content))
+    write_sums(release)
+
+
+def edit_record(release: Path, name: str, edit) -> str:
+    """Change a record; return its place in the release."""
+    path = release / f"records/{name}.record.json"
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+    return path.relative_to(release).as_posix()
+
+
+def edit_table(path: Path, edit) -> None:
+    """Change the rows of a Parquet file, keep its metadata."""
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    edit(rows)
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+
+
+def found(release: Path, kind: Kind, **options) -> dict[str, set[str]]:
+    """Place -> clips, of the findings of one kind."""
+    places: dict[str, set[str]] = {}
+    for finding in audit_release(release, **options).of_kind(kind):
+        places.setdefault(finding.where, set()).update(finding.clips)
+    return places
+
+
+def row_of(release: Path, clip: str) -> dict:
+    rows = pq.read_table(release / "manifest.parquet").to_pylist()
+    return next(row for row in rows if row["video"] == clip)
+
+
+def test_untouched_release_is_intact(original):
+    audit = audit_release(original, CONFIG)
+    assert audit.findings == []
+    assert audit.verdict == "intact"
+    assert audit.numbers["images"] == 720
+    assert len(audit.clips) == 144
+    assert not any(audit.clip_kinds().values())
+
+
+def test_what_snakemake_leaves_is_no_finding(release):
+    (release / ".snakemake_timestamp").touch()
+    assert audit_release(release).verdict == "intact"
+
+
+def test_one_flipped_bit_in_any_file_is_found(release):
+    chance = random.Random(1)
+    names = sorted(read_sums(release))
+    chosen = {name.split("/")[0]: name for name in names}  # one of every folder, and the files
+    picked = [*chosen.values(), *chance.sample(names, 12)]
+    for name in dict.fromkeys(picked):
+        path = release / name
+        content = bytearray(path.read_bytes())
+        place = chance.randrange(len(content))
+        content[place] ^= 1 << chance.randrange(8)
+        before = path.read_bytes()
+        path.write_bytes(content)
+        audit = audit_release(release)
+        assert audit.verdict == "damaged", name
+        assert name in {finding.where for finding in audit.of_kind(Kind.ALTERED)}
+        path.write_bytes(before)
+    assert audit_release(release).verdict == "intact"
+
+
+def test_flipped_bit_in_a_shard_names_clips_of_that_shard_only(release):
+    shard = row_of(release, CLIP)["shard"]
+    content = bytearray((release / shard).read_bytes())
+    content[len(content) // 3] ^= 4
+    (release / shard).write_bytes(content)
+    altered = found(release, Kind.ALTERED)
+    assert set(altered) == {shard}
+    of_shard = {
+        row["video"]
+        for row in pq.read_table(release / "manifest.parquet").to_pylist()
+        if row["shard"] == shard
+    }
+    assert altered[shard] <= of_shard
+
+
+def test_swapped_shards_are_both_named(release):
+    first, second = sorted((release / "data").iterdir())[:2]
+    aside = release.parent / "aside"
+    first.rename(aside)
+    second.rename(first)
+    aside.rename(second)
+    audit = audit_release(release)
+    said = {finding.where: finding.what for finding in audit.of_kind(Kind.ALTERED)}
+    assert said[f"data/{first.name}"] == f"holds what belongs to data/{second.name}"
+    assert said[f"data/{second.name}"] == f"holds what belongs to data/{first.name}"
+    reseal(release)
+    broken = found(release, Kind.BROKEN)
+    assert {f"data/{first.name}", f"data/{second.name}"} <= set(broken)
+
+
+def test_one_changed_pixel_is_found_behind_new_sums(release):
+    row = row_of(release, CLIP)
+
+    def edit(rows):
+        image = rows[row["first_row"] + 2]["image"]
+        pixels = cv2.imdecode(np.frombuffer(image["bytes"], np.uint8), cv2.IMREAD_COLOR)
+        pixels[3, 4, 1] ^= 1
+        image["bytes"] = cv2.imencode(".png", pixels)[1].tobytes()
+
+    edit_table(release / row["shard"], edit)
+    assert found(release, Kind.ALTERED) == {row["shard"]: {CLIP}}
+    reseal(release)
+    assert found(release, Kind.ALTERED) == {row["shard"]: {CLIP}}
+
+
+def test_reencoded_images_alter_the_file_but_no_clip(release):
+    row = row_of(release, CLIP)
+
+    def edit(rows):
+        for one in rows:
+            pixels = cv2.imdecode(np.frombuffer(one["image"]["bytes"], np.uint8), 1)
+            options = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+            one["image"]["bytes"] = cv2.imencode(".png", pixels, options)[1].tobytes()
+
+    edit_table(release / row["shard"], edit)
+    audit = audit_release(release)
+    (finding,) = audit.of_kind(Kind.ALTERED)
+    assert finding.where == row["shard"]
+    assert "the pixels of its clips do not" in finding.what
+    assert audit.clip_kinds()[CLIP] == []
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("friction", 0.6), ("material", "ivory-rib-knit"), ("split_by_simulation", "validation")],
+)
+def test_edited_label_is_found_however_well_the_sums_are_mended(release, column, value):
+    manifest = release / "manifest.parquet"
+
+    def edit(rows):
+        row = next(row for row in rows if row["video"] == CLIP)
+        assert row[column] != value
+        row[column] = value
+
+    edit_table(manifest, edit)
+    assert "manifest.parquet" in found(release, Kind.ALTERED)
+    reseal(release)
+    assert "manifest.parquet" in found(release, Kind.BROKEN)
+    # Now also the digests that the manifest and the record of the sampling note.
+    table = pq.read_table(manifest)
+    rows = table.to_pylist()
+    table = attach_metadata(table, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(table, manifest)
+    names = read_contents(release).notes["sampled_columns"]
+    digest = dataset_digest(sampled_rows(rows, names))
+    edit_record(
+        release,
+        "sample/manifest.parquet",
+        lambda record: record["metadata"].update(dataset_digest=digest),
+    )
+    reseal(release)
+    assert CLIP in found(release, Kind.BROKEN)["manifest.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("friction", 1.0), ("frame", 7), ("time_s", 3.0), ("stage_x_m", 0.1)]
+)
+def test_edited_label_of_an_image_is_found_behind_new_sums(release, column, value):
+    row = row_of(release, CLIP)
+    edit_table(
+        release / row["shard"], lambda rows: rows[row["first_row"] + 1].update({column: value})
+    )
+    reseal(release)
+    assert found(release, Kind.BROKEN)[row["shard"]] == {CLIP}
+
+
+def test_dropped_file_is_missing_and_strange_file_unexplained(release):
+    row = row_of(release, CLIP)
+    (release / row["shard"]).unlink()
+    (release / "notes.txt").write_text("mine")
+    assert CLIP in found(release, Kind.MISSING)[row["shard"]]
+    assert set(found(release, Kind.UNEXPLAINED)) == {"notes.txt"}
+    reseal(release)  # the manifest still knows it
+    assert CLIP in found(release, Kind.MISSING)[row["shard"]]
+
+
+def test_dropped_manifest_leaves_the_files_checked(release):
+    (release / "manifest.parquet").unlink()
+    audit = audit_release(release)
+    assert "manifest.parquet" in {finding.where for finding in audit.of_kind(Kind.MISSING)}
+    assert audit.of_kind(Kind.BROKEN)
+
+
+def test_link_in_place_of_a_file_is_found(release):
+    card = release / "README.md"
+    card.rename(release.parent / "elsewhere.md")
+    card.symlink_to(release.parent / "elsewhere.md")
+    assert "README.md" in found(release, Kind.ALTERED)
+
+
+FORGERIES = {
+    "another seed": (
+        "simulate/m05_f01_r00.parquet",
+        lambda one: one["metadata"].update(seed=1),
+        OF_SIMULATION,
+    ),
+    "another friction": (
+        "simulate/m05_f01_r00.parquet",
+        lambda one: one["metadata"].update(friction=0.6),
+        OF_SIMULATION,
+    ),
+    "another perturbation": (
+        "simulate/m05_f01_r00.parquet",
+        lambda one: one["metadata"]["perturbation"].update(yaw_deg=0.0),
+        OF_SIMULATION,
+    ),
+    "another file": (
+        "simulate/m05_f01_r00.parquet",
+        lambda one: one.update(sha256="0" * 64),
+        OF_SIMULATION,
+    ),
+    "another setting": (
+        "simulate/m05_f01_r00.parquet",
+        lambda one: one["provenance"]["config"]["simulation"].update(time_step_s=0.001),
+        OF_SIMULATION,
+    ),
+    "other code": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["provenance"].update(code_digest="0" * 64),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another input": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["provenance"]["inputs"].update(
+            {"results/simulate/m05_f01_r00.parquet": "0" * 64}
+        ),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another viewpoint": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["metadata"]["viewpoint"].update(name="frontal"),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "no provenance": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one.update(provenance=None),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "no record at all": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one.clear(),
+        OF_SIMULATION,  # which viewpoint it was of, only it could have told
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_forged_record_breaks_the_chain_of_its_clips_behind_new_sums(release, name):
+    record, edit, clips = FORGERIES[name]
+    place = edit_record(release, record, edit)
+    assert place in found(release, Kind.ALTERED)
+    reseal(release)
+    audit = audit_release(release)
+    broken = audit.of_kind(Kind.BROKEN)
+    assert place in {finding.where for finding in broken} or name == "another file"
+    touched = {clip for finding in broken for clip in finding.clips}
+    assert touched == clips
+
+
+def test_forged_calibration_breaks_every_clip(release):
+    path = release / "records/calibrate/calibration.json"
+    path.write_text(path.read_text().replace("true", "false", 1))
+    reseal(release)
+    (clips,) = found(release, Kind.BROKEN).values()
+    assert len(clips) == 144
+
+
+def test_forged_configuration_contradicts_the_records(release):
+    path = release / "records/config.json"
+    content = json.loads(path.read_text())
+    content["simulation"]["time_step_s"] = 0.01
+    path.write_text(json.dumps(content))
+    reseal(release)
+    broken = found(release, Kind.BROKEN)
+    assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
+
+
+def test_forged_sources_do_not_have_the_digest_of_the_records(release):
+    path = release / "code/src/slipstitch/material/fabrics.json"
+    path.write_text(path.read_text().replace("0.187", "0.188", 1))
+    reseal(release)
+    broken = found(release, Kind.BROKEN)
+    assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
+
+
+def test_only_the_digest_from_elsewhere_tells_a_consistent_forgery(release):
+    """A card is free text: with both lists rewritten nothing in the release contradicts it."""
+    published = audit_release(release).sums_sha256
+    card = release / "README.md"
+    card.write_text(card.read_text().replace("GPL", "ABC"))
+    reseal(release)
+    assert audit_release(release).verdict == "intact"
+    audit = audit_release(release, expected=published)
+    assert [finding.where for finding in audit.findings] == ["SHA256SUMS"]
+    assert len(audit.findings[0].clips) == 144
+
+
+def test_changed_configuration_makes_stale_not_damaged(original):
+    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2})
+    audit = audit_release(original, other)
+    assert audit.verdict == "stale"
+    (finding,) = audit.findings
+    assert finding.where == "sample"
+    assert "sample.test_fraction: 0.1 -> 0.2" in finding.what
+    slower = synthetic_chain.config(simulation={"frames": 60, "time_step_s": 0.01})
+    stages = {finding.where for finding in audit_release(original, slower).findings}
+    assert stages == {"simulate"}
+
+
+def test_one_more_viewpoint_makes_no_shard_stale(original):
+    render = CONFIG.render.model_dump() | {"viewpoints": ["calibrated", "frontal", "side"]}
+    stages = {
+        one.where for one in audit_release(original, synthetic_chain.config(render=render)).findings
+    }
+    assert stages == {"sample"}
+
+
+def test_changed_code_makes_its_stage_stale(original, monkeypatch):
+    now = currency.current_digest
+    monkeypatch.setattr(
+        currency,
+        "current_digest",
+        lambda stage, root=None: (
+            "0" * 64 if stage == "render" and root is None else now(stage, root)
+        ),
+    )
+    audit = audit_release(original)
+    assert audit.verdict == "stale"
+    assert [(one.where, one.what) for one in audit.findings] == [("render", "its code has changed")]
+
+
+def test_commit_that_holds_other_code_is_found(original, monkeypatch, tmp_path):
+    def other_code(checkout, commit, folder):
+        shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
+        (folder / "src/slipstitch/simulate/trajectory.py").write_text("# other\n")
+        return True
+
+    release = Path(shutil.copytree(original, tmp_path / "release"))
+    for path in release.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    for record in (release / "records").rglob("*.record.json"):
+        content = json.loads(record.read_text())
+        if content["provenance"]:
+            content["provenance"].update(git_commit="ab" * 20, git_dirty=False)
+        record.write_text(json.dumps(content))
+    reseal(release)
+    assert any("abababababab is not in this checkout" in n for n in audit_release(release).notes)
+    monkeypatch.setattr(currency, "_extract", other_code)
+    broken = found(release, Kind.BROKEN)
+    assert {"simulate", "render", "sample"} & set(broken)
+    assert len(broken["simulate"]) == 144
+
+
+@pytest.mark.parametrize(
+    ("prepare", "problem"),
+    [
+        (lambda folder: None, "not a release: no readable SHA256SUMS"),
+        (lambda folder: (folder / "data").mkdir(), "not a release: no readable SHA256SUMS"),
+        (lambda folder: (folder / "SHA256SUMS").write_text("hello\n"), "line 1: not '<SHA-256>"),
+        (lambda folder: (folder / "SHA256SUMS").write_text(""), "SHA256SUMS: empty"),
+        (
+            lambda folder: (folder / "SHA256SUMS").write_text(f"{'0' * 64}  ../x\n"),
+            "is outside the release",
+        ),
+        (
+            lambda folder: (folder / "SHA256SUMS").write_text(f"{'0' * 64}  a.txt\n"),
+            "not a release of Slipstitch: SHA256SUMS names no manifest.parquet",
+        ),
+        (lambda folder: folder.rmdir(), "no such folder"),
+    ],
+)
+def test_half_written_or_foreign_folder_is_bad_input(tmp_path, capsys, prepare, problem):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    prepare(folder)
+    assert main(["audit", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert problem in said
+    assert said.count("\n") == 1
+
+
+def test_command_answers_machines_and_people(release, tmp_path, capsys):
+    outcome, page = tmp_path / "audit.json", tmp_path / "audit.html"
+    assert main(["audit", str(release), "--json", str(outcome), "--page", str(page)]) == 0
+    assert "intact: every file" in capsys.readouterr().out
+    assert json.loads(outcome.read_text())["verdict"] == "intact"
+    (release / "LICENSE").write_text("none")
+    assert main(["audit", str(release), "--json", "-", "--page", str(page)]) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert content["verdict"] == "damaged"
+    assert content["counts"]["altered"] == 1
+    assert content["findings"][0]["where"] == "LICENSE"
+    html = page.read_text(encoding="utf-8")
+    assert "LICENSE" in html and "DAMAGED" in html
+    assert not re.search(r"(src|href)=", html)
+
+
+def test_stale_can_be_allowed(original, tmp_path):
+    write_config(synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2}), tmp_path / "c")
+    words = ["audit", str(original), "--config", str(tmp_path / "c")]
+    assert main(words) == 1
+    assert main([*words, "--allow-stale"]) == 0
+
+
+def test_outcome_is_not_written_into_the_release(original, capsys):
+    assert main(["audit", str(original), "--json", str(original / "audit.json")]) == 2
+    assert "inside the release" in capsys.readouterr().err
+    assert not (original / "audit.json").exists()
+
+
+def test_story_of_a_clip_names_every_link(original, capsys):
+    assert main(["audit", str(original), "--explain", CLIP]) == 0
+    story = capsys.readouterr().out
+    for part in (
+        "results/sample/m05_f01_r00.parquet",
+        "results/render/m05_f01_r00_v00.parquet",
+        "results/simulate/m05_f01_r00.parquet",
+        "results/calibrate/calibration.json",
+        "fabric gray-interlock (as today)",
+        "friction 0.3",
+        "as decoded just now",
+        "by_simulation: ",
+        "yaw_deg",
+    ):
+        assert part in story
+    assert "v01.parquet" not in story
+    assert "NOT" not in story.replace("NOT the code", "")
+    assert main(["audit", str(original), "--explain", "m99"]) == 2
+    assert "no clip 'm99'; ids are like m" in capsys.readouterr().err
+
+
+def test_story_says_where_the_chain_breaks(release, capsys):
+    edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.update(sha256="0" * 64))
+    main(["audit", str(release), "--explain", CLIP])
+    assert "results/render/m05_f01_r00_v00.parquet (ANOTHER FILE than the next)" in (
+        capsys.readouterr().out
+    )
+
+
+def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
+    first = np.zeros((3, 8, 8, 3), np.uint8)
+    second = first.copy()
+    same = rebuild.compare("a", first, second, True)
+    assert same.same_pixels and same.psnr_db is None
+    second[1, 2, 3, 0] = 200
+    other = rebuild.compare("a", first, second, True)
+    assert not other.same_pixels
+    assert (other.images_differing, other.largest_difference) == (1, 200)
+    expected = 10 * np.log10(255**2 / (200**2 / first.size))
+    assert other.psnr_db == pytest.approx(expected, abs=0.01)
+
+
+def test_clip_without_whole_records_is_not_rebuilt(release):
+    edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
+    with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
+        rebuild.rebuild(read_contents(release), CLIP)
