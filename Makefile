@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark benchmark-criticise convergence criticise-measured clean
+.PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit \
+	benchmark-estimate convergence criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -18,6 +19,8 @@ help:
 	@echo 'make benchmark  CPU time and memory of whole simulations'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
+	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
+	@echo 'make benchmark-estimate  the cost of paper.yaml against a measured part of it'
 	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
@@ -50,6 +53,12 @@ benchmark-criticise: setup
 convergence: setup
 	$(BIN)/snakemake --cores $(CORES) convergence
 	$(BIN)/python -m slipstitch.convergence publish
+
+benchmark-audit: setup
+	$(SINGLE) $(BIN)/python benchmarks/audit.py --size-gb 1 --jobs $(CORES)
+
+benchmark-estimate: setup
+	$(SINGLE) $(BIN)/python benchmarks/estimate.py
 
 criticise-measured: setup
 	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs

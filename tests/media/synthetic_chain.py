@@ -73,7 +73,6 @@ def _write_simulate(config: Config, results: Path) -> None:
             "simulation": one.id,
             "perturbation": vars(draw_perturbation(config.simulation, one.seed)),
             "solver": {"steps": 10, "newton_iterations": 30, "largest_residual": 9e-5},
-            "self_contact": False,
             "stage_path": vars(StagePath()),
         }
         record = provenance_record(

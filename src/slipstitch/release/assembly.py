@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import sys
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -216,7 +215,6 @@ def _fill(
         calibration=_calibration(folder, artefacts),
         pictures=pictures,
         code=_commits(artefacts),
-        simulation=_simulation(artefacts),
         example=videos[0],
     )
     # rdflib and rocrate take a second to import.
@@ -285,12 +283,3 @@ def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
     records = [one.provenance for one in artefacts.values() if one.provenance is not None]
     commits = {record["git_commit"] for record in records if record["git_commit"]}
     return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}
-
-
-def _simulation(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
-    """What the simulations say of themselves, those that agree."""
-    found: dict[str, set] = defaultdict(set)
-    for artefact in artefacts.values():
-        if artefact.stage == "simulate":
-            found["self_contact"].add(bool(artefact.metadata.get("self_contact", False)))
-    return {"self_contact": found["self_contact"] == {True}}

@@ -106,7 +106,7 @@ def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_column
     frame_columns : sequence of str
         Columns of the shards.
     **more
-        What else the template shows: ``config, calibration, pictures, code, simulation``.
+        What else the template shows: ``config, calibration, pictures, code, example``.
     """
     default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
     images = sum(row["frames"] for row in rows)
