@@ -32,11 +32,12 @@ class PartWriter:
         """Append rows that must stay together; return (number of the shard, first row in it)."""
         if self._writer is None:
             # PNG does not compress any further, the labels do.
-            compression = {
-                name: "NONE" if name == "image" else "ZSTD" for name in self.schema.names
-            }
+            labels = [name for name in self.schema.names if name != "image"]
             self._writer = pq.ParquetWriter(
-                self._path(len(self.rows)), self.schema, compression=compression
+                self._path(len(self.rows)),
+                self.schema,
+                compression={**dict.fromkeys(labels, "ZSTD"), "image": "NONE"},
+                use_dictionary=labels,
             )
             self.rows.append(0)
             self._bytes = 0
