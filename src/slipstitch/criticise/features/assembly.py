@@ -32,6 +32,9 @@ COVARIATE_OF = {
     "tilt": "azimuth_deg",
     "time_lag": "speed_mm_s",
 }
+# A cause that cannot be told from another one whose covariate was not recorded: whether an
+# excess at rest grows with the rest, say.
+ALIKE_IF_UNRECORDED = {"static_kinetic": "ageing"}
 
 
 @dataclass
@@ -98,6 +101,18 @@ class Measurements:
         elif cause == "time_lag":
             acts &= (self.rows["protocol"] == "drop_drag").to_numpy()
         return missing & acts
+
+    def unrecorded_double(self, cause: str) -> str | None:
+        """The mechanism that would do the same, if what drives it was not recorded.
+
+        A single recorded value (the rest at a reversal) tells as little as none.
+        """
+        double = ALIKE_IF_UNRECORDED.get(cause)
+        if double is None or not self.unrecorded(double).any():
+            return None
+        acting = self.rows["static"].to_numpy(bool)
+        varied = self.rows[COVARIATE_OF[double]][acting].nunique() > 1
+        return None if varied else double
 
 
 def assemble(case: Case, measured: bool = True) -> Measurements:

@@ -98,7 +98,7 @@ def sticking_path(
     bending_Nm: float,
     cloth_length_m: float,
     height_m: np.ndarray,
-    points: int = 40,
+    points: int = 300,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How a cloth whose edge sticks lifts off while the clamp advances.
 

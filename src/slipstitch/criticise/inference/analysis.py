@@ -453,6 +453,12 @@ def analyse(
     if chosen_p < LEFTOVER_SIGNIFICANCE:
         why = "structure is left that no one or two mechanisms remove"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
+    doubles = [(c, measurements.unrecorded_double(c)) for c in chosen.causes]
+    doubles = [(c, double) for c, double in doubles if double]
+    if doubles:
+        cause, double = doubles[0]
+        why = f"{cause} would explain it, but what would drive {double} instead was not recorded"
+        return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     if chosen.credit < MODERATE and not _explains(outcome, chosen, measurements, state):
         why = "a shape outside the library describes the data better than any mechanism"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from slipstitch.criticise.inference.analysis import Analysis, Candidate
-from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter
-from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.analysis import Analysis, Candidate, State
+from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter, make_groups
+from slipstitch.criticise.inference.fit import Fit, fit
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,15 @@ class Gain:
 
 
 def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
-    """Scatter under a model taken at its word (no shrunken alternatives): for prediction."""
-    state = analysis.state
-    residual = analysis.measurements.y - fitted.prediction
+    """Scatter under a model taken at its word (no shrunken alternatives): for prediction.
+
+    Outliers count: a fresh campaign will have them too.
+    """
+    m, state = analysis.measurements, analysis.state
+    residual = m.y - fitted.prediction
+    everything = make_groups(m.protocol, m.run, m.specimen, m.u, state.sensitivity, ~m.lower_bound)
     result = {}
-    for group in state.groups:
+    for group in everything:
         d = group.sensitivity
         size = np.linalg.norm(d)
         fixed = (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
@@ -70,21 +74,17 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
     specimen can move.
     """
     m, state = analysis.measurements, analysis.state
-    parts, rows_of = [], []
-    for group in state.groups:
-        specimens = m.specimen[group.index]
-        for specimen in np.unique(specimens):
-            mine = np.flatnonzero(specimens == specimen)
-            variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
-            parts.append((group.index[mine], np.linalg.inv(variance)))
-            # Outliers teach nothing but count in the score: a fresh campaign has them too.
-            rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
+    parts, rows_of = _parts(analysis, state)
     runs = np.log(max(len(np.unique(m.run[state.keep])), 2))
-    null = _linear(analysis, analysis.null, parts, 0)
+    # The null that is predicted with is the one reported, under its own scatter; the one that
+    # competes for selection is the null under the scatter of the others.
+    null = _linear(analysis, analysis.null, _parts(analysis, analysis.null_state, parts)[0], 0)
+    rival = fit(m, state.weights, (), analysis.null.as_dict())
     others = [
         _linear(analysis, c.fitted, parts, len(c.fitted.values) - len(analysis.null.values))
         for c in candidates
     ]
+    rivals = [_linear(analysis, rival, parts, 0), *others]
     plain_null = plain_scatters(analysis, analysis.null)
     reference = analysis.chosen.fitted if analysis.chosen is not None else analysis.null
     plain_extended = plain_scatters(analysis, reference)
@@ -92,15 +92,15 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
     errors = np.zeros(2)
     weight = 0.0
     for i, rows in enumerate(rows_of):
-        fits = [_without(model, i) for model in (null, *others)]
-        cost = [
-            fit[0] + model.extra * runs for fit, model in zip(fits, (null, *others), strict=True)
-        ]
+        fits = [_without(model, i) for model in rivals]
+        cost = [found[0] + model.extra * runs for found, model in zip(fits, rivals, strict=True)]
         best = int(np.argmin(cost))
-        pair = []
-        for which, plain in ((0, plain_null), (best, plain_extended if best else plain_null)):
-            model = (null, *others)[which]
-            pair.append(_score(analysis, model.fitted, fits[which], rows, plain))
+        pair = [_score(analysis, null.fitted, _without(null, i), rows, plain_null)]
+        pair.append(
+            _score(analysis, rivals[best].fitted, fits[best], rows, plain_extended)
+            if best
+            else pair[0]
+        )
         differences.append(pair[1][0] - pair[0][0])
         scores.append(pair[0][0])
         sizes.append(len(rows))
@@ -125,6 +125,28 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
         float(rmse[1]),
         count,
     )
+
+
+def _parts(analysis: Analysis, state: State, like: list | None = None):
+    """Specimen by specimen: its features with their inverse variance, and the rows to score.
+
+    ``like``: the parts of another state, whose specimens are given in the same order.
+    """
+    m = analysis.measurements
+    parts, rows_of = [], []
+    for group in state.groups:
+        specimens = m.specimen[group.index]
+        for specimen in np.unique(specimens):
+            mine = np.flatnonzero(specimens == specimen)
+            variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
+            parts.append((group.index[mine], np.linalg.inv(variance)))
+            # Outliers teach nothing but count in the score: a fresh campaign has them too.
+            rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
+    if like is not None:
+        found = {m.specimen[part[0][0]]: part for part in parts}
+        nothing = (np.zeros(0, int), np.zeros((0, 0)))
+        parts = [found.get(m.specimen[part[0][0]], nothing) for part in like]
+    return parts, rows_of
 
 
 def _without(model: _Linear, left: int):
