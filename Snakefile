@@ -24,6 +24,7 @@ include: "rules/train.smk"
 include: "rules/evaluate.smk"
 include: "rules/report.smk"
 include: "rules/release.smk"
+include: "rules/criticise.smk"
 
 
 localrules:
@@ -37,6 +38,7 @@ localrules:
     evaluate,
     report,
     release,
+    criticise,
 
 
 # Before a run and in a dry run, but not again in the processes of its jobs.

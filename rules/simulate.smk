@@ -8,7 +8,8 @@ rule simulate:
 
 rule simulate_one:
     input:
-        "results/calibrate/calibration.json",
+        calibration="results/calibrate/calibration.json",
+        model=CONFIG.simulation.model or [],
     output:
         "results/simulate/{simulation}.parquet",
     log:
@@ -27,5 +28,5 @@ rule simulate_one:
     message:
         "Simulate {wildcards.simulation}"
     shell:
-        "slipstitch simulate --config {params.config} --calibration {input}"
+        "slipstitch simulate --config {params.config} --calibration {input.calibration}"
         " --simulation {wildcards.simulation} --out {output} > {log} 2>&1"

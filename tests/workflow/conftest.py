@@ -17,6 +17,7 @@ PARTS = (
     "profiles",
     "rules",
     "src",
+    "data/cases",
     "LICENSE",
     "CITATION.cff",
 )

@@ -106,3 +106,9 @@ def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, probl
     assert said[0].startswith("snakemake: error: ")
     assert problem in said[0]
     assert "Traceback" not in answer.stdout + answer.stderr
+
+
+def test_measured_cases_are_a_target_of_their_own(workflow):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "criticise")
+    assert answer.returncode == 0, answer.stderr
+    assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 1, "total": 2}

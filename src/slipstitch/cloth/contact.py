@@ -114,6 +114,7 @@ class FrictionState:
     slid_m: wp.array(dtype=wp.float64)  # path since the last rest
     repeats: wp.array(dtype=wp.float64)
     relative_humidity_pct: wp.float64
+    full_touch_N: wp.float64  # load from which a node touches with its whole area
 
 
 @wp.func
@@ -149,12 +150,15 @@ def _law_limit() -> wp.Function:
         moved = wp.length(place - start.place)
         warp = law.warp[node]
         direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
+        # A force that the area bears would jump where a node just touches, and leave the step
+        # without a solution: the area comes to bear with the first part of the load.
+        touched = law.area_m2[node] * wp.min(ONE, normal_force / law.full_touch_N)
         return force_limit(
             law.coefficient[node],
             law.values,
             law.sliding[node] == 0,
             normal_force,
-            law.area_m2[node],
+            touched,
             direction,
             law.dwell_s[node],
             moved * wp.sqrt(inverse_step_squared),

@@ -27,6 +27,7 @@ from slipstitch.friction_law import FrictionLaw
 from slipstitch.material.law import ElasticTables
 
 GRAVITY_M_S2 = 9.81
+FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its whole area
 # Tuning of the nonlinear solver; results do not depend on it, cost does.
 SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start
 REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
@@ -168,6 +169,7 @@ class ClothSolver:
 
         self.ground_curvature_per_m = ground_curvature_per_m
         self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
+        self.floor.state.full_touch_N = FULL_TOUCH * self.nodal_force_N
         stiffness_N_m = self.nodal_force_N / settings.penetration_m
         self.normal_stiffness_N_m = self.tangential_stiffness_N_m = stiffness_N_m
         self.force_scale_N = (

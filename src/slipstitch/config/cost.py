@@ -50,6 +50,7 @@ COSTS = {
         "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
     ),
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
+    "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
     "release_s": Cost(0.0002, "CPU s an image", "hashed twice, written once; an allowance"),
     "release_start_s": Cost(3.0, "CPU s", "smoke chain: 2 s, most of it imports"),
@@ -66,6 +67,7 @@ MEMORY_MB = {
     "sample": 2048,
     "train": 6144,
     "evaluate": 4096,
+    "criticise": 2048,
     "report": 2048,
     "release": 2048,
 }
@@ -183,8 +185,8 @@ def job_memory_mb(stage: str) -> int:
 
 def job_runtime_min(stage: str, config: Config) -> int:
     """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
-    if stage == "preview":
-        cpu_s = _cost("preview_s")
+    if stage in ("preview", "criticise"):
+        cpu_s = _cost(f"{stage}_s")
     elif stage == "render":
         cpu_s = _render_cpu_s(config)
     else:

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from slipstitch.calibrate.settings import CalibrateSettings
 from slipstitch.convergence.settings import ConvergenceSettings
+from slipstitch.criticise.settings import CriticiseSettings
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.material import fabric_names
 from slipstitch.release.settings import ReleaseSettings
@@ -72,6 +73,7 @@ class Config(BaseModel):
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
+    criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
 
     @model_validator(mode="after")

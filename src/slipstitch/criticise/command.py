@@ -24,6 +24,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="FILE", help="verdict as JSON")
     parser.add_argument("--report", metavar="FILE", help="the verdict as an HTML page")
     parser.add_argument("--model", metavar="FILE", help="the extended model as YAML")
+    parser.add_argument(
+        "--resimulate",
+        metavar="FILE",
+        help="simulate the drop-and-drag runs again with null and extended law in the cloth "
+        "simulator (about a second a run); errors and gain as JSON, and on the page",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
     parser.add_argument(
         "--replicates",
@@ -52,11 +58,21 @@ def run(arguments: argparse.Namespace) -> int:
     verdict = verdict_of(case, analysis, arguments.seed, __version__)
     with atomic_path(Path(arguments.out)) as temporary:
         temporary.write_text(json.dumps(verdict, indent=1) + "\n", encoding="utf-8")
+    again = None
+    if arguments.resimulate:
+        from slipstitch.criticise.resimulation import resimulate
+
+        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
+        if "drop_drag" in case.protocols:
+            again = resimulate(case, verdict)
+            summary = again.summary
+        with atomic_path(Path(arguments.resimulate)) as temporary:
+            temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     if arguments.report:
         from slipstitch.criticise.report import page
 
         with atomic_path(Path(arguments.report)) as temporary:
-            temporary.write_text(page(verdict, analysis), encoding="utf-8")
+            temporary.write_text(page(verdict, analysis, again), encoding="utf-8")
     if arguments.model:
         from slipstitch.criticise.extended_model import write_extended_model
 

@@ -12,13 +12,13 @@ from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
 from slipstitch.provenance import atomic_path
 
 
-def extended_model(verdict: dict) -> dict:
+def extended_model(verdict: dict, which: str = "extended") -> dict:
     """Friction laws of face and edge, and what departs from the nominal bench and fabric.
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
-    :class:`slipstitch.criticise.forward.bench.Bench`.
+    :class:`slipstitch.criticise.forward.bench.Bench`. ``which`` may be ``null``.
     """
-    model = verdict["models"]["extended"]
+    model = verdict["models"][which]
     values = dict(zip(model["parameters"], model["values"], strict=True))
     mechanisms, bench = {}, {}
     for cause in model["causes"]:

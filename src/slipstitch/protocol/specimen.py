@@ -1,6 +1,9 @@
-"""The isotropic cloth of the known-answer experiments."""
+"""The isotropic cloth of the known-answer experiments, and how a strip of it hangs."""
 
 from dataclasses import replace
+from math import pi
+
+import numpy as np
 
 from slipstitch.material import ElasticTables, isotropic_tables
 
@@ -28,3 +31,18 @@ def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) 
     bending_N_m = tables.bending_N_m.copy()
     bending_N_m[1] *= DIAGONALS_OVER_EDGES
     return replace(tables, bending_N_m=bending_N_m)
+
+
+def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
+    """Straight down, a quarter of a circle, a flat tail: where to start the drag from.
+
+    Returns
+    -------
+    ahead_m, height_m : ndarray, shape of ``down_m``
+    """
+    radius_m = min(0.2 * height_m, (length_m - height_m) / (pi / 2 - 1) * 0.8)
+    straight_m, arc_m = height_m - radius_m, radius_m * pi / 2
+    angle = np.clip((down_m - straight_m) / radius_m, 0.0, pi / 2)
+    ahead = -radius_m * (1 - np.cos(angle)) - np.maximum(down_m - straight_m - arc_m, 0.0)
+    height = height_m - np.minimum(down_m, straight_m) - radius_m * np.sin(angle)
+    return ahead, height

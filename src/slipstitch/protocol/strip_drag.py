@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
     cylindrical_strip_tables,
+    hanging_with_tail,
 )
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -46,7 +46,7 @@ def strip_drag(
     mesh = rectangle(rows, 3, length_m, 2 * spacing_m)
     weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
     down = mesh.rest_uv_m[:, 1]
-    ahead, height = _hanging_with_tail(down, length_m, height_m)
+    ahead, height = hanging_with_tail(down, length_m, height_m)
     start_m = np.column_stack([ahead, mesh.rest_uv_m[:, 0], height])
     fixed = np.zeros((mesh.vertex_count, 3), bool)
     fixed[:, 1] = True
@@ -84,13 +84,3 @@ def strip_drag(
         "holder_ahead_of_tail_m": float(along[0] - along[-1]),
     }
     return measured | {f"theory_{key}": getattr(expected, key) for key in measured}
-
-
-def _hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
-    """Straight down, a quarter of a circle, a flat tail: where to start the drag from."""
-    radius_m = min(0.2 * height_m, (length_m - height_m) / (pi / 2 - 1) * 0.8)
-    straight_m, arc_m = height_m - radius_m, radius_m * pi / 2
-    angle = np.clip((down_m - straight_m) / radius_m, 0.0, pi / 2)
-    ahead = -radius_m * (1 - np.cos(angle)) - np.maximum(down_m - straight_m - arc_m, 0.0)
-    height = height_m - np.minimum(down_m, straight_m) - radius_m * np.sin(angle)
-    return ahead, height

@@ -16,6 +16,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--friction", type=float, help="friction coefficient of cloth and floor")
     parser.add_argument("--seed", type=int, default=0, help="of the bench's perturbation")
     parser.add_argument(
+        "--model", metavar="FILE", help="extended model that slipstitch criticise --model wrote"
+    )
+    parser.add_argument(
         "--set",
         action="append",
         default=[],
@@ -60,7 +63,7 @@ def run(arguments: argparse.Namespace) -> None:
     except NotConverged as error:
         raise _with_state_saved(error, arguments.out) from None
     trajectory.metadata.update(ids)
-    inputs = [arguments.calibration] if arguments.calibration else []
+    inputs = [path for path in (arguments.calibration, config.simulation.model) if path]
     record = provenance_record(
         "simulate",
         inputs=inputs,
@@ -126,6 +129,8 @@ def _configuration(arguments: argparse.Namespace, by_hand: bool):
             overrides[key.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:
             raise BadInput(f"--set {text}: the value cannot be read") from None
+    if arguments.model:
+        overrides["model"] = arguments.model
     if by_hand:  # nothing is sampled from it: the least that is allowed
         mappings.append({"sample": {"frames": 2}})
         sources.append("sample")

@@ -10,8 +10,11 @@ import numpy as np
 from tqdm import tqdm
 
 from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord, rectangle
+from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput
+from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
 from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.settings import SimulationSettings
@@ -98,11 +101,12 @@ def simulate_drop_and_drag(
     if not (np.isfinite(friction) and friction >= 0):
         raise BadInput(f"friction {friction}: must be a finite number, at least 0")
     path = path or StagePath()
+    model = read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
     perturbation = draw_perturbation(settings, seed)
     fabric = load_fabric(material).scaled(
-        perturbation.density_factor,
+        perturbation.density_factor * (1 + model.mass_error),
         perturbation.stretching_factor,
-        perturbation.bending_factor,
+        perturbation.bending_factor * (1 + model.bending_error),
     )
     n = settings.vertices_per_side
     mesh = rectangle(n, n, SIDE_M, SIDE_M)
@@ -124,9 +128,10 @@ def simulate_drop_and_drag(
         mesh,
         ElasticTables.of_fabric(fabric),
         hung_m,
-        friction=friction,
+        friction=model.law_at(friction),
         fixed=np.repeat(pinned[:, None], 3, axis=1),
         settings=SolverSettings.of(settings),
+        gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
         rest_curvature_per_m=perturbation.natural_curl_per_m,
     )
     solver.start()
@@ -174,6 +179,7 @@ def simulate_drop_and_drag(
             "settings": settings.model_dump(mode="json"),
             "perturbation": asdict(perturbation),
             "stage_path": asdict(path),
+            "extended_model": asdict(model) if settings.model else None,
             "step_s": step_s,
             "solver": asdict(totals),
             "convergence": measured_convergence(material, friction, settings, step_s),

@@ -47,6 +47,11 @@ class SimulationSettings(BaseModel):
         allow_inf_nan=False,
         description="friction coefficient between layers of the cloth; null: that of the floor",
     )
+    model: str | None = Field(
+        None,
+        description="file of an extended model (slipstitch criticise --model): its mechanisms, "
+        "tilt and errors of mass and bending apply to every simulation; null: plain Coulomb",
+    )
     pins: Literal["tabs", "corner"] = Field(
         "tabs", description="held: the upper edge within 1 cm of each corner, or the corners only"
     )

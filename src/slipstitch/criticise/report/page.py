@@ -13,6 +13,8 @@ from slipstitch.criticise.report.pictures import (
     ranking_picture,
     residual_picture,
 )
+from slipstitch.criticise.report.resimulation import before_and_after
+from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.verdict import sentence
 
 STYLE = """
@@ -36,8 +38,8 @@ small { color: #66757d; }
 TONES = {"none": "#4c8c5a", "cause": "#2a7f9e", "confounded": "#c79a2b", "unknown": "#c8553d"}
 
 
-def page(verdict: dict, analysis: Analysis) -> str:
-    """The page as HTML; it needs no other file."""
+def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -> str:
+    """The page as HTML; it needs no other file. ``again`` adds before and after."""
     named = verdict["verdict"] in ("cause", "confounded")
     extended = analysis.chosen.fitted if named and analysis.chosen else None
     with matplotlib.rc_context({"svg.hashsalt": "slipstitch", "font.size": 10}):
@@ -68,6 +70,7 @@ def page(verdict: dict, analysis: Analysis) -> str:
 <div class="verdict"><h1>{escape(sentence(verdict))}</h1>
 <p>{_second_sentence(verdict)}</p></div>
 {figures}
+{before_and_after(again) if again else ""}
 {_parameters(verdict)}
 {_next(verdict)}
 {_tests(verdict)}

@@ -1,0 +1,163 @@
+"""The measured drop-and-drag runs, simulated again in the cloth simulator with null and new law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+
+from slipstitch.criticise.case import Case
+from slipstitch.criticise.extended_model import extended_model
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import CONTACT_MECHANISMS
+from slipstitch.protocol.extended_model import ExtendedModel, model_of
+from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
+
+MODELS = ("null", "extended")
+QUANTITIES = ("te_x_mm", "contact_len_mm")
+DEFAULT_ROWS, DEFAULT_STEP_S = 161, 0.04
+# A covariate of a run table -> the field of a run, its factor to SI, the mechanism that needs it.
+ASKED_FOR = {
+    "orientation_deg": ("orientation_rad", np.pi / 180),
+    "dwell_s": ("dwell_s", 1.0),
+    "repeat_index": ("repeats", 1.0),
+    "rh_pct": ("relative_humidity_pct", 1.0),
+}
+NEEDED_AS = {
+    "orientation_rad": "direction_rad",
+    "dwell_s": "dwell_s",
+    "repeats": "repeats",
+    "relative_humidity_pct": "relative_humidity_pct",
+}
+
+
+@dataclass
+class Resimulation:
+    """Measured and simulated shapes on the forward strokes.
+
+    Attributes
+    ----------
+    frames : one line a frame: run_id, specimen_id, x_stage_mm, the measured quantities, and
+        ``<quantity>_null`` and ``<quantity>_extended``.
+    summary : plain data for the JSON file.
+    """
+
+    frames: pd.DataFrame
+    summary: dict
+
+
+def resimulate(
+    case: Case, verdict: dict, rows: int = DEFAULT_ROWS, step_s: float = DEFAULT_STEP_S
+) -> Resimulation:
+    """Simulate every measured drop-and-drag run with the null law and with the verdict's.
+
+    Runs that are the same to a law are simulated once.
+
+    Raises
+    ------
+    BadInput
+        If the case holds no drop-and-drag runs.
+    NotConverged
+        A simulation could not be solved.
+    """
+    if "drop_drag" not in case.protocols:
+        raise BadInput(f"{case.name}: no drop-and-drag runs to simulate again")
+    runs = case.tables["drop_drag_runs"]
+    measured = case.tables["drop_drag"]
+    measured = measured[measured["phase"] == "fwd"]
+    measured = measured[measured["run_id"].isin(runs["run_id"])]
+    models = {name: model_of(extended_model(verdict, name)) for name in MODELS}
+    parts, done = [], {name: {} for name in MODELS}
+    for _, run in runs.iterrows():
+        frames = measured[measured["run_id"] == run["run_id"]].copy()
+        if not len(frames):
+            continue
+        frames["specimen_id"] = run["specimen_id"]
+        frames["u_pos_mm"] = run["u_pos_mm"]
+        for name, model in models.items():
+            key = _run_of(run, model, float(measured["x_stage_mm"].max()))
+            if key not in done[name]:
+                done[name][key] = drag_tracked(
+                    model.law, _sheet(case.nominal, model), key, rows, step_s, frame_rate_hz=5.0
+                )
+            _read_off(frames, done[name][key], model, run["speed_mm_s"], name)
+        parts.append(frames)
+    frames = pd.concat(parts, ignore_index=True)
+    summary = {
+        "case": case.name,
+        "verdict": verdict["verdict"],
+        "causes": verdict["models"]["extended"]["causes"],
+        "rows": rows,
+        "step_s": step_s,
+        "simulations": {name: len(found) for name, found in done.items()},
+        "quantities": {quantity: compare(frames, quantity) for quantity in QUANTITIES},
+        "all": compare(frames, *QUANTITIES),
+    }
+    return Resimulation(frames, summary)
+
+
+def _sheet(nominal: dict, model: ExtendedModel) -> Sheet:
+    return Sheet(
+        nominal["rho_kg_m2"] * (1 + model.mass_error),
+        nominal["B_Nm"] * (1 + model.bending_error),
+        nominal["cloth_length_m"],
+    )
+
+
+def _run_of(run: pd.Series, model: ExtendedModel, furthest_mm: float) -> DragRun:
+    """The run as far as a model asks for it; what it does not ask for has its default."""
+    asked = {need for name in model.law.mechanisms for need in CONTACT_MECHANISMS[name].needs}
+    known = {}
+    for column, (field, factor) in ASKED_FOR.items():
+        if NEEDED_AS[field] in asked and np.isfinite(run[column]):
+            known[field] = float(run[column]) * factor
+    azimuth = np.radians(run["stage_azimuth_deg"])
+    tilt = model.tilt_along_rad * np.cos(azimuth) + model.tilt_across_rad * np.sin(azimuth)
+    speed = run["speed_mm_s"] if "speed_m_s" in asked else np.nan
+    return DragRun(
+        float(run["height_mm"]) * 1e-3,
+        float(speed) * 1e-3 if np.isfinite(speed) else 0.02,
+        furthest_mm * 1e-3 + 2e-3,
+        tilt_downhill_rad=float(tilt) if np.isfinite(tilt) else 0.0,
+        **known,
+    )
+
+
+def _read_off(
+    frames: pd.DataFrame, shape: TrackedShape, model: ExtendedModel, speed_mm_s: float, name: str
+) -> None:
+    """What the camera would have read at the frames' stage positions."""
+    late = model.readings.get("time_lag_s", 0.0) * (speed_mm_s if np.isfinite(speed_mm_s) else 0.0)
+    scale = model.readings.get("camera_scale", 1.0)
+    stage = np.maximum(frames["x_stage_mm"].to_numpy() - late, 0.0)
+    for quantity, values in zip(QUANTITIES, (shape.edge_m, shape.contact_m), strict=True):
+        seen = np.interp(stage, 1e3 * shape.stage_m, 1e3 * values)
+        frames[f"{quantity}_{name}"] = scale * seen
+
+
+def compare(frames: pd.DataFrame, *quantities: str) -> dict:
+    """Error of both models, and the gain with a t-interval over specimens.
+
+    The gain is the mean over specimens of the fall of the mean square error, over the null's.
+    """
+    squares = {}
+    for name in MODELS:
+        errors = [
+            (frames[f"{quantity}_{name}"] - frames[quantity]).to_numpy() for quantity in quantities
+        ]
+        squares[name] = np.mean(np.square(errors), axis=0)
+    table = pd.DataFrame(squares).groupby(frames["specimen_id"].to_numpy()).mean()
+    fall = (table["null"] - table["extended"]).to_numpy() / table["null"].mean()
+    n = len(fall)
+    half = float(student.ppf(0.975, n - 1) * fall.std(ddof=1) / np.sqrt(n)) if n > 1 else np.inf
+    return {
+        "rmse_null_mm": round(float(np.sqrt(table["null"].mean())), 4),
+        "rmse_extended_mm": round(float(np.sqrt(table["extended"].mean())), 4),
+        "gain": round(float(fall.mean()), 4),
+        "gain_ci95": [round(float(fall.mean() - half), 4), round(float(fall.mean() + half), 4)]
+        if np.isfinite(half)
+        else None,
+        "specimens": n,
+    }

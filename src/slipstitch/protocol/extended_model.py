@@ -1,0 +1,98 @@
+"""The extended model of a verdict, as the simulations read it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import sin, sqrt
+from pathlib import Path
+
+import yaml
+
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import FrictionLaw
+
+# Departures of the bench that change how the cloth moves; the others change readings only.
+ACTING = ("mass_error", "bending_error", "tilt_along_rad", "tilt_across_rad")
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """A friction law, and how fabric and floor differ from what they are taken for.
+
+    Attributes
+    ----------
+    law : FrictionLaw
+        Of the cloth's face.
+    mass_error, bending_error : float
+        True = nominal x (1 + error).
+    tilt_along_rad, tilt_across_rad : float
+        Slope of the floor towards lab azimuth 0 and 90 degrees, positive where it falls that way.
+    """
+
+    law: FrictionLaw
+    mass_error: float = 0.0
+    bending_error: float = 0.0
+    tilt_along_rad: float = 0.0
+    tilt_across_rad: float = 0.0
+    readings: Mapping[str, float] = field(default_factory=dict)  # departures of the instruments
+
+    def law_at(self, friction: float) -> FrictionLaw:
+        """The law's mechanisms on another friction coefficient."""
+        return FrictionLaw(friction, self.law.mechanisms)
+
+    def gravity_m_s2(self, standard_m_s2: float) -> tuple[float, float, float]:
+        """Gravity as the floor sees it, the stage's +x at lab azimuth 0."""
+        along, across = sin(self.tilt_along_rad), sin(self.tilt_across_rad)
+        down = sqrt(1.0 - along**2 - across**2)
+        return standard_m_s2 * along, standard_m_s2 * across, -standard_m_s2 * down
+
+
+def read_extended_model(path: str | os.PathLike) -> ExtendedModel:
+    """Read the file that ``slipstitch criticise --model`` writes.
+
+    Raises
+    ------
+    BadInput
+        If it is missing, no YAML, or does not hold a friction law of the face.
+    """
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise BadInput(f"{path}: not YAML") from None
+    return model_of(data, str(path))
+
+
+def model_of(data: object, source: str = "extended model") -> ExtendedModel:
+    """The model that plain data state; ``source`` is named in errors.
+
+    Raises
+    ------
+    BadInput
+        As :func:`read_extended_model`.
+    """
+    laws = data.get("friction_law") if isinstance(data, dict) else None
+    if not isinstance(laws, dict) or "face" not in laws:
+        raise BadInput(
+            f"{source}: friction_law.face: missing; "
+            "a file of slipstitch criticise --model is needed"
+        )
+    bench = data.get("bench") or {}
+    try:
+        law = FrictionLaw.from_dict(laws["face"])
+        bench = {str(name): float(value) for name, value in bench.items()}
+        numbers = [law.coefficient, *law.parameter_values(), *bench.values()]
+        if not all(math.isfinite(number) for number in numbers) or law.coefficient < 0:
+            raise ValueError("every value must be a finite number, the coefficient at least 0")
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise BadInput(f"{source}: not an extended model ({error})") from None
+    for name in ("mass_error", "bending_error"):
+        if bench.get(name, 0.0) <= -1.0:
+            raise BadInput(f"{source}: bench.{name} {bench[name]:g}: must be above -1")
+    acting = {name: value for name, value in bench.items() if name in ACTING}
+    readings = {name: value for name, value in bench.items() if name not in ACTING}
+    return ExtendedModel(law, **acting, readings=readings)

@@ -1,0 +1,70 @@
+"""The file of a verdict's model, and the simulations that run with it."""
+
+import numpy as np
+import pytest
+import yaml
+
+from slipstitch.errors import BadInput
+from slipstitch.protocol.extended_model import read_extended_model
+from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+from slipstitch.simulate.settings import SimulationSettings
+
+MODEL = {
+    "causes": ["adhesion", "tilt"],
+    "friction_law": {
+        "face": {"coefficient": 0.4, "mechanisms": {"adhesion": {"adhesion": 0.8}}},
+        "edge": {"coefficient": 0.2, "mechanisms": {}},
+    },
+    "bench": {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02},
+}
+
+
+def written(folder, **changes):
+    path = folder / "extended_model.yaml"
+    path.write_text(yaml.safe_dump(MODEL | changes))
+    return path
+
+
+def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
+    model = read_extended_model(written(tmp_path))
+    assert model.law.mechanisms == {"adhesion": {"adhesion": 0.8}}
+    assert (model.mass_error, model.bending_error) == (0.1, 0.0)
+    assert model.readings == {"camera_scale": 1.02}
+    assert model.law_at(0.7).coefficient == 0.7
+    gravity = model.gravity_m_s2(9.81)
+    assert gravity[0] == pytest.approx(9.81 * np.sin(0.02))
+    assert np.linalg.norm(gravity) == pytest.approx(9.81)
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"friction_law": None}, "friction_law.face: missing"),
+        ({"friction_law": {"face": {"mechanisms": {}}}}, "not an extended model"),
+        ({"friction_law": {"face": {"coefficient": -1.0}}}, "at least 0"),
+        ({"bench": {"mass_error": -1.5}}, "mass_error -1.5: must be above -1"),
+        ({"friction_law": {"face": {"coefficient": 1, "mechanisms": {"glue": {}}}}}, "glue"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(changes, words, tmp_path):
+    with pytest.raises(BadInput, match=words):
+        read_extended_model(written(tmp_path, **changes))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(BadInput, match=r"none\.yaml: cannot be read"):
+        read_extended_model(tmp_path / "none.yaml")
+
+
+def test_drop_and_drag_runs_with_the_model(tmp_path):
+    # Frames every 4 s: the cloth is down after 7 s and dragged from then on.
+    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    runs = {}
+    for name, path in (("plain", None), ("extended", str(written(tmp_path)))):
+        settings = SimulationSettings(**coarse, model=path)
+        runs[name], columns = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        assert columns["residual"].max() <= settings.friction_tolerance
+    assert runs["plain"].metadata["extended_model"] is None
+    assert runs["extended"].metadata["extended_model"]["mass_error"] == 0.1
+    tail = {name: run.positions_m[-1, -9:, 0].mean() for name, run in runs.items()}
+    assert tail["extended"] < tail["plain"] - 0.002  # adhesion holds the tail back
