@@ -146,6 +146,17 @@ def test_a_study_is_described_and_drawn():
     assert len(convergence_figure(study).axes) == 4
 
 
+def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_convergence():
+    runs = {name: made_up_run() for name in ("m09_f01_n9_h0", "m09_f01_n9_h1")}
+    study = describe(CONFIG, runs)
+    assert len(study["missing"]) == len(cases(CONFIG)) - 2
+    (row,) = study["summary"]
+    assert row["time_step"]["finest"] == "m09_f01_n9_h1"
+    assert row["mesh"] is None and row["converged"] is None
+    with pytest.raises(BadInput, match="no run of the study is there"):
+        describe(CONFIG, {})
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
@@ -186,7 +197,7 @@ def test_a_simulation_s_record_names_the_nearest_studied_case(tmp_path):
     assert found["converged"] is False
     assert found["note"] == (
         "not converged at gray-interlock, friction 1: 0.20 mm from the finest time step on "
-        "average, 5.0 mm at worst, events up to 0.12 s apart"
+        "average, 5.0 mm at worst, events up to 0.12 s apart; mesh not studied"
     )
     assert _record(tmp_path, "royal-target", 0.0)["converged"] is True
 
@@ -194,7 +205,7 @@ def test_a_simulation_s_record_names_the_nearest_studied_case(tmp_path):
 def test_a_run_coarser_than_the_study_says_that_nothing_is_known(tmp_path):
     for coarser in ({"time_step_s": 0.04}, {"vertices_per_side": 31}):
         found = _record(tmp_path, "gray-interlock", 0.1, **coarser)
-        assert found["applies"] is False and found["converged"] is False
+        assert found["applies"] is False and found["converged"] is None
         assert "coarser than the settings that were studied" in found["note"]
 
 

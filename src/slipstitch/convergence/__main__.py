@@ -55,7 +55,10 @@ def _compare(arguments: argparse.Namespace) -> None:
     started = start_clock()
     config = _config(arguments)
     files = {case.id: Path(arguments.runs) / f"{case.id}.parquet" for case in cases(config)}
+    files = {name: file for name, file in files.items() if file.is_file()}
     study = describe(config, {name: read_trajectory(file) for name, file in files.items()})
+    if study["missing"]:
+        print(f"not run, and not compared: {', '.join(study['missing'])}", file=sys.stderr)
     record = provenance_record(
         "convergence",
         inputs=files.values(),

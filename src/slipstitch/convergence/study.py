@@ -204,7 +204,7 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
     Parameters
     ----------
     runs : mapping
-        Trajectories by id of the case, all that `cases` lists.
+        Trajectories by id of the case; those at the chosen settings, and others that `cases` lists.
 
     Returns
     -------
@@ -216,7 +216,9 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
     for chosen in cases(config):
         if chosen.vertices_per_side != study.vertices_per_side[0] or chosen.halvings:
             continue
-        family = [one for one in cases(config) if one.pair == chosen.pair]
+        if chosen.id not in runs:
+            continue
+        family = [one for one in cases(config) if one.pair == chosen.pair and one.id in runs]
         steps = [one for one in family if one.vertices_per_side == chosen.vertices_per_side]
         meshes = [one for one in family if one.halvings == 0]
         for kind, members in (("time step", steps), ("mesh", meshes)):
@@ -244,8 +246,9 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
     -------
     list of dict
         ``material, friction, time_step, mesh, converged``; the third and fourth hold
-        ``mean_m, worst_m, shifted_mean_m, event_shift_s`` (the largest) and ``events_missing``
-        (those that happen in one of the two runs only), or are None where not studied.
+        ``finest`` (what was compared with), ``mean_m, worst_m, shifted_mean_m, event_shift_s``
+        (the largest) and ``events_missing`` (those that happen in one of the two runs only), or
+        are None where not studied. ``converged`` is None then, if nothing else speaks against it.
     """
     study, rows = config.convergence, {}
     for one in compared:
@@ -259,20 +262,31 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
             shifts = {name: event["shift_s"] for name, event in one["events"].items()}
             known = [abs(shift) for shift in shifts.values() if shift is not None]
             row[key] = {
-                **{name: one[name] for name in ("mean_m", "worst_m", "shifted_mean_m")},
+                **{name: one[name] for name in ("finest", "mean_m", "worst_m", "shifted_mean_m")},
                 "event_shift_s": max(known, default=0.0),
                 "events_missing": [name for name, shift in shifts.items() if shift is None],
             }
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
-        row["converged"] = all(one["mean_m"] <= study.mean_distance_m for one in studied)
+        within = all(one["mean_m"] <= study.mean_distance_m for one in studied)
+        # Within the demand as far as studied is not converged: the rest may speak against it.
+        row["converged"] = None if within and len(studied) < 2 else within
     return list(rows.values())
 
 
 def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
-    """The whole study as JSON can hold it: settings, runs with their cost, comparisons, summary."""
+    """The study as JSON can hold it: settings, runs and their cost, what is missing, comparisons.
+
+    Raises
+    ------
+    BadInput
+        No run is there, or runs do not belong together.
+    """
     compared = comparisons(config, runs)
-    chosen = runs[cases(config)[0].id].metadata
+    here = [case for case in cases(config) if case.id in runs]
+    if not here:
+        raise BadInput(f"no run of the study is there; its ids are like {cases(config)[0].id}")
+    chosen = runs[here[0].id].metadata
     return {
         "settings": {
             "convergence": config.convergence.model_dump(mode="json"),
@@ -287,8 +301,9 @@ def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
                 "cpu_s": (runs[case.id].metadata.get("provenance") or {}).get("cpu_s"),
                 "solver": runs[case.id].metadata["solver"],
             }
-            for case in cases(config)
+            for case in here
         ],
+        "missing": [case.id for case in cases(config) if case.id not in runs],
         "summary": summary(config, compared),
         "comparisons": compared,
     }

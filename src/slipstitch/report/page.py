@@ -322,7 +322,7 @@ def _convergence(results: Results) -> dict[str, Any] | None:
                     {
                         "material": row["material"],
                         "friction": row["friction"],
-                        "against": f"finest {name}",
+                        "against": _refinement(name, found.get("finest", "")),
                         "mean": _quantity(found["mean_m"], 1e3, "mm", 2),
                         "worst": _quantity(found["worst_m"], 1e3, "mm", 2),
                         "shifted": _quantity(found["shifted_mean_m"], 1e3, "mm", 2),
@@ -337,7 +337,16 @@ def _convergence(results: Results) -> dict[str, Any] | None:
         "rows": rows,
         "settings": study["settings"],
         "demand": _quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),
+        "missing": study.get("missing", []),
     }
+
+
+def _refinement(kind: str, finest: str) -> str:
+    """What the finest run of a kind was, from its id such as m05_f01_n61_h0."""
+    side, _, halvings = finest.partition("_n")[2].partition("_h")
+    if not halvings:
+        return f"finest {kind}"
+    return f"{side} vertices a side" if kind == "mesh" else f"time step over {2 ** int(halvings)}"
 
 
 _OPTION_NAMES = {

@@ -47,7 +47,8 @@ def measured_convergence(
         ``nearest`` (material, friction), ``studied`` (time_step_s, vertices_per_side, window_s),
         ``applies`` (whether the run is at least as fine), ``time_step`` and ``mesh`` (distances
         to the finest run, timing of events; see `slipstitch.convergence.study.summary`),
-        ``converged``, and ``note`` in words. None if no study came with the package.
+        ``converged`` (None: not known), and ``note`` in words. None if no study came with the
+        package.
     """
     if not measured.is_file():
         return None
@@ -71,7 +72,7 @@ def measured_convergence(
         "applies": applies,
         "time_step": case["time_step"],
         "mesh": case["mesh"],
-        "converged": bool(case["converged"] and applies),
+        "converged": case["converged"] if applies else None,
         "note": _note(case, applies),
     }
 
@@ -82,11 +83,15 @@ def _note(case: dict[str, Any], applies: bool) -> str:
     parts = []
     for key, name in (("time_step", "finest time step"), ("mesh", "finest mesh")):
         found = case[key]
-        if found is not None:
+        if found is None:
+            parts.append(f"{name.removeprefix('finest ')} not studied")
+        else:
             parts.append(
                 f"{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
                 f"{1e3 * found['worst_m']:.1f} mm at worst, events up to "
                 f"{found['event_shift_s']:.2f} s apart"
             )
-    verdict = "converged" if case["converged"] else "not converged"
+    verdict = {True: "converged", False: "not converged", None: "not known to be converged"}[
+        case["converged"]
+    ]
     return f"{verdict} at {case['material']}, friction {case['friction']:g}: {'; '.join(parts)}"
