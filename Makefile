@@ -16,7 +16,7 @@ help:
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
 	@echo 'make lint       ruff and snakefmt, check only'
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
-	@echo 'make benchmark  CPU time and memory of whole simulations'
+	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
@@ -45,7 +45,8 @@ test: lint
 	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)
 
 benchmark: setup
-	$(SINGLE) $(BIN)/python benchmarks/drop_and_drag.py --processes $(CORES)
+	$(BIN)/pip install --quiet --no-deps newton==1.8.0
+	$(SINGLE) $(BIN)/python benchmarks/solver_cost.py $(BENCHMARK)
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300

@@ -1,0 +1,289 @@
+"""What the simulator costs, and SolverVBD of Newton physics beside it.
+
+    python benchmarks/solver_cost.py [--full | --window S] [--only protocol mesh side-by-side]
+
+Writes results/published/benchmark/benchmark.json and .png with their provenance, and the page
+docs/benchmarks.md from them. Parts that are not run keep what the file already holds. CPU seconds
+count the simulation alone, without starting Python and loading kernels; one process at a time.
+"""
+
+import argparse
+import importlib.metadata
+import importlib.util
+import json
+import os
+import resource
+import sys
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "results" / "published" / "benchmark" / "benchmark.json"
+PARTS = ("protocol", "mesh", "side-by-side")
+MATERIALS = ("gray-interlock", "royal-target")  # a soft and a stiff one
+FRICTIONS = (0.1, 0.5, 1.0, 1.5)
+WINDOW_S, FULL_S = 8.0, 131.0
+SIDES = (21, 41, 61, 81, 121, 161)
+STEP_S, SHORT_S, SETTLE_S = 0.02, 0.4, 1.0
+SHEET = {"density_kg_m2": 0.2, "membrane_N_m": 200.0, "poisson_ratio": 0.3, "hinge_N_m": 5e-5}
+# Steps and iterations of SolverVBD: those of our steps, and those of its own cloth examples.
+DESCENTS = ((0.02, 10), (0.02, 100), (1 / 600, 10))
+CREEP_DESCENTS = ((10, 1e-2), (100, 1e-2), (100, 1e-4))
+SLOPE_OF_FRICTION = 0.98
+
+
+def simulate(material, friction, sides, window_s, start_height_m=None):
+    """One run in a process of its own; its cost and the solver's counts per step."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_simulate, (material, friction, sides, window_s, start_height_m))
+
+
+def _simulate(material, friction, sides, window_s, start_height_m):
+    from slipstitch.protocol.stage import StagePath
+    from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.simulate.settings import SimulationSettings
+
+    path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)
+    warm = SimulationSettings(vertices_per_side=5, frames=2, settle_s=0.0)
+    simulate_drop_and_drag(material, friction, 0, warm)
+    settings = SimulationSettings(
+        vertices_per_side=sides,
+        time_step_s=STEP_S,
+        frame_rate_hz=10,
+        frames=round(10 * window_s) + 1,
+        settle_s=0.0,
+    )
+    began = time.process_time()
+    run, columns = simulate_drop_and_drag(material, friction, 0, settings, path)
+    cpu_s = time.process_time() - began
+    solver = run.metadata["solver"]
+    return {
+        "material": material,
+        "friction": friction,
+        "vertices_per_side": sides,
+        "window_s": window_s,
+        "self_contact": settings.self_contact,
+        "cpu_s": cpu_s,
+        "cpu_s_per_s": cpu_s / window_s,
+        "iterations_per_step": solver["newton_iterations"] / solver["steps"],
+        "factorisations_per_step": solver["factorisations"] / solver["steps"],
+        "halvings": solver["halvings"],
+        "largest_residual": float(columns["residual"].max()),
+        "memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def protocol_part(window_s):
+    """A soft and a stiff fabric at four friction coefficients."""
+    rows = []
+    for material in MATERIALS:
+        for friction in FRICTIONS:
+            rows.append(simulate(material, friction, 41, window_s))
+            print(_line(rows[-1]), file=sys.stderr, flush=True)
+    return {"rows": rows}
+
+
+def mesh_part(_):
+    """Cost against mesh size where the cloth touches down, and the exponent of the vertices."""
+    rows = []
+    for sides in SIDES:
+        rows.append(simulate("royal-target", 0.5, sides, SHORT_S, start_height_m=0.2))
+        print(_line(rows[-1]), file=sys.stderr, flush=True)
+    vertices = [row["vertices_per_side"] ** 2 for row in rows]
+    slope, intercept = np.polyfit(np.log(vertices), np.log([row["cpu_s_per_s"] for row in rows]), 1)
+    return {"rows": rows, "exponent": float(slope), "cpu_s_per_s_at_1": float(np.exp(intercept))}
+
+
+def _line(row):
+    return (
+        f"{row['material']:<16} friction {row['friction']:<4g} "
+        f"{row['vertices_per_side']:>4} a side: {row['cpu_s_per_s']:7.2f} CPU s a second; "
+        f"a step {row['iterations_per_step']:.1f} "
+        f"iterations, {row['factorisations_per_step']:.2f} factorisations; "
+        f"{row['memory_mib']:.0f} MiB"
+    )
+
+
+def side_by_side_part(_):
+    """The same sheet on the same mesh, hung, lowered and laid on the floor, by both solvers."""
+    if importlib.util.find_spec("newton") is None:
+        print("newton is not installed (pip install 'slipstitch[benchmark]')", file=sys.stderr)
+        return None
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_side_by_side)
+
+
+def _scene():
+    from slipstitch.cloth import rectangle
+
+    mesh = rectangle(41, 41, 0.2, 0.2)
+    u, v = mesh.rest_uv_m.T
+    fixed = (v == 0) & ((u <= 0.0101) | (u >= 0.1899))
+    # Bent out of its plane by a millimetre, so that both start from the same side.
+    hung_m = np.column_stack([1e-3 * np.sin(np.pi * v / 0.2), u - 0.1, 0.2005 - v])
+    return mesh, fixed, hung_m
+
+
+def _lowered(hung_m, time_s):
+    return hung_m - np.array([0.0, 0.0, 0.5 * 0.010 * time_s**2])
+
+
+def _side_by_side():
+    from vertex_block_descent import VertexBlockDescent
+
+    from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord
+    from slipstitch.material import isotropic_tables
+
+    mesh, fixed, hung_m = _scene()
+    cloth = ClothSolver(
+        mesh,
+        isotropic_tables(*(SHEET[k] for k in ("density_kg_m2", "membrane_N_m", "hinge_N_m")), 0.3),
+        hung_m,
+        friction=0.5,
+        fixed=np.repeat(fixed[:, None], 3, axis=1),
+        settings=SolverSettings(damping_s=0.0),
+    )
+    cloth.start()
+    for _ in range(round(SETTLE_S / STEP_S)):
+        cloth.advance(STEP_S, lambda time_s: hung_m)
+    start_m = cloth.positions_m.copy()  # both start from here, at rest
+    cloth.time_s, cloth.velocities_m_s[:] = 0.0, 0.0
+    cloth.record = StepRecord()
+    steps = round(SHORT_S / STEP_S)
+    began = time.process_time()
+    for _ in range(steps):
+        target_m = cloth.positions_m + STEP_S * cloth.velocities_m_s
+        cloth.advance(STEP_S, lambda time_s: _lowered(hung_m, time_s))
+    ours = {
+        "cpu_s_per_s": (time.process_time() - began) / SHORT_S,
+        "residual": cloth.record.largest_residual,
+        "iterations_per_step": cloth.record.newton_iterations / cloth.record.steps,
+        "lowest_m": float(cloth.positions_m[:, 2].min()),
+    }
+    weight_N = 0.5 * cloth.nodal_force_N  # friction coefficient times the weight of a vertex
+    rows = []
+    for step_s, iterations in DESCENTS:
+        other = VertexBlockDescent(
+            mesh, start_m, fixed, SHEET, friction=0.5,
+            contact_N_m=cloth.normal_stiffness_N_m, iterations=iterations,
+        )  # fmt: skip
+        other.advance(1e-6, hung_m)  # kernels are loaded
+        count = round(SHORT_S / step_s)
+        began = time.process_time()
+        for k in range(count):
+            speeds = other.before.particle_qd.numpy().astype(float)
+            moved_m = other.positions_m + step_s * speeds
+            other.advance(step_s, _lowered(hung_m, (k + 1) * step_s))
+        x = other.positions_m
+        rows.append(
+            {
+                "step_s": step_s,
+                "iterations": iterations,
+                "cpu_s_per_s": (time.process_time() - began) / SHORT_S,
+                "residual": _largest(other.out_of_balance(moved_m, x, step_s), x) / weight_N,
+                "lowest_m": float(x[:, 2].min()),
+                "mean_distance_m": float(np.linalg.norm(x - cloth.positions_m, axis=1).mean()),
+            }
+        )
+        print(f"SolverVBD {rows[-1]}", file=sys.stderr, flush=True)
+    # What rounding our converged positions to SolverVBD's single precision does to the forces.
+    exact, rounded = (
+        other.out_of_balance(target_m, positions_m, STEP_S)
+        for positions_m in (cloth.positions_m, cloth.positions_m.astype(np.float32).astype(float))
+    )
+    floor = float(np.linalg.norm(rounded - exact, axis=1).max()) / weight_N
+    return {
+        "ours": ours,
+        "descent": rows,
+        "single_precision_residual": floor,
+        "creep": _creep(),
+        "newton": importlib.metadata.version("newton"),
+    }
+
+
+def _largest(force_N, positions_m):
+    """Of the particles that touch nothing."""
+    return float(np.linalg.norm(force_N, axis=1)[positions_m[:, 2] > 1e-5].max())
+
+
+def _creep(friction=0.5):
+    """How far a square of cloth moves in a second on a plane of 0.98 times the friction."""
+    from vertex_block_descent import GRAVITY_M_S2, VertexBlockDescent
+
+    from slipstitch.cloth import rectangle
+    from slipstitch.protocol import run_protocol
+
+    slope = np.arctan(SLOPE_OF_FRICTION * friction)
+    options = {"friction": friction, "slope_deg": float(np.degrees(slope))}
+    rows = [{"solver": "ours", "creep_m": run_protocol("incline", options)["creep_m"]}]
+    mesh = rectangle(5, 5, 0.02, 0.02)
+    mass_kg = SHEET["density_kg_m2"] * mesh.vertex_areas_m2()
+    contact_N_m = GRAVITY_M_S2 * np.median(mass_kg) / 5e-7
+    flat_m = np.column_stack(
+        [mesh.rest_uv_m, -mass_kg * GRAVITY_M_S2 * np.cos(slope) / contact_N_m]
+    )
+    for iterations, epsilon in CREEP_DESCENTS:
+        other = VertexBlockDescent(
+            mesh, flat_m, np.zeros(25, bool), SHEET, friction=friction,
+            contact_N_m=contact_N_m, iterations=iterations, friction_epsilon=epsilon,
+            gravity=(GRAVITY_M_S2 * np.sin(slope), 0.0, -GRAVITY_M_S2 * np.cos(slope)),
+        )  # fmt: skip
+        for _ in range(50):
+            other.advance(STEP_S)
+        moved_m = (other.positions_m - flat_m)[:, :2].mean(axis=0)
+        rows.append(
+            {
+                "solver": "SolverVBD",
+                "iterations": iterations,
+                "friction_epsilon_m_s": epsilon,
+                "creep_m": float(np.linalg.norm(moved_m)),
+            }
+        )
+        print(f"creep {rows[-1]}", file=sys.stderr, flush=True)
+    return rows
+
+
+def main():
+    """Run the parts asked for, and write result, picture and page."""
+    from solver_cost_page import draw, page
+
+    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    window = parser.add_mutually_exclusive_group()
+    window.add_argument("--window", type=float, default=WINDOW_S, help="of the protocol, in s")
+    window.add_argument(
+        "--full", action="store_const", dest="window", const=FULL_S, help="all of its 131 s"
+    )
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    arguments = parser.parse_args()
+    started = start_clock()
+    result = json.loads(OUT.read_text()) if OUT.is_file() else {}
+    run = {"protocol": protocol_part, "mesh": mesh_part, "side-by-side": side_by_side_part}
+    for part in arguments.only:
+        found = run[part](arguments.window)
+        if found is not None:
+            result[part] = {**found, "load_average": round(os.getloadavg()[0], 1)}
+        with atomic_path(OUT) as temporary:
+            temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    record = provenance_record("simulate", config={"parts": arguments.only}, started=started)
+    result["host"], result["commit"] = record["host_kind"], record["git_commit"]
+    with atomic_path(OUT) as temporary:
+        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    picture = OUT.with_suffix(".png")
+    with atomic_path(picture) as temporary:
+        draw(result, temporary)
+    for file in (OUT, picture):
+        write_sidecar(file, record)
+    (ROOT / "docs" / "benchmarks.md").write_text(page(result), encoding="utf-8")
+    print(OUT)
+
+
+if __name__ == "__main__":
+    main()
