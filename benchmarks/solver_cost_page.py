@@ -130,8 +130,8 @@ def _side_by_side(part):
             "mesh of 41 × 41 vertices, hung by its tabs and lowered onto the floor. Residual: the",
             "largest out-of-balance force on a free vertex over μ times its weight, for SolverVBD",
             "from its own energy in double precision. Lowest: height of the lowest vertex; the",
-            "sheet's edge is at first 0.5 mm above the floor. SolverVBD at our step, and at the step",
-            "and iterations of its own cloth examples. Both start from our state of rest.",
+            "sheet's edge is at first 0.5 mm above the floor. SolverVBD at our step, and at the",
+            "step and iterations of its own cloth examples. Both start from our state of rest.",
         ),
         "| solver | step, ms | iterations | CPU s a simulated second | over ours | residual "
         "| lowest, mm | mean distance from ours, mm |",

@@ -173,8 +173,8 @@ def test_an_impossible_study_is_refused(change, message):
 
 def _record(tmp_path, material, friction, **settings):
     path = tmp_path / "convergence.json"
-    found = {"mean_m": 2e-4, "worst_m": 5e-3, "shifted_mean_m": 1e-4, "event_shift_s": 0.12,
-             "events_missing": []}  # fmt: skip
+    found = {"mean_m": 2e-4, "mean_largest_m": 1.5e-3, "worst_m": 5e-3,
+             "shifted_mean_m": 1e-4, "event_shift_s": 0.12, "events_missing": []}  # fmt: skip
     table = {
         "studied": {"time_step_s": 0.02, "vertices_per_side": 41, "window_s": 38.0},
         "cases": [
@@ -197,7 +197,8 @@ def test_a_simulation_s_record_names_the_nearest_studied_case(tmp_path):
     assert found["converged"] is False
     assert found["note"] == (
         "not converged at gray-interlock, friction 1: 0.20 mm from the finest time step on "
-        "average, 5.0 mm at worst, events up to 0.12 s apart; mesh not studied"
+        "average, 1.50 mm at the worst moment, 5.0 mm at the worst vertex, events up to 0.12 s "
+        "apart; mesh not studied"
     )
     assert _record(tmp_path, "royal-target", 0.0)["converged"] is True
 

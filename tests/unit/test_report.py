@@ -101,8 +101,8 @@ def test_a_coarse_grid_is_said_to_make_both_error_columns_the_same(page):
 
 def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path):
     """The published one stands in where the folder has none of its own."""
-    distance = {"finest": "m09_f01_n41_h1", "mean_m": 2.5e-3, "worst_m": 0.03,
-                "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
+    distance = {"finest": "m09_f01_n41_h1", "mean_m": 5e-4, "mean_largest_m": 2.5e-3,
+                "worst_m": 0.03, "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
                 "events_missing": ["flip"]}  # fmt: skip
     curve = {"time_s": [0, 1], "mean_m": [0, 1e-3], "shifted_mean_m": [0, 1e-4]}
     study = {
@@ -121,7 +121,10 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
     (folder / "published" / "convergence").mkdir(parents=True)
     (folder / "published" / "convergence" / "convergence.json").write_text(json.dumps(study))
     text = text_of(render_page(page_context(Results(folder, CONFIG), NOW)))
-    assert "royal-target 0.5 time step over 2 2.5 mm 30 mm 0.4 mm 0.3 s; flip in one only" in text
+    assert (
+        "royal-target 0.5 time step over 2 0.5 mm 2.5 mm 30 mm 0.4 mm 0.3 s; flip in one only"
+        in text
+    )
     assert "not converged" in text
     assert "Not run, and so not compared: m09_f01_n61_h0" in text
 

@@ -45,7 +45,7 @@ class ConvergenceSettings(BaseModel):
     mean_distance_m: float = Field(
         1.0e-3,
         gt=0,
-        description="converged: the mean distance of the vertices over time is within this",
+        description="converged: the mean distance of the vertices is within this at every moment",
     )
 
     @field_validator("vertices_per_side")

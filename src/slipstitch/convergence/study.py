@@ -16,6 +16,7 @@ from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
+SUMMARISED = ("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")
 SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
 CURVE_POINTS_MAX = 120
 FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
@@ -246,9 +247,10 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
     -------
     list of dict
         ``material, friction, time_step, mesh, converged``; the third and fourth hold
-        ``finest`` (what was compared with), ``mean_m, worst_m, shifted_mean_m, event_shift_s``
-        (the largest) and ``events_missing`` (those that happen in one of the two runs only), or
-        are None where not studied. ``converged`` is None then, if nothing else speaks against it.
+        ``finest`` (what was compared with), ``mean_m, mean_largest_m, worst_m, shifted_mean_m,
+        event_shift_s`` (the largest) and ``events_missing`` (those that happen in one of the two
+        runs only), or are None where not studied. ``converged`` is None then, if nothing else
+        speaks against it.
     """
     study, rows = config.convergence, {}
     for one in compared:
@@ -262,13 +264,13 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
             shifts = {name: event["shift_s"] for name, event in one["events"].items()}
             known = [abs(shift) for shift in shifts.values() if shift is not None]
             row[key] = {
-                **{name: one[name] for name in ("finest", "mean_m", "worst_m", "shifted_mean_m")},
+                **{name: one[name] for name in SUMMARISED},
                 "event_shift_s": max(known, default=0.0),
                 "events_missing": [name for name, shift in shifts.items() if shift is None],
             }
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
-        within = all(one["mean_m"] <= study.mean_distance_m for one in studied)
+        within = all(one["mean_largest_m"] <= study.mean_distance_m for one in studied)
         # Within the demand as far as studied is not converged: the rest may speak against it.
         row["converged"] = None if within and len(studied) < 2 else within
     return list(rows.values())

@@ -324,11 +324,12 @@ def _convergence(results: Results) -> dict[str, Any] | None:
                         "friction": row["friction"],
                         "against": _refinement(name, found.get("finest", "")),
                         "mean": _quantity(found["mean_m"], 1e3, "mm", 2),
+                        "moment": _quantity(found["mean_largest_m"], 1e3, "mm", 2),
                         "worst": _quantity(found["worst_m"], 1e3, "mm", 2),
                         "shifted": _quantity(found["shifted_mean_m"], 1e3, "mm", 2),
                         "shift": _quantity(found["event_shift_s"], 1.0, "s", 2),
                         "missing": ", ".join(found["events_missing"]),
-                        "met": found["mean_m"]
+                        "met": found["mean_largest_m"]
                         <= study["settings"]["convergence"]["mean_distance_m"],
                     }
                 )

@@ -88,7 +88,8 @@ def _note(case: dict[str, Any], applies: bool) -> str:
         else:
             parts.append(
                 f"{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
-                f"{1e3 * found['worst_m']:.1f} mm at worst, events up to "
+                f"{1e3 * found['mean_largest_m']:.2f} mm at the worst moment, "
+                f"{1e3 * found['worst_m']:.1f} mm at the worst vertex, events up to "
                 f"{found['event_shift_s']:.2f} s apart"
             )
     verdict = {True: "converged", False: "not converged", None: "not known to be converged"}[
