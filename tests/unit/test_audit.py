@@ -296,6 +296,16 @@ FORGERIES = {
         lambda one: one["metadata"]["viewpoint"].update(name="frontal"),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
+    "no viewpoint": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["metadata"].pop("viewpoint"),
+        OF_SIMULATION,  # which clips are its, only it could have told
+    ),
+    "an input left out": (
+        "sample/manifest.parquet",
+        lambda one: one["provenance"]["inputs"].pop("results/sample/m05_f01_r00.parquet"),
+        OF_SIMULATION,
+    ),
     "no provenance": (
         "render/m05_f01_r00_v00.parquet",
         lambda one: one.update(provenance=None),
@@ -304,7 +314,7 @@ FORGERIES = {
     "no record at all": (
         "render/m05_f01_r00_v00.parquet",
         lambda one: one.clear(),
-        OF_SIMULATION,  # which viewpoint it was of, only it could have told
+        OF_SIMULATION,  # which clips are its, only it could have told
     ),
 }
 

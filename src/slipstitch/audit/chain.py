@@ -98,6 +98,11 @@ def _links(chain: Chain) -> Iterator[Finding]:
                 what = f"was made from another {name} than {record_file(name)} is about"
                 touched = clips if len(clips) < len(chain.clips(name)) else chain.clips(name)
                 yield Finding(Kind.BROKEN, where, what, touched)
+    listed = chain.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in chain.artefacts else {}
+    for row in chain.contents.rows:
+        if f"results/sample/{row['sampled_file']}" not in listed:
+            what = f"the manifest was not made from {row['sampled_file']}"
+            yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
     for path in sorted(set(chain.artefacts) - starts - {SAMPLED_MANIFEST}):
         yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
 
@@ -235,13 +240,14 @@ def _times(
 def _rendering(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
     """The record of the rendering against the clip's labels."""
     for record in chain.of_stage(row, "render"):
-        view = record.metadata.get("viewpoint") or {}
-        if view and (view.get("id"), view.get("name")) != (row["viewpoint_id"], row["viewpoint"]):
-            what = f"shows viewpoint {view.get('name')!r}, not {row['viewpoint']!r}"
+        view = record.metadata.get("viewpoint")
+        if view != {"id": row["viewpoint_id"], "name": row["viewpoint"]}:
+            what = f"shows viewpoint {view!r}, not {row['viewpoint']!r}"
             yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
         textures = record.metadata.get("textures")
-        if textures and textures.get(row["texture_id"]) != row["texture"]:
-            what = f"{row['texture_id']} is {textures.get(row['texture_id'])!r} there"
+        texture = textures.get(row["texture_id"]) if isinstance(textures, dict) else None
+        if texture != row["texture"]:
+            what = f"{row['texture_id']} is {texture!r} there, {row['texture']!r} in the manifest"
             yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
     if not chain.of_stage(row, "render") or not chain.of_stage(row, "simulate"):
         what = f"{row['video']}: no rendering or no simulation stands behind it"
