@@ -1,18 +1,60 @@
-"""Known-answer checks of the simulator with the configured settings."""
+"""Settings chosen by the pushed strip, one job a swept setting, and checked against theory."""
+
+from slipstitch.calibrate.settings import BASE, KEYS
+from slipstitch.calibrate.sweep import sweep_inputs
 
 
 rule calibrate:
     input:
         "results/calibrate/calibration.json",
         "results/calibrate/calibration.png",
+        "results/calibrate/strip.png",
+        "results/calibrate/settings.png",
+
+
+rule calibrate_sweep:
+    output:
+        "results/calibrate/sweep/{swept}.json",
+    log:
+        "results/logs/calibrate/sweep_{swept}.log",
+    benchmark:
+        "results/benchmarks/calibrate/sweep_{swept}.tsv"
+    wildcard_constraints:
+        swept="|".join((BASE, *KEYS)),
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("calibrate"),
+        runtime=job_runtime_min("calibrate", CONFIG),
+    params:
+        inputs=lambda wildcards: json.dumps(
+            sweep_inputs(wildcards.swept, CONFIG.calibrate, CONFIG.simulation)
+        ),
+        code=code_digest("calibrate"),
+        config=CONFIG_FILE,
+    message:
+        "Push the strip with other values of {wildcards.swept}"
+    shell:
+        "slipstitch calibrate --config {params.config} --sweep {wildcards.swept} --out {output} > {log} 2>&1"
 
 
 rule calibrate_settings:
+    input:
+        expand("results/calibrate/sweep/{swept}.json", swept=(BASE, *KEYS)),
     output:
         checks="results/calibrate/calibration.json",
         picture=report(
             "results/calibrate/calibration.png",
             caption="../workflow/report/calibration.rst",
+            category="Physics",
+        ),
+        strip=report(
+            "results/calibrate/strip.png",
+            caption="../workflow/report/strip.rst",
+            category="Physics",
+        ),
+        settings=report(
+            "results/calibrate/settings.png",
+            caption="../workflow/report/settings.rst",
             category="Physics",
         ),
     log:
@@ -28,6 +70,8 @@ rule calibrate_settings:
         code=code_digest("calibrate"),
         config=CONFIG_FILE,
     message:
-        "Check the simulator against theory"
+        "Choose settings, check the simulator against theory"
     shell:
-        "slipstitch calibrate --config {params.config} --out {output.checks} --picture {output.picture} > {log} 2>&1"
+        "slipstitch calibrate --config {params.config} --sweeps {input} --out {output.checks}"
+        " --picture {output.picture} --strip-picture {output.strip}"
+        " --settings-picture {output.settings} > {log} 2>&1"

@@ -6,6 +6,7 @@ Nothing in it was simulated, rendered or trained; no number in it means anything
 import csv
 import json
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ import synthetic_videos
 from PIL import Image, ImageDraw
 
 from slipstitch import theory
-from slipstitch.calibrate.calibration import calibrate, write_calibration
+from slipstitch.calibrate.calibration import calibrate, strip_calibration, write_calibration
+from slipstitch.calibrate.settings import BASE, KEYS
+from slipstitch.calibrate.sweep import sweep
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.grid import simulations
 from slipstitch.provenance import provenance_record, write_sidecar
@@ -46,9 +49,28 @@ def config(**sections) -> Config:
     )
 
 
+@cache
+def strip_answer(friction, strain_error=1e-3, newton_iterations=1000):
+    """A pushed strip as theory has it, its slip strain a little off."""
+    slips_at = theory.strip_slip_strain(friction)
+    flat = theory.strip_state_at_foot_angle(math.pi / 2)
+    state = flat if slips_at is None else theory.strip_state(slips_at)
+    return {
+        "slip_strain": None if slips_at is None else slips_at + strain_error,
+        "flat_strain": flat.strain if slips_at is None else None,
+        "regime": "partially slipped" if slips_at is None else "slipped",
+        "friction_read_from_strain": None if slips_at is None else friction + strain_error / 2,
+        "newton_iterations": newton_iterations,
+        "shape_strain": state.strain,
+        "shape_m": (0.2 * state.curve).tolist(),
+    }
+
+
 def protocol_answer(name, options, settings):
     """Theory's answer with a little error that means nothing."""
     friction = options["friction"]
+    if name == "strip":
+        return strip_answer(friction)
     if name == "incline":
         result = theory.incline(friction, math.radians(options["slope_deg"]))
         return {
@@ -72,6 +94,9 @@ def write_calibrate(config: Config, folder: Path) -> None:
     path = folder / "calibrate" / "calibration.json"
     path.parent.mkdir(parents=True)
     result = calibrate(config.calibrate, config.simulation, protocol_answer)
+    sections = config.calibrate, config.simulation
+    trials = [one for key in (BASE, *KEYS) for one in sweep(key, *sections, protocol_answer)]
+    result["strip"] = strip_calibration(*sections, trials, protocol_answer)
     write_calibration(result, path, provenance_record("calibrate", config=config.simulation))
 
 

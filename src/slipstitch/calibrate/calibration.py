@@ -1,4 +1,4 @@
-"""Running the known-answer experiments and writing what they verified."""
+"""Choosing settings by the strip, checking them against theory, writing what was verified."""
 
 import json
 import os
@@ -10,9 +10,18 @@ from typing import Any
 
 from tqdm import tqdm
 
-from slipstitch.calibrate.experiments import experiments
-from slipstitch.calibrate.settings import CalibrateSettings
-from slipstitch.errors import SlipstitchError
+from slipstitch.calibrate.choice import (
+    COMBINATION,
+    DemandNotMet,
+    choose,
+    describe,
+    judge,
+    may_be_chosen,
+)
+from slipstitch.calibrate.experiments import Check, experiments
+from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
+from slipstitch.calibrate.sweep import run_settings, sweep, variations
+from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -28,14 +37,24 @@ NOT_NUMERICAL = frozenset(
         "height_sd_m",
         "fabric_sd_rel",
         "natural_curl_per_m",
+        "self_contact",
+        "thickness_m",
+        "layer_friction",
     }
+)
+# Said in calibration.json, in the words of docs/physics.md.
+NOT_TOLD = (
+    "mesh: the strip is a cylinder along mesh lines, right even at a spacing of 15 mm; the "
+    "cloth folds and wrinkles in two directions: the mesh of drop-and-drag is not chosen here",
+    "time step: the strip is pushed slowly and evenly; how the cloth rolls over at a reversal, and "
+    "to which side it buckles, is not asked: no step larger than simulation.time_step_s",
+    "tolerance: a strip slips once, at its foot, which bears all the load; a cloth rests on many "
+    "vertices that bear little: no tolerance larger than simulation.friction_tolerance",
+    "damping: the push is too slow for it to matter: none larger than simulation.damping_s",
+    "contact of the cloth with itself, anisotropy and strain-dependent stiffness: not in the strip",
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
-
-
-class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the other errors do
-    """The simulator does not agree with theory as closely as demanded; exit code 1."""
 
 
 def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
@@ -134,14 +153,97 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
 
 
 def _failure(failed: list[Mapping[str, Any]]) -> str:
-    from slipstitch.calibrate.experiments import Check
-
     others = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
     return Check(**failed[0]).describe() + others
 
 
-def calibrate_to_file(config, out: str | os.PathLike, picture: str | os.PathLike | None) -> dict:
-    """Calibrate with a whole configuration and write JSON and picture.
+def strip_calibration(
+    settings: CalibrateSettings,
+    simulation: SimulationSettings,
+    trials: list[dict[str, Any]],
+    run_protocol: RunProtocol,
+) -> dict[str, Any]:
+    """Choose settings by the pushed strip.
+
+    Parameters
+    ----------
+    settings : CalibrateSettings
+    simulation : SimulationSettings
+        The configured settings.
+    trials : list of dict
+        What `slipstitch.calibrate.sweep.sweep` returned, of all keys.
+    run_protocol : callable
+        As for `calibrate`; runs the combination of several changes.
+
+    Returns
+    -------
+    dict
+        ``demand``, ``trials`` (judged), ``chosen`` (one of them, with the strips' shapes) and
+        ``not_told`` (what the strip does not tell).
+
+    Raises
+    ------
+    DemandNotMet
+        If no settings that may be chosen meet the demand; ``trials`` is its second argument.
+    """
+    judged = [judge(trial, settings) for trial in trials]
+    base = next(trial for trial in judged if trial["key"] == BASE)
+
+    def run(tried: Mapping[str, Any]) -> dict[str, Any]:
+        trial = {"key": COMBINATION} | run_settings(tried, settings, simulation, run_protocol)
+        judged.append(judge(trial, settings))
+        return judged[-1]
+
+    try:
+        chosen = choose(judged, settings, run)
+    except DemandNotMet as error:
+        raise DemandNotMet(str(error), judged) from None
+    return {
+        "demand": {
+            "slip_strain": settings.strip_slip_strain,
+            "friction": settings.strip_friction,
+        },
+        "trials": [
+            _without_shapes(trial) | {"may_be_chosen": may_be_chosen(trial, base["settings"])}
+            for trial in judged
+        ],
+        "chosen": chosen,
+        "not_told": list(NOT_TOLD),
+    }
+
+
+def _without_shapes(trial: Mapping[str, Any]) -> dict[str, Any]:
+    runs = [{k: v for k, v in run.items() if k != "shape_m"} for run in trial["runs"]]
+    distance = trial["distance"] if trial["distance"] < float("inf") else None
+    return {**trial, "runs": runs, "distance": distance}
+
+
+def chosen_simulation(simulation: SimulationSettings, strip: Mapping[str, Any]):
+    """The section ``simulation`` with the chosen settings."""
+    chosen = {k: v for k, v in strip["chosen"]["settings"].items() if k != "vertices"}
+    return simulation.model_copy(update=chosen)
+
+
+def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, Any]]:
+    """Try the settings of one key with the strip and write the runs, judged by nobody yet."""
+    from slipstitch.protocol import run_protocol
+
+    started = start_clock()
+    trials = sweep(key, config.calibrate, config.simulation, run_protocol)
+    with atomic_path(out) as temporary:
+        Path(temporary).write_text(json.dumps(trials, allow_nan=False) + "\n", encoding="utf-8")
+    sections = {"simulation": config.simulation, "calibrate": config.calibrate}
+    write_sidecar(out, provenance_record("calibrate", config=sections, started=started))
+    return trials
+
+
+def calibrate_to_file(
+    config,
+    out: str | os.PathLike,
+    pictures: Mapping[str, str | os.PathLike],
+    sweeps: list[str | os.PathLike] | None = None,
+) -> dict:
+    """Calibrate with a whole configuration and write JSON and pictures.
 
     Parameters
     ----------
@@ -149,9 +251,11 @@ def calibrate_to_file(config, out: str | os.PathLike, picture: str | os.PathLike
         The configuration.
     out : path
         The JSON file.
-    picture : path or None
-        PNG or SVG of measured against theory; drawn also if a demand is not met, then not under
-        this name but with ``.failed`` before its suffix.
+    pictures : mapping
+        PNG or SVG files by name (``checks``, ``strip``, ``settings``); those that can be drawn
+        are drawn also if a demand is not met, then with ``.failed`` before the suffix.
+    sweeps : list of path, optional
+        What `sweep_to_file` wrote, of all keys; made now if not given.
 
     Returns
     -------
@@ -160,26 +264,79 @@ def calibrate_to_file(config, out: str | os.PathLike, picture: str | os.PathLike
 
     Raises
     ------
+    BadInput
+        If a sweep's file cannot be read or belongs to another configuration.
     DemandNotMet
         If a demand is not met.
     """
     from slipstitch.protocol import run_protocol
 
     started = start_clock()
-    calibration = calibrate(config.calibrate, config.simulation, run_protocol)
+    settings, simulation = config.calibrate, config.simulation
+    if sweeps is None:
+        keys = (BASE, *KEYS)
+        trials = [one for key in keys for one in sweep(key, settings, simulation, run_protocol)]
+    else:
+        trials = read_sweeps(sweeps, config)
     record = provenance_record(
         "calibrate",
-        config={"simulation": config.simulation, "calibrate": config.calibrate},
+        inputs=list(sweeps or ()),
+        config={"simulation": simulation, "calibrate": settings},
         started=started,
     )
-    if picture is not None:
-        from slipstitch.calibrate.picture import draw_calibration
-
-        picture = Path(picture)
-        if not calibration["met"]:
-            picture = picture.with_suffix(f".failed{picture.suffix}")
-        with atomic_path(picture) as temporary:
-            draw_calibration(calibration, temporary, picture.suffix.lstrip(".") or "png")
-        write_sidecar(picture, record)
+    try:
+        strip = strip_calibration(settings, simulation, trials, run_protocol)
+    except DemandNotMet as error:
+        _draw(pictures, {"strip": {"trials": error.args[1]}}, record, failed=True)
+        raise DemandNotMet(error.args[0]) from None
+    print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
+    calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
+    calibration["strip"] = strip
+    _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
     return calibration
+
+
+def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
+    """Read sweeps, all keys of them, made with this configuration.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be read, or the settings tried are not those of the configuration.
+    """
+    trials = []
+    for path in paths:
+        try:
+            trials += json.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{path}: not a sweep of the calibration ({error})") from None
+    expected = [
+        one for key in (BASE, *KEYS) for one in variations(key, config.calibrate, config.simulation)
+    ]
+    tried = [trial["settings"] for trial in trials]
+    missing = [one for one in expected if one not in tried]
+    if missing or len(tried) != len(expected):
+        raise BadInput(
+            f"{paths[0]} and others: {len(tried)} settings tried, not the {len(expected)} of the "
+            "configuration; make them anew with: snakemake --cores 2 calibrate"
+        )
+    return trials
+
+
+def _draw(pictures, calibration: Mapping[str, Any], record, failed: bool) -> None:
+    from slipstitch.calibrate.picture import calibration_figure, save_figure
+    from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
+
+    figures = {"settings": settings_figure}
+    if "chosen" in calibration["strip"]:
+        figures |= {"checks": calibration_figure, "strip": strip_figure}
+    for name, figure in figures.items():
+        if name not in pictures:
+            continue
+        path = Path(pictures[name])
+        if failed:
+            path = path.with_suffix(f".failed{path.suffix}")
+        with atomic_path(path) as temporary:
+            save_figure(figure(calibration), temporary, path.suffix.lstrip(".") or "png")
+        write_sidecar(path, record)

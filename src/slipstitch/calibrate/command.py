@@ -2,7 +2,7 @@
 
 import argparse
 
-SUMMARY = "check the simulator against theory with the configured settings"
+SUMMARY = "choose numerical settings by the pushed strip, and check them against theory"
 EXAMPLE = (
     "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
     "--picture results/calibrate/calibration.png"
@@ -12,23 +12,38 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
-    parser.add_argument("--out", required=True, help="JSON file of settings and checks")
-    parser.add_argument("--picture", help="PNG or SVG of measured against theory")
+    parser.add_argument(
+        "--out", required=True, help="JSON file of settings and checks (with --sweep: of its runs)"
+    )
+    parser.add_argument(
+        "--sweep",
+        metavar="KEY",
+        help="only try the settings of one key: base, time_step_s, vertices, "
+        "friction_tolerance, newton_iterations_max or damping_s",
+    )
+    parser.add_argument("--sweeps", nargs="+", help="files that --sweep wrote; else made now")
+    parser.add_argument("--picture", help="PNG or SVG: the checks, measured against theory")
+    parser.add_argument("--strip-picture", help="PNG or SVG: slip strain, and shapes of the strip")
+    parser.add_argument("--settings-picture", help="PNG or SVG: what goes wrong with which setting")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Run the experiments, write what they verified, print one line a check."""
-    from pathlib import Path
-
-    from slipstitch.calibrate.calibration import calibrate_to_file
+    """Sweep, choose and check; print one line a setting and a check."""
+    from slipstitch.calibrate.calibration import calibrate_to_file, sweep_to_file
+    from slipstitch.calibrate.settings import BASE, KEYS
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
 
-    if arguments.picture and Path(arguments.picture).suffix not in (".png", ".svg"):
-        raise BadInput(f"--picture {arguments.picture}: must end in .png or .svg")
-    calibration = calibrate_to_file(
-        load_config(*arguments.config), arguments.out, arguments.picture
-    )
+    config = load_config(*arguments.config)
+    if arguments.sweep is not None:
+        if arguments.sweep not in (BASE, *KEYS):
+            raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
+        sweep_to_file(config, arguments.sweep, arguments.out)
+        return
+    pictures = _pictures(arguments)
+    calibration = calibrate_to_file(config, arguments.out, pictures, arguments.sweeps)
+    for trial in calibration["strip"]["trials"]:
+        print(_trial_line(trial, calibration["strip"]["chosen"]))
     for check in calibration["checks"]:
         where = " ".join(f"{key}={value:.6g}" for key, value in check["options"].items())
         unit = "" if check["relative"] or not check["unit"] else f" {check['unit']}"
@@ -37,3 +52,35 @@ def run(arguments: argparse.Namespace) -> None:
             f"allowed {check['demand']:.2e}{unit}"
         )
     print(f"{len(calibration['checks'])} checks met")
+
+
+def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
+    from pathlib import Path
+
+    from slipstitch.errors import BadInput
+
+    given = {
+        "checks": ("--picture", arguments.picture),
+        "strip": ("--strip-picture", arguments.strip_picture),
+        "settings": ("--settings-picture", arguments.settings_picture),
+    }
+    for option, path in given.values():
+        if path and Path(path).suffix not in (".png", ".svg"):
+            raise BadInput(f"{option} {path}: must end in .png or .svg")
+    return {name: path for name, (_, path) in given.items() if path}
+
+
+def _trial_line(trial: dict, chosen: dict) -> str:
+    from slipstitch.calibrate.choice import describe
+
+    error = trial["strain_error"]
+    strain = "no slip compared" if error is None else f"slip strain within {error:.2e}"
+    verdict = "meets the demand" if trial["meets"] else "does not meet the demand"
+    if trial["meets"] and not trial["may_be_chosen"]:
+        verdict += ", may not be chosen"
+    if trial["settings"] == chosen["settings"]:
+        verdict += ", CHOSEN"
+    return (
+        f"strip with {describe(trial):<32} {strain}, {trial['wrong_regimes']} of "
+        f"{len(trial['runs'])} regimes wrong, {trial['cpu_s']:.1f} CPU s: {verdict}"
+    )

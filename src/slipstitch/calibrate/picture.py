@@ -168,8 +168,12 @@ def draw_calibration(
     kind : {"png", "svg"}
         File format.
     """
-    # No date and fixed ids: equal input, equal bytes.
+    save_figure(calibration_figure(calibration), path, kind)
+
+
+def save_figure(figure: Figure, path: str | os.PathLike, kind: str = "png") -> None:
+    """Write a figure without date and with fixed ids: equal input, equal bytes."""
     with matplotlib.rc_context({"svg.hashsalt": "slipstitch"}):
-        calibration_figure(calibration).savefig(
+        figure.savefig(
             path, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else None
         )

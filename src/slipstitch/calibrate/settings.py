@@ -4,17 +4,69 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+# What is swept: settings of the section ``simulation``, and the vertices along the strip; and the
+# name of the configured settings themselves.
+KEYS = ("time_step_s", "vertices", "friction_tolerance", "newton_iterations_max", "damping_s")
+BASE = "base"
+
+StripModulus = Annotated[float, Field(ge=6.3e8, le=1e12, allow_inf_nan=False)]
+StripStep = Annotated[float, Field(ge=1e-4, le=2.0, allow_inf_nan=False)]
+StripVertices = Annotated[int, Field(ge=8, le=1000)]
+StripTolerance = Annotated[float, Field(gt=0.0, le=100.0, allow_inf_nan=False)]
+StripIterations = Annotated[int, Field(ge=1, le=1000)]
+StripDamping = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 Friction = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 
 
 class CalibrateSettings(BaseModel):
-    """Which known-answer checks must hold before anything is simulated, and how closely.
+    """Which settings are tried, which known answers must come out, and how closely.
 
-    Every experiment runs with the numerical settings of the section ``simulation``; an empty list
-    of friction coefficients leaves its experiment out.
+    The strip experiment is run with the settings of the section ``simulation`` and with one of them
+    changed at a time; the cheapest that meet the demand are used, never looser ones than
+    ``simulation`` says. With them the other experiments are checked; an empty list of friction
+    coefficients leaves its experiment out.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    strip_slip_strain: float = Field(
+        6e-3, gt=0.0, lt=1.0, description="pushed strip: largest error of the strain at slip"
+    )
+    strip_friction: float = Field(
+        5e-3,
+        gt=0.0,
+        lt=1.0,
+        description="pushed strip: largest error of the friction coefficient read off that strain",
+    )
+    strip_frictions: tuple[Friction, ...] = Field(
+        (0.05, 0.2, 0.35, 0.4, 0.6),
+        min_length=1,
+        description="pushed strip: friction coefficients",
+    )
+    strip_young_moduli_Pa: tuple[StripModulus, ...] = Field(
+        (6.5e8, 6.5e9),
+        min_length=1,
+        description="pushed strip: Young's moduli of its fabrics, 1 mm thick, 0.2 kg/m^2",
+    )
+    strip_vertices: int = Field(
+        149, ge=8, le=1000, description="pushed strip: vertices along its 20 cm"
+    )
+    sweep_time_step_s: tuple[StripStep, ...] = Field(
+        (0.01, 0.1, 0.4), description="time steps tried besides simulation.time_step_s"
+    )
+    sweep_vertices: tuple[StripVertices, ...] = Field(
+        (8, 15, 41), description="vertices tried besides strip_vertices"
+    )
+    sweep_friction_tolerance: tuple[StripTolerance, ...] = Field(
+        (1e-2, 1.0, 10.0),
+        description="tolerances tried besides simulation.friction_tolerance",
+    )
+    sweep_newton_iterations_max: tuple[StripIterations, ...] = Field(
+        (3, 10), description="limits tried besides simulation.newton_iterations_max"
+    )
+    sweep_damping_s: tuple[StripDamping, ...] = Field(
+        (0.0, 0.1), description="damping times tried besides simulation.damping_s"
+    )
 
     incline_frictions: tuple[Friction, ...] = Field(
         (0.1, 0.5, 1.2), description="inclined plane: friction coefficients"

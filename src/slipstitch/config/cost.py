@@ -6,6 +6,7 @@ The table `COSTS` is the only place with measured numbers; the rest scales them.
 import math
 from dataclasses import dataclass
 
+from slipstitch.calibrate.settings import KEYS
 from slipstitch.config.grid import simulations, textures, viewpoints
 from slipstitch.config.model import Config
 from slipstitch.train.settings import NETWORKS
@@ -24,6 +25,9 @@ class Cost:
 COSTS = {
     "calibrate_s": Cost(
         20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
+    ),
+    "strip_s": Cost(
+        1.2, "CPU s a push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
     ),
     "simulate_step_s": Cost(
         0.022,
@@ -106,6 +110,15 @@ def _simulation_cpu_s(config: Config) -> float:
     return _cost(step) * steps * size
 
 
+def _strip_cpu_s(config: Config) -> float:
+    """The pushes of the calibration: every setting, fabric and friction coefficient."""
+    calibrate, step_s = config.calibrate, config.simulation.time_step_s
+    pushes = len(calibrate.strip_frictions) * len(calibrate.strip_young_moduli_Pa)
+    of_one_value = [len(getattr(calibrate, f"sweep_{key}")) for key in KEYS if key != "time_step_s"]
+    steps = [step_s] * (1 + sum(of_one_value)) + list(calibrate.sweep_time_step_s)
+    return _cost("strip_s") * pushes * sum(max(1.0, 0.02 / step) for step in steps)
+
+
 def _render_cpu_s(config: Config) -> float:
     images = _frames_rendered(config)
     # Half of it does not depend on the image's size: 0.07 s at 64 px.
@@ -147,7 +160,8 @@ def estimate(config: Config) -> list[StageEstimate]:
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        StageEstimate("calibrate", 1, _cost("calibrate_s"), 1e4),
+        # A job a swept setting, one for the configured settings, one that chooses and checks.
+        StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
         StageEstimate(
             "render",

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.rest import bring_to_rest
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
+from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2, solver_settings
 from slipstitch.simulate.settings import SimulationSettings
 
 LENGTH_M = 0.20
@@ -88,7 +87,7 @@ def sag(
         friction=0.0,
         fixed=fixed,
         # No friction here: the tolerance is relative to the lesser of weight and rigidity.
-        settings=replace(SolverSettings.of(settings), friction_floor=min(1.0, 1.0 / gamma)),
+        settings=solver_settings(settings, friction_floor=min(1.0, 1.0 / gamma)),
     )
     solver.start()
     bring_to_rest(solver, sqrt(gamma * LENGTH_M / GRAVITY_M_S2))

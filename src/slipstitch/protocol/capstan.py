@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.errors import BadInput
-from slipstitch.protocol.specimen import cylindrical_strip_tables
+from slipstitch.protocol.specimen import cylindrical_strip_tables, solver_settings
 from slipstitch.simulate.settings import SimulationSettings
 
 RADIUS_M = 0.020
@@ -112,7 +112,7 @@ def _wrapped(
         start_m,
         friction=friction,
         fixed=fixed,
-        settings=SolverSettings.of(settings),
+        settings=solver_settings(settings),
         gravity_m_s2=(0.0, 0.0, 0.0),
         nodal_force_N=tension_N * turn / 2,
         ground_curvature_per_m=1 / RADIUS_M,

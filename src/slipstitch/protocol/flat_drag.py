@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     HINGE_STIFFNESS_N_M,
     MEMBRANE_STIFFNESS_N_M,
+    solver_settings,
 )
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -38,7 +39,7 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
         flat_m,
         friction=friction,
         fixed=fixed,
-        settings=SolverSettings.of(settings),
+        settings=solver_settings(settings),
     )
     solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.normal_stiffness_N_m
     solver.start()

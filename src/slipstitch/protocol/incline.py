@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import cos, radians, sin, tan
 from typing import Any
 
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     HINGE_STIFFNESS_N_M,
     MEMBRANE_STIFFNESS_N_M,
+    solver_settings,
 )
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -45,7 +45,7 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
         flat_m,
         friction=friction,
         fixed=np.zeros((mesh.vertex_count, 3), bool),
-        settings=replace(SolverSettings.of(settings), friction_tolerance=tolerance),
+        settings=solver_settings(settings, friction_tolerance=tolerance),
         gravity_m_s2=(GRAVITY_M_S2 * sin(slope), 0.0, -GRAVITY_M_S2 * cos(slope)),
     )
     # Resting on the floor, not dropped on it.

@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2, cylindrical_strip_tables
+from slipstitch.protocol.specimen import (
+    AREAL_DENSITY_KG_M2,
+    cylindrical_strip_tables,
+    solver_settings,
+)
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.theory.landed import LARGEST_GAMMA
 
@@ -125,7 +129,7 @@ def _hanging(settings, friction, gravity_length_m, vertices) -> tuple[ClothSolve
         start_m,
         friction=friction,
         fixed=fixed,
-        settings=SolverSettings.of(settings),
+        settings=solver_settings(settings),
         rest_curvature_per_m=CURL_PER_M,
         nodal_force_N=foot_N,
     )

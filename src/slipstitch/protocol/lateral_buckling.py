@@ -8,18 +8,17 @@ measured on the same mesh: bending from a small sag, torsion from a small twist.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.rest import bring_to_rest
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
+from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2, solver_settings
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.theory.domain import require
 
@@ -98,7 +97,7 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
         friction=0.0,
         fixed=fixed,
         # Out of balance by no more than 0.1 % of the sideways weight.
-        settings=replace(SolverSettings.of(settings), friction_floor=10 * SIDE_PUSH),
+        settings=solver_settings(settings, friction_floor=10 * SIDE_PUSH),
         gravity_m_s2=(0.0, 0.0, 0.0),
     )
     solver.start()

@@ -5,7 +5,9 @@ from math import pi
 
 import numpy as np
 
+from slipstitch.cloth import SolverSettings
 from slipstitch.material import ElasticTables, isotropic_tables
+from slipstitch.simulate.settings import SimulationSettings
 
 AREAL_DENSITY_KG_M2 = 0.2
 MEMBRANE_STIFFNESS_N_M = 200.0
@@ -46,3 +48,8 @@ def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
     ahead = -radius_m * (1 - np.cos(angle)) - np.maximum(down_m - straight_m - arc_m, 0.0)
     height = height_m - np.minimum(down_m, straight_m) - radius_m * np.sin(angle)
     return ahead, height
+
+
+def solver_settings(settings: SimulationSettings, **changes: float) -> SolverSettings:
+    """The simulation's solver settings, some changed; these specimens never touch themselves."""
+    return replace(SolverSettings.of(settings), self_contact=False, **changes)

@@ -14,14 +14,18 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput
-from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2, cylindrical_strip_tables
+from slipstitch.protocol.specimen import (
+    AREAL_DENSITY_KG_M2,
+    cylindrical_strip_tables,
+    solver_settings,
+)
 from slipstitch.simulate.settings import SimulationSettings
 
 LENGTH_M = 0.20
-THICKNESS_M = 5.0e-4
+THICKNESS_M = 1.0e-3
 SPEED_M_S = 0.010  # the stage's
 START_STRAIN = 1.0e-4
 LARGEST_STRAIN = 0.345  # past 0.3303, where the foot lies flat
@@ -48,6 +52,8 @@ class StripPush:
         Sideways and downwards from the clamp, at the last step before slipping or lying flat.
     shape_strain : float
         Strain of that step.
+    newton_iterations : int
+        What the push cost.
     """
 
     strain: list[float]
@@ -56,6 +62,7 @@ class StripPush:
     flat_strain: float | None
     shape_m: np.ndarray
     shape_strain: float
+    newton_iterations: int = 0
 
     @property
     def regime(self) -> str:
@@ -90,7 +97,7 @@ def strip(
         (|Q|/P in the simulator when the foot slips), ``friction_read_from_strain`` (which
         friction theory reads off the slip strain), ``theory_slip_strain``, ``theory_regime``,
         ``flat_strain``; and what pictures need: ``strain`` and ``load_ratio`` of each step,
-        ``shape_m`` at ``shape_strain``.
+        ``shape_m`` at ``shape_strain``, ``newton_iterations``.
     """
     push = push_strip(settings, friction, int(vertices), gamma, strain)
     slips_at = theory.strip_slip_strain(friction)
@@ -110,6 +117,7 @@ def strip(
         "load_ratio": push.load_ratio,
         "shape_m": push.shape_m.tolist(),
         "shape_strain": push.shape_strain,
+        "newton_iterations": push.newton_iterations,
     }
 
 
@@ -165,6 +173,7 @@ def push_strip(
             push.flat_strain = 0.5 * (now + push.shape_strain)
             break
         push.shape_m, push.shape_strain = _profile(solver), now
+    push.newton_iterations = solver.record.newton_iterations
     return push
 
 
@@ -216,7 +225,7 @@ def _buckled_strip(
         start_m,
         friction=friction,
         fixed=fixed,
-        settings=SolverSettings.of(settings),
+        settings=solver_settings(settings),
         gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0),
         nodal_force_N=push_N / 2,
     )

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
     cylindrical_strip_tables,
     hanging_with_tail,
+    solver_settings,
 )
 from slipstitch.simulate.settings import SimulationSettings
 
@@ -57,7 +58,7 @@ def strip_drag(
         start_m,
         friction=friction,
         fixed=fixed,
-        settings=SolverSettings.of(settings),
+        settings=solver_settings(settings),
     )
     solver.start()
     # Far enough for the longest tail to be drawn out, slow enough for inertia to be nothing.

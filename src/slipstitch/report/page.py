@@ -14,6 +14,7 @@ import yaml
 from PIL import Image
 
 from slipstitch import __version__
+from slipstitch.calibrate.choice import describe
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
@@ -306,6 +307,34 @@ def _physics(results: Results) -> dict[str, Any] | None:
         "figure": _svg(pictures.calibration(calibration))
         if calibration.get("experiments")
         else None,
+        "strip": _strip(calibration),
+    }
+
+
+def _strip(calibration: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The pushed strip: pictures, and a row for every choice of settings that was tried."""
+    strip = calibration.get("strip")
+    if not strip:
+        return None
+    rows = [
+        {
+            "settings": describe(trial),
+            "strain": _quantity(trial["strain_error"], 1.0, "", 2),
+            "friction": _quantity(trial["friction_error"], 1.0, "", 2),
+            "wrong": f"{trial['wrong_regimes']} of {len(trial['runs'])}",
+            "cpu": f"{trial['cpu_s']:.0f} s",
+            "meets": trial["meets"],
+            "chosen": trial["settings"] == strip["chosen"]["settings"],
+            "may_be_chosen": trial["may_be_chosen"],
+        }
+        for trial in strip["trials"]
+    ]
+    return {
+        "figure": _svg(pictures.strip(calibration)),
+        "settings_figure": _svg(pictures.settings(calibration)),
+        "rows": rows,
+        "demand": strip["demand"],
+        "not_told": strip["not_told"],
     }
 
 

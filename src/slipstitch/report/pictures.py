@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipstitch.calibrate.picture import FAINT, MEASURED, THEORY, calibration_figure
+from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
 from slipstitch.convergence.picture import convergence_figure
 from slipstitch.report.results import Benchmark, History, Trajectory
 
@@ -81,6 +82,18 @@ def friction_colour(friction: float, frictions: Sequence[float]):
 def calibration(data: Mapping[str, Any]) -> str:
     """Measured against theory, a panel an experiment."""
     return _svg(calibration_figure(data))
+
+
+@_styled
+def strip(data: Mapping[str, Any]) -> str:
+    """Slip strain and shapes of the pushed strip, over theory."""
+    return _svg(strip_figure(data))
+
+
+@_styled
+def settings(data: Mapping[str, Any]) -> str:
+    """The pushed strip with one numerical setting changed at a time."""
+    return _svg(settings_figure(data))
 
 
 @_styled

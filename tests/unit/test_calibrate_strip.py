@@ -1,0 +1,190 @@
+"""Choosing settings by the pushed strip, on a runner that answers as told; no simulator here."""
+
+import json
+
+import pytest
+import synthetic_results
+
+from slipstitch.calibrate.calibration import (
+    DemandNotMet,
+    calibrate_to_file,
+    read_sweeps,
+    strip_calibration,
+    sweep_to_file,
+)
+from slipstitch.calibrate.picture import save_figure
+from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
+from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
+from slipstitch.calibrate.sweep import gamma_of, sweep, variations
+from slipstitch.config import resolve_config
+from slipstitch.errors import BadInput, NotConverged
+from slipstitch.simulate.settings import SimulationSettings
+
+SIMULATION = SimulationSettings()
+SETTINGS = CalibrateSettings(
+    strip_frictions=(0.1, 0.3, 0.4),
+    sweep_time_step_s=(0.005, 0.1, 0.4),
+    sweep_friction_tolerance=(1e-5, 10.0),
+    sweep_newton_iterations_max=(5,),
+    sweep_damping_s=(0.0,),
+)
+
+
+def answer(name, options, simulation):
+    """The error grows with the step; a loose tolerance slips where it should not.
+
+    Ten times finer steps or tolerances cost more, five iterations fewer.
+    """
+    if name != "strip":
+        return synthetic_results.protocol_answer(name, options, simulation)
+    if simulation.time_step_s > 0.3:
+        raise NotConverged("at 0.4 s a step did not converge")
+    iterations = round(20 / simulation.time_step_s) + (simulation.newton_iterations_max - 30)
+    iterations += 50 * (simulation.friction_tolerance < 1e-4)
+    result = dict(
+        synthetic_results.strip_answer(
+            options["friction"], 0.1 * simulation.time_step_s, iterations
+        )
+    )
+    if simulation.friction_tolerance > 1:
+        result |= {"slip_strain": 0.001, "regime": "slipped", "friction_read_from_strain": 0.01}
+    return result
+
+
+def trials(settings=SETTINGS, runner=answer):
+    return [one for key in (BASE, *KEYS) for one in sweep(key, settings, SIMULATION, runner)]
+
+
+def calibrated(**demands):
+    settings = SETTINGS.model_copy(update=demands)
+    return strip_calibration(settings, SIMULATION, trials(settings), answer)
+
+
+def test_the_cheapest_settings_that_meet_the_demand_are_chosen():
+    strip = calibrated()
+    # 0.1 s steps would meet the demand of 0.006 to 0.01 at a fifth of the cost.
+    assert strip["chosen"]["settings"]["newton_iterations_max"] == 5
+    assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
+
+
+def test_looser_settings_than_configured_are_shown_but_never_chosen():
+    strip = calibrated(strip_slip_strain=0.02, strip_friction=0.02)
+    coarse = next(one for one in strip["trials"] if one["settings"]["time_step_s"] == 0.1)
+    assert coarse["meets"]
+    assert not coarse["may_be_chosen"]
+    assert coarse["work"] < strip["chosen"]["work"]
+    assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
+
+
+def test_a_closer_demand_chooses_a_smaller_step():
+    assert calibrated(strip_slip_strain=1e-3)["chosen"]["settings"]["time_step_s"] == 0.005
+
+
+def test_a_demand_that_nothing_meets_says_what_came_closest():
+    with pytest.raises(DemandNotMet) as caught:
+        calibrated(strip_slip_strain=1e-6)
+    said = str(caught.value.args[0])
+    assert said.startswith("no settings meet the demand (slip strain within 1e-06")
+    assert "closest: time_step_s = 0.005 with slip strain within 0.0005" in said
+    assert "\n" not in said
+
+
+def test_wrong_regimes_are_counted_and_kept_beside_the_right_ones():
+    strip = calibrated()
+    loose = next(one for one in strip["trials"] if one["settings"]["friction_tolerance"] == 10.0)
+    assert not loose["meets"]
+    assert loose["wrong_regimes"] == 2  # friction 0.4, two fabrics
+    assert {run["theory_regime"] for run in loose["runs"]} == {"slipped", "partially slipped"}
+
+
+def test_a_push_that_cannot_be_solved_is_recorded_and_counts_as_wrong():
+    strip = calibrated()
+    coarse = next(one for one in strip["trials"] if one["settings"]["time_step_s"] == 0.4)
+    assert coarse["wrong_regimes"] == len(coarse["runs"]) == 6
+    assert "did not converge" in coarse["runs"][0]["failure"]
+    json.dumps(strip, allow_nan=False)
+
+
+def test_changes_that_save_work_are_tried_together():
+    def two_savings(name, options, simulation):
+        result = answer(name, options, simulation)
+        saved = 300 * (simulation.damping_s < 0.002)
+        return result | {"newton_iterations": result["newton_iterations"] - saved}
+
+    strip = strip_calibration(SETTINGS, SIMULATION, trials(runner=two_savings), two_savings)
+    chosen = strip["chosen"]
+    assert chosen["key"] == "combination"
+    assert chosen["settings"]["damping_s"] == 0.0
+    assert chosen["settings"]["newton_iterations_max"] == 5
+
+
+def test_settings_differ_from_the_configured_ones_in_one_key_only():
+    base = variations(BASE, SETTINGS, SIMULATION)[0]
+    for key in KEYS:
+        for one in variations(key, SETTINGS, SIMULATION):
+            assert {name for name in KEYS if one[name] != base[name]} == {key}
+
+
+def test_the_strip_is_the_protocol_s():
+    from slipstitch.cloth.solver import GRAVITY_M_S2
+    from slipstitch.protocol import strip
+    from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
+
+    rigidity_Nm = 1e9 * strip.THICKNESS_M**3 / 12
+    weight = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * strip.LENGTH_M**3
+    assert gamma_of(1e9) == pytest.approx(weight / rigidity_Nm)
+    assert gamma_of(6.3e8) <= strip.LARGEST_GAMMA
+
+
+def test_pictures_are_the_same_every_time(tmp_path):
+    data = {"strip": calibrated()}
+    for name, figure in (("strip", strip_figure), ("settings", settings_figure)):
+        for copy in "ab":
+            save_figure(figure(data), tmp_path / f"{name}_{copy}.svg", "svg")
+        first, second = (tmp_path / f"{name}_{copy}.svg" for copy in "ab")
+        assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.fixture
+def config(monkeypatch):
+    monkeypatch.setattr("slipstitch.protocol.run_protocol", answer)
+    return resolve_config({"calibrate": SETTINGS.model_dump(mode="json")})
+
+
+def sweeps(config, folder):
+    paths = [folder / f"{key}.json" for key in (BASE, *KEYS)]
+    for key, path in zip((BASE, *KEYS), paths, strict=True):
+        sweep_to_file(config, key, path)
+    return paths
+
+
+def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, tmp_path):
+    out = tmp_path / "calibration.json"
+    pictures = {name: tmp_path / f"{name}.svg" for name in ("checks", "strip", "settings")}
+    calibrate_to_file(config, out, pictures, sweeps(config, tmp_path))
+    written = json.loads(out.read_text())
+    assert written["settings"]["newton_iterations_max"] == 5
+    assert written["strip"]["not_told"]
+    assert all(path.exists() for path in pictures.values())
+
+
+def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed(config, tmp_path):
+    paths = sweeps(config, tmp_path)
+    demand = config.calibrate.model_copy(update={"strip_friction": 1e-9})
+    impossible = config.model_copy(update={"calibrate": demand})
+    out = tmp_path / "calibration.json"
+    with pytest.raises(DemandNotMet, match="closest: "):
+        calibrate_to_file(impossible, out, {"settings": tmp_path / "settings.svg"}, paths)
+    assert not out.exists()
+    assert (tmp_path / "settings.failed.svg").exists()
+    assert not (tmp_path / "settings.svg").exists()
+
+
+def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
+    paths = sweeps(config, tmp_path)
+    other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
+    with pytest.raises(BadInput, match=r"settings tried, not the .* of the configuration"):
+        read_sweeps(paths, other)
+    (tmp_path / "base.json").write_text("{")
+    with pytest.raises(BadInput, match=r"base\.json: not a sweep of the calibration"):
+        read_sweeps(paths, config)
