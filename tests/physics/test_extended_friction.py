@@ -162,7 +162,7 @@ def test_friction_that_grows_with_speed_gives_the_closed_form_s_terminal_speed()
 def test_rest_and_slides_are_counted():
     law = FrictionLaw(MU, {"wear": PLAIN["wear"]})
     solver = slope_solver(law, 0.0, speed_m_s=0.2)
-    state = solver.floor.state
+    state = solver.floor
     travelled(solver, STEP_S)
     assert (state.sliding.numpy() == 1).all() and (state.dwell_s.numpy() == 0).all()
     travelled(solver, 0.2)  # mu g = 4 m/s2 stops it after 0.05 s and 5 mm

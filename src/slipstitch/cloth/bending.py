@@ -4,6 +4,9 @@ Energy of a hinge: ke l^2 / (8 (a0 + a1)) (theta - theta0)^2, with l the edge's 
 a1 the areas of its faces at rest, theta the dihedral angle. ke depends on the fold's direction
 in the cloth and on the curvature parameter |theta| l / (2 (a0 + a1)), and is frozen in the
 force (Wang, O'Brien and Ramamoorthi 2011; Bridson, Marino and Fedkiw 2003; ARCSim).
+
+The kernels run over the hinges of all sheets, as those of :mod:`slipstitch.cloth.elasticity` over
+their faces.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
-from slipstitch.material.law import CURVATURE_SPACING_PER_M
+from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_DIRECTIONS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,6 +44,19 @@ def hinge_geometry(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return length_m, area_m2, angle_deg / 45.0
 
 
+def rest_angles(mesh: ClothMesh, curvature_per_m: float) -> np.ndarray:
+    """Dihedral angles at rest of a sheet that is a cylinder about u, shape (H,).
+
+    Positive curvature curls towards the face's normal. The sheet turns by curvature times the
+    distance between the faces' centres, along v.
+    """
+    length, area, _ = hinge_geometry(mesh)
+    edge = np.diff(mesh.rest_uv_m[mesh.hinges[:, :2]], axis=1)[:, 0]
+    across = np.abs(edge[:, 0]) / length
+    height = 2 * area / length / 2  # the mean of the two faces' heights over the edge
+    return curvature_per_m * height * across**2
+
+
 @wp.func
 def dihedral_angle(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> wp.float64:
     """Angle between the normals of faces (x0, x1, x2) and (x1, x0, x3), 0 where flat."""
@@ -52,10 +68,14 @@ def dihedral_angle(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> wp
 
 @wp.func
 def hinge_stiffness(
-    table: wp.array(dtype=wp.float64, ndim=2), direction: wp.float64, curvature: wp.float64
+    table: wp.array(dtype=wp.float64, ndim=2),
+    member: int,
+    direction: wp.float64,
+    curvature: wp.float64,
 ) -> wp.float64:
     row = wp.min(int(direction), 1)
     fr = direction - wp.float64(row)
+    row += FOLD_DIRECTIONS * member
     position = wp.min(curvature * PER_CURVATURE, wp.float64(4.0))
     column = wp.min(int(position), 3)
     fc = position - wp.float64(column)
@@ -66,14 +86,18 @@ def hinge_stiffness(
 
 @wp.func
 def hinge_tangent_stiffness(
-    table: wp.array(dtype=wp.float64, ndim=2), direction: wp.float64, curvature: wp.float64
+    table: wp.array(dtype=wp.float64, ndim=2),
+    member: int,
+    direction: wp.float64,
+    curvature: wp.float64,
 ) -> wp.float64:
     """d(ke alpha)/d alpha, kept positive."""
-    ke = hinge_stiffness(table, direction, curvature)
+    ke = hinge_stiffness(table, member, direction, curvature)
     tangent = ke
     if curvature * PER_CURVATURE < wp.float64(4.0):
         row = wp.min(int(direction), 1)
         fr = direction - wp.float64(row)
+        row += FOLD_DIRECTIONS * member
         column = wp.min(int(curvature * PER_CURVATURE), 3)
         low = table[row, column + 1] - table[row, column]
         high = table[row + 1, column + 1] - table[row + 1, column]
@@ -83,12 +107,16 @@ def hinge_tangent_stiffness(
 
 @wp.kernel
 def dihedral_angles(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     hinges: wp.array(dtype=wp.int32, ndim=2),
     theta: wp.array(dtype=wp.float64),
 ):
     """Dihedral angle of each hinge, in radians."""
     h = wp.tid()
+    if active[members[h]] == 0:
+        return
     theta[h] = dihedral_angle(x[hinges[h, 0]], x[hinges[h, 1]], x[hinges[h, 2]], x[hinges[h, 3]])
 
 
@@ -111,6 +139,8 @@ def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> ma
 
 @wp.kernel
 def bending_force(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     hinges: wp.array(dtype=wp.int32, ndim=2),
     length: wp.array(dtype=wp.float64),
@@ -124,15 +154,19 @@ def bending_force(
 ):
     """Add minus the elastic and viscous nodal forces of each hinge."""
     h = wp.tid()
+    member = members[h]
+    if active[member] == 0:
+        return
     x0 = x[hinges[h, 0]]
     x1 = x[hinges[h, 1]]
     x2 = x[hinges[h, 2]]
     x3 = x[hinges[h, 3]]
     theta = dihedral_angle(x0, x1, x2, x3)
     curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
-    c = hinge_stiffness(table, direction[h], curvature) * length[h] * length[h]
+    c = hinge_stiffness(table, member, direction[h], curvature) * length[h] * length[h]
     c = c / (wp.float64(4.0) * area[h])
-    moment = c * (theta - rest_angle[h] + damping_ratio[0] * (theta - angle_before[h]))
+    viscous = damping_ratio[member] * (theta - angle_before[h])
+    moment = c * (theta - rest_angle[h] + viscous)
     d = angle_gradient(x0, x1, x2, x3)
     for a in range(4):
         wp.atomic_add(minus_force, hinges[h, a], d[a] * moment)
@@ -140,6 +174,8 @@ def bending_force(
 
 @wp.kernel
 def bending_stiffness(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     hinges: wp.array(dtype=wp.int32, ndim=2),
     length: wp.array(dtype=wp.float64),
@@ -149,22 +185,28 @@ def bending_stiffness(
     damping_ratio: wp.array(dtype=wp.float64),
     entry: wp.array(dtype=wp.int32, ndim=2),
     values: wp.array(dtype=wp.float64),
+    entries: int,
 ):
     """Add each hinge's stiffness, without the curvature of theta, to the lower triangle."""
     h = wp.tid()
+    member = members[h]
+    if active[member] == 0:
+        return
     x0 = x[hinges[h, 0]]
     x1 = x[hinges[h, 1]]
     x2 = x[hinges[h, 2]]
     x3 = x[hinges[h, 3]]
     theta = dihedral_angle(x0, x1, x2, x3)
     curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
-    c = hinge_tangent_stiffness(table, direction[h], curvature) * length[h] * length[h]
-    c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[0])
+    c = hinge_tangent_stiffness(table, member, direction[h], curvature) * length[h] * length[h]
+    c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[member])
     d = angle_gradient(x0, x1, x2, x3)
+    local = h - member * entry.shape[0]
+    first = member * entries
     for a in range(4):
         for b in range(4):
             for p in range(3):
                 for q in range(3):
-                    e = entry[h, (a * 3 + p) * 12 + b * 3 + q]
+                    e = entry[local, (a * 3 + p) * 12 + b * 3 + q]
                     if e >= 0:
-                        values[e] = values[e] + c * d[a, p] * d[b, q]
+                        wp.atomic_add(values, first + e, c * d[a, p] * d[b, q])

@@ -11,7 +11,8 @@ the motion and the anchor is dragged along. Simo and Hughes, Computational Inela
 ch. 1 (return mapping); Wriggers, Computational Contact Mechanics (2006).
 
 The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
-each (:func:`contact_kernels`).
+each (:func:`contact_kernels`). They run over the nodes of all sheets, as those of
+:mod:`slipstitch.cloth.elasticity` over their faces.
 """
 
 from __future__ import annotations
@@ -104,8 +105,9 @@ class FrictionState:
     both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
     """
 
+    members: wp.array(dtype=wp.int32)  # the sheet of each node
     coefficient: wp.array(dtype=wp.float64)
-    values: wp.array(dtype=wp.float64)  # of the mechanisms' parameters
+    values: wp.array(dtype=wp.float64, ndim=2)  # of the mechanisms' parameters, by sheet
     area_m2: wp.array(dtype=wp.float64)
     warp: wp.array(dtype=wp.vec2d)  # the warp's direction on the floor
     start: wp.array(dtype=wp.vec3d)  # place at the beginning of the step
@@ -113,8 +115,17 @@ class FrictionState:
     dwell_s: wp.array(dtype=wp.float64)
     slid_m: wp.array(dtype=wp.float64)  # path since the last rest
     repeats: wp.array(dtype=wp.float64)
-    relative_humidity_pct: wp.float64
-    full_touch_N: wp.float64  # load from which a node touches with its whole area
+    relative_humidity_pct: wp.array(dtype=wp.float64)  # by sheet
+    full_touch_N: wp.array(dtype=wp.float64)  # by sheet: load that makes a node's whole area touch
+
+
+@wp.struct
+class Ground:
+    """What each sheet lies on: curvature (1/m), penalty stiffness (N/m)."""
+
+    curvature: wp.array(dtype=wp.float64)
+    normal_stiffness: wp.array(dtype=wp.float64)
+    tangential_stiffness: wp.array(dtype=wp.float64)
 
 
 @wp.func
@@ -152,10 +163,11 @@ def _law_limit() -> wp.Function:
         direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
         # A force that the area bears would jump where a node just touches, and leave the step
         # without a solution: the area comes to bear with the first part of the load.
-        touched = law.area_m2[node] * wp.min(ONE, normal_force / law.full_touch_N)
+        member = law.members[node]
+        touched = law.area_m2[node] * wp.min(ONE, normal_force / law.full_touch_N[member])
         return force_limit(
             law.coefficient[node],
-            law.values,
+            law.values[member],
             law.sliding[node] == 0,
             normal_force,
             touched,
@@ -163,7 +175,7 @@ def _law_limit() -> wp.Function:
             law.dwell_s[node],
             moved * wp.sqrt(inverse_step_squared),
             law.repeats[node],
-            law.relative_humidity_pct,
+            law.relative_humidity_pct[member],
         )
 
     return law_limit
@@ -196,29 +208,28 @@ def contact_kernels(extended: bool) -> ContactKernels:
         law: FrictionState,
     ) -> wp.vec3d:
         """Force of a node in contact on the ground."""
-        ground = ground_point(p, curvature)
-        normal_force = -normal_stiffness * ground.gap
-        pull = ground.place - anchor
+        point = ground_point(p, curvature)
+        normal_force = -normal_stiffness * point.gap
+        pull = point.place - anchor
         q = pull * tangential_stiffness
         size = wp.length(q)
         limit = limit_of(
-            node, normal_force, pull, ground.place, curvature, inverse_step_squared, law
+            node, normal_force, pull, point.place, curvature, inverse_step_squared, law
         )
         if size > limit:
             q = q * (limit / size)
-        return ground.along * q[0] - ground.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+        return point.along * q[0] - point.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
 
     @wp.kernel(module=module, enable_backward=False)
     def node_residual(
+        active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
         inertial_target: wp.array(dtype=wp.vec3d),
         mass: wp.array(dtype=wp.float64),
         inverse_step_squared: wp.array(dtype=wp.float64),
         gravity: wp.array(dtype=wp.vec3d),
-        curvature: wp.float64,
+        ground: Ground,
         anchor: wp.array(dtype=wp.vec2d),
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
         law: FrictionState,
         minus_force: wp.array(dtype=wp.vec3d),
         free: wp.array(dtype=wp.vec3d),
@@ -227,26 +238,30 @@ def contact_kernels(extended: bool) -> ContactKernels:
     ):
         """Out-of-balance force of each node; reads and clears ``minus_force``."""
         i = wp.tid()
+        member = law.members[i]
+        if active[member] == 0:
+            return
+        curvature = ground.curvature[member]
         p = x[i]
         r = minus_force[i] + mass[i] * (
-            (p - inertial_target[i]) * inverse_step_squared[0] - gravity[0]
+            (p - inertial_target[i]) * inverse_step_squared[member] - gravity[member]
         )
         minus_force[i] = wp.vec3d()
         s = OPEN
-        ground = ground_point(p, curvature)
-        if ground.gap < ZERO:
-            normal_force = -normal_stiffness * ground.gap
-            pull = ground.place - anchor[i]
-            q = pull * tangential_stiffness
+        point = ground_point(p, curvature)
+        if point.gap < ZERO:
+            normal_force = -ground.normal_stiffness[member] * point.gap
+            pull = point.place - anchor[i]
+            q = pull * ground.tangential_stiffness[member]
             size = wp.length(q)
             limit = limit_of(
-                i, normal_force, pull, ground.place, curvature, inverse_step_squared[0], law
+                i, normal_force, pull, point.place, curvature, inverse_step_squared[member], law
             )
             s = STICK
             if size > limit:
                 s = SLIP
                 q = q * (limit / size)
-            r += ground.along * q[0] - ground.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+            r += point.along * q[0] - point.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
         state[i] = s
         residual[i] = wp.cw_mul(r, free[i])
 
@@ -263,16 +278,16 @@ def contact_kernels(extended: bool) -> ContactKernels:
     ) -> wp.mat33d:
         """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
         block = wp.mat33d()
-        ground = ground_point(p, curvature)
-        if ground.gap < ZERO:
-            along = ground.along
+        point = ground_point(p, curvature)
+        if point.gap < ZERO:
+            along = point.along
             across = wp.vec3d(ZERO, ONE, ZERO)
-            block += wp.outer(ground.normal, ground.normal) * normal_stiffness
-            d = ground.place - anchor
+            block += wp.outer(point.normal, point.normal) * normal_stiffness
+            d = point.place - anchor
             size = wp.length(d)
-            normal_force = -normal_stiffness * ground.gap
+            normal_force = -normal_stiffness * point.gap
             limit = limit_of(
-                node, normal_force, d, ground.place, curvature, inverse_step_squared, law
+                node, normal_force, d, point.place, curvature, inverse_step_squared, law
             )
             if size * tangential_stiffness <= limit:
                 block += (wp.outer(along, along) + wp.outer(across, across)) * tangential_stiffness
@@ -283,59 +298,65 @@ def contact_kernels(extended: bool) -> ContactKernels:
 
     @wp.kernel(module=module, enable_backward=False)
     def node_stiffness(
+        active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
         mass: wp.array(dtype=wp.float64),
         inverse_step_squared: wp.array(dtype=wp.float64),
-        curvature: wp.float64,
+        ground: Ground,
         anchor: wp.array(dtype=wp.vec2d),
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
         law: FrictionState,
         entry: wp.array(dtype=wp.int32, ndim=2),
         values: wp.array(dtype=wp.float64),
+        entries: int,
     ):
         """Add inertia and the symmetric part of contact to the diagonal blocks.
 
         ``entry`` holds, per node, the places of (xx, yx, yy, zx, zy, zz) in the lower triangle.
         """
         i = wp.tid()
-        block = wp.identity(n=3, dtype=wp.float64) * (mass[i] * inverse_step_squared[0])
+        member = law.members[i]
+        if active[member] == 0:
+            return
+        block = wp.identity(n=3, dtype=wp.float64) * (mass[i] * inverse_step_squared[member])
         block += symmetric_block(
             i,
             x[i],
             anchor[i],
-            curvature,
-            normal_stiffness,
-            tangential_stiffness,
-            inverse_step_squared[0],
+            ground.curvature[member],
+            ground.normal_stiffness[member],
+            ground.tangential_stiffness[member],
+            inverse_step_squared[member],
             law,
         )
         for row in range(3):
             for column in range(row + 1):
-                e = entry[i, row * (row + 1) // 2 + column]
+                e = entry[i - member * entry.shape[0], row * (row + 1) // 2 + column]
                 if e >= 0:
-                    values[e] = values[e] + block[row, column]
+                    wp.atomic_add(values, member * entries + e, block[row, column])
 
     @wp.kernel(module=module, enable_backward=False)
     def move_anchors(
+        active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
         inverse_step_squared: wp.array(dtype=wp.float64),
-        curvature: wp.float64,
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
+        ground: Ground,
         law: FrictionState,
         anchor: wp.array(dtype=wp.vec2d),
     ):
         """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
         i = wp.tid()
-        ground = ground_point(x[i], curvature)
-        here = ground.place
-        if ground.gap < ZERO:
+        member = law.members[i]
+        if active[member] == 0:
+            return
+        curvature = ground.curvature[member]
+        point = ground_point(x[i], curvature)
+        here = point.place
+        if point.gap < ZERO:
             d = here - anchor[i]
             size = wp.length(d)
-            normal_force = -normal_stiffness * ground.gap
-            limit = limit_of(i, normal_force, d, here, curvature, inverse_step_squared[0], law)
-            reach = limit / tangential_stiffness
+            normal_force = -ground.normal_stiffness[member] * point.gap
+            limit = limit_of(i, normal_force, d, here, curvature, inverse_step_squared[member], law)
+            reach = limit / ground.tangential_stiffness[member]
             if size > reach:
                 anchor[i] = here - d * (reach / size)
         else:
@@ -345,10 +366,8 @@ def contact_kernels(extended: bool) -> ContactKernels:
     def tangent(
         x: wp.array(dtype=wp.vec3d),
         inverse_step_squared: wp.array(dtype=wp.float64),
-        curvature: wp.float64,
+        ground: Ground,
         anchor: wp.array(dtype=wp.vec2d),
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
         law: FrictionState,
         nodes: wp.array(dtype=wp.int32),
         symmetric: bool,
@@ -360,15 +379,16 @@ def contact_kernels(extended: bool) -> ContactKernels:
         """
         k = wp.tid()
         i = nodes[k]
+        member = law.members[i]
         if symmetric:
             blocks[k] = symmetric_block(
                 i,
                 x[i],
                 anchor[i],
-                curvature,
-                normal_stiffness,
-                tangential_stiffness,
-                inverse_step_squared[0],
+                ground.curvature[member],
+                ground.normal_stiffness[member],
+                ground.tangential_stiffness[member],
+                inverse_step_squared[member],
                 law,
             )
         else:
@@ -379,20 +399,20 @@ def contact_kernels(extended: bool) -> ContactKernels:
                     i,
                     x[i] + shift,
                     anchor[i],
-                    curvature,
-                    normal_stiffness,
-                    tangential_stiffness,
-                    inverse_step_squared[0],
+                    ground.curvature[member],
+                    ground.normal_stiffness[member],
+                    ground.tangential_stiffness[member],
+                    inverse_step_squared[member],
                     law,
                 )
                 behind = ground_force(
                     i,
                     x[i] - shift,
                     anchor[i],
-                    curvature,
-                    normal_stiffness,
-                    tangential_stiffness,
-                    inverse_step_squared[0],
+                    ground.curvature[member],
+                    ground.normal_stiffness[member],
+                    ground.tangential_stiffness[member],
+                    inverse_step_squared[member],
                     law,
                 )
                 change = (ahead - behind) / (HALF_DIFFERENCE + HALF_DIFFERENCE)
@@ -404,9 +424,10 @@ def contact_kernels(extended: bool) -> ContactKernels:
 
 @wp.kernel(enable_backward=False)
 def advance_friction_state(
+    active: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     inverse_step_squared: wp.array(dtype=wp.float64),
-    curvature: wp.float64,
+    ground: Ground,
     state: wp.array(dtype=wp.int32),
     law: FrictionState,
 ):
@@ -415,6 +436,10 @@ def advance_friction_state(
     A slide ends when the node comes to rest or leaves the floor.
     """
     i = wp.tid()
+    member = law.members[i]
+    if active[member] == 0:
+        return
+    curvature = ground.curvature[member]
     here = ground_point(x[i], curvature)
     before = ground_point(law.start[i], curvature)
     law.start[i] = x[i]
@@ -428,6 +453,6 @@ def advance_friction_state(
         law.slid_m[i] = ZERO
         law.sliding[i] = 0
         if state[i] == STICK:
-            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(inverse_step_squared[0])
+            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(inverse_step_squared[member])
         else:
             law.dwell_s[i] = ZERO

@@ -5,6 +5,9 @@ read by ARCSim): Green strain G, stress S00 = k0 G00 + k1 G11, S11 = k2 G11 + k1
 S01 = k3 G01; nodal force -A F S grad N. The strain dependence of k is left out of the force,
 as in the original. Damping is Kelvin-Voigt: the stress of the strain's change over the step,
 times damping time over step.
+
+The kernels run over the faces of all sheets that are evaluated together, one sheet's after
+another's; those of sheets that are not asked for (``active``) are passed over.
 """
 
 from __future__ import annotations
@@ -35,9 +38,13 @@ def shape_gradients(mesh: ClothMesh) -> np.ndarray:
 
 @wp.func
 def stiffness_at(
-    table: wp.array(dtype=wp.vec4d, ndim=3), G00: wp.float64, G11: wp.float64, G01: wp.float64
+    table: wp.array(dtype=wp.vec4d, ndim=3),
+    first: int,
+    G00: wp.float64,
+    G11: wp.float64,
+    G01: wp.float64,
 ) -> wp.vec4d:
-    """Interpolate k0...k3 trilinearly, clamped to the table."""
+    """Interpolate k0...k3 trilinearly, clamped to the table that starts at row ``first``."""
     x = wp.clamp((G00 - ORIGIN) * PER_SPACING, ZERO, LAST_NODE)
     y = wp.clamp((G11 - ORIGIN) * PER_SPACING, ZERO, LAST_NODE)
     z = wp.clamp(wp.abs(G01) * PER_SPACING, ZERO, LAST_NODE)
@@ -45,6 +52,7 @@ def stiffness_at(
     j = wp.min(int(y), int(LAST_NODE) - 1)
     k = wp.min(int(z), int(LAST_NODE) - 1)
     fx = x - wp.float64(i)
+    i += first
     fy = y - wp.float64(j)
     fz = z - wp.float64(k)
     c00 = table[i, j, k] * (ONE - fx) + table[i + 1, j, k] * fx
@@ -88,6 +96,8 @@ def deformation(
 
 @wp.kernel
 def green_strains(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.int32, ndim=2),
     gradients: wp.array(dtype=wp.vec2d, ndim=2),
@@ -95,11 +105,15 @@ def green_strains(
 ):
     """Green strain (G00, G11, G01) of each face."""
     t = wp.tid()
+    if active[members[t]] == 0:
+        return
     strain[t] = deformation(x, faces, gradients, t).G
 
 
 @wp.kernel
 def stretching_force(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.int32, ndim=2),
     gradients: wp.array(dtype=wp.vec2d, ndim=2),
@@ -111,9 +125,12 @@ def stretching_force(
 ):
     """Add minus the elastic and viscous nodal forces of each face."""
     t = wp.tid()
+    member = members[t]
+    if active[member] == 0:
+        return
     face = deformation(x, faces, gradients, t)
-    k = stiffness_at(table, face.G[0], face.G[1], face.G[2])
-    d = damping_ratio[0]
+    k = stiffness_at(table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
+    d = damping_ratio[member]
     E = face.G + (face.G - strain_before[t]) * d
     S00 = area[t] * (k[0] * E[0] + k[1] * E[1])
     S11 = area[t] * (k[2] * E[1] + k[1] * E[0])
@@ -129,6 +146,8 @@ def stretching_force(
 
 @wp.kernel
 def stretching_stiffness(
+    active: wp.array(dtype=wp.int32),
+    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.int32, ndim=2),
     gradients: wp.array(dtype=wp.vec2d, ndim=2),
@@ -138,15 +157,20 @@ def stretching_stiffness(
     damping_ratio: wp.array(dtype=wp.float64),
     entry: wp.array(dtype=wp.int32, ndim=2),
     values: wp.array(dtype=wp.float64),
+    entries: int,
 ):
     """Add each face's stiffness to the lower triangle of the matrix, kept positive definite.
 
-    The geometric term enters with the tensile part of the stress only.
+    The geometric term enters with the tensile part of the stress only. ``entry`` is of one
+    sheet's faces; a sheet's matrix has ``entries`` values.
     """
     t = wp.tid()
+    member = members[t]
+    if active[member] == 0:
+        return
     face = deformation(x, faces, gradients, t)
-    k = stiffness_at(table, face.G[0], face.G[1], face.G[2])
-    d = damping_ratio[0]
+    k = stiffness_at(table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
+    d = damping_ratio[member]
     E = face.G + (face.G - strain_before[t]) * d
     S00 = k[0] * E[0] + k[1] * E[1]
     S11 = k[2] * E[1] + k[1] * E[0]
@@ -175,6 +199,8 @@ def stretching_stiffness(
     k1 = wp.min(scale * k[1], wp.float64(0.99) * wp.sqrt(k0 * k2))
     k3 = scale * HALF * k[3]
     identity = wp.identity(n=3, dtype=wp.float64)
+    local = t - member * entry.shape[0]
+    first = member * entries
     for b in range(3):
         gb = gradients[t, b]
         # Strains (G00, G11, 2 G01) per displacement of vertex b are the rows of Q_b.
@@ -197,6 +223,6 @@ def stretching_stiffness(
             )
             for p in range(3):
                 for q in range(3):
-                    e = entry[t, (a * 3 + p) * 9 + b * 3 + q]
+                    e = entry[local, (a * 3 + p) * 9 + b * 3 + q]
                     if e >= 0:
-                        values[e] = values[e] + block[p, q]
+                        wp.atomic_add(values, first + e, block[p, q])

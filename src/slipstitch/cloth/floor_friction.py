@@ -32,8 +32,30 @@ class ContactConditions:
     repeats: float = 0.0
 
 
+def friction_states(mesh: ClothMesh, count: int, device: str) -> contact.FrictionState:
+    """Room for the law and the contact history of every node of ``count`` sheets."""
+    V = mesh.vertex_count
+
+    def array(*shape, dtype=wp.float64):
+        return wp.zeros(shape, dtype=dtype, device=device)
+
+    state = contact.FrictionState()
+    members = np.repeat(np.arange(count, dtype=np.int32), V)
+    state.members = wp.array(members, dtype=wp.int32, device=device)
+    state.coefficient = array(count * V)
+    state.values = array(count, len(FrictionLaw(0.0).parameter_values()))
+    areas_m2 = np.tile(mesh.vertex_areas_m2(), count)
+    state.area_m2 = wp.array(areas_m2, dtype=wp.float64, device=device)
+    state.warp = array(count * V, dtype=wp.vec2d)
+    state.start = array(count * V, dtype=wp.vec3d)
+    state.sliding = array(count * V, dtype=wp.int32)
+    state.dwell_s, state.slid_m, state.repeats = (array(count * V) for _ in range(3))
+    state.relative_humidity_pct, state.full_touch_N = array(count), array(count)
+    return state
+
+
 class FloorFriction:
-    """Law and contact history of the nodes of a cloth, as the kernels read them.
+    """Law and contact history of the nodes of one sheet, as the kernels read them.
 
     Parameters
     ----------
@@ -41,7 +63,17 @@ class FloorFriction:
     friction : float, ndarray of shape (V,), or FrictionLaw
         Coulomb's coefficient, for all nodes or node by node, or a law.
     conditions : ContactConditions
-    device : str
+    full_touch_N : float
+        Load from which a node touches with its whole area.
+    states : FrictionState
+        Of all sheets that are evaluated together.
+    member : int
+        Which of them.
+
+    Attributes
+    ----------
+    extended : bool
+        Whether the limit is other than Coulomb's.
     """
 
     def __init__(
@@ -49,31 +81,27 @@ class FloorFriction:
         mesh: ClothMesh,
         friction: float | np.ndarray | FrictionLaw,
         conditions: ContactConditions,
-        device: str,
+        full_touch_N: float,
+        states: contact.FrictionState,
+        member: int,
     ):
         law = friction if isinstance(friction, FrictionLaw) else None
         coefficient = law.coefficient if law else np.asarray(friction, float)
-        V = mesh.vertex_count
-        self.coefficient = np.broadcast_to(coefficient, V).copy()
+        self.coefficient = np.broadcast_to(coefficient, mesh.vertex_count).copy()
         self.extended = bool(law and law.mechanisms)
-        self.kernels = contact.contact_kernels(self.extended)
         self._mesh, self._conditions = mesh, conditions
-
-        def array(values, dtype=wp.float64):
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
-
-        self.state = state = contact.FrictionState()
-        state.coefficient = array(self.coefficient)
-        state.relative_humidity_pct = conditions.relative_humidity_pct
-        if not self.extended:
-            return
-        state.values = array(law.parameter_values())
-        state.area_m2 = array(mesh.vertex_areas_m2())
-        state.warp = array(np.zeros((V, 2)), wp.vec2d)
-        state.start = array(np.zeros((V, 3)), wp.vec3d)
-        state.sliding = array(np.zeros(V), wp.int32)
-        state.dwell_s, state.slid_m = array(np.zeros(V)), array(np.zeros(V))
-        state.repeats = array(np.full(V, conditions.repeats))
+        V = mesh.vertex_count
+        own = slice(member * V, (member + 1) * V)
+        self.start, self._warp = states.start[own], states.warp[own]
+        self.sliding, self.dwell_s = states.sliding[own], states.dwell_s[own]
+        self.repeats = states.repeats[own]
+        states.coefficient[own].assign(self.coefficient)
+        if law:
+            states.values[member].assign(law.parameter_values())
+        one = slice(member, member + 1)
+        states.relative_humidity_pct[one].fill_(conditions.relative_humidity_pct)
+        states.full_touch_N[one].fill_(full_touch_N)
+        self.repeats.fill_(conditions.repeats)
 
     def set_directions(self, place_m: np.ndarray) -> None:
         """Take the warp's direction on the ground from the present shape.
@@ -89,10 +117,10 @@ class FloorFriction:
         along_v = np.gradient(grid[..., :2], rest[:, 0, 1], axis=0)
         angle = self._conditions.warp_angle_rad
         warp = cos(angle) * along_u + sin(angle) * along_v
-        self.state.warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
+        self._warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
 
     def rest(self, duration_s: float) -> None:
         """Let every resting node grow older without anything moving."""
         if self.extended:
-            resting = self.state.sliding.numpy() == 0
-            self.state.dwell_s.assign(self.state.dwell_s.numpy() + duration_s * resting)
+            resting = self.sliding.numpy() == 0
+            self.dwell_s.assign(self.dwell_s.numpy() + duration_s * resting)

@@ -15,12 +15,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy.sparse.linalg
-import warp as wp
 
-from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth import bending, contact
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
+from slipstitch.cloth.sheets import Sheets, Work
 from slipstitch.cloth.tangent import Tangent
 from slipstitch.errors import NotConverged
 from slipstitch.friction_law import FrictionLaw
@@ -137,6 +137,11 @@ class ClothSolver:
         What an extended friction law needs to know beside the motion.
     device : str
         Warp device on which forces and stiffness are evaluated.
+    sheets : Sheets, optional
+        Sheets of the same mesh and held coordinates to be evaluated together, this one among
+        them; it has its own device. Without it the sheet is alone.
+    member : int
+        Which of them this one is.
     """
 
     def __init__(
@@ -154,14 +159,17 @@ class ClothSolver:
         ground_curvature_per_m: float = 0.0,
         conditions: ContactConditions | None = None,
         device: str = "cpu",
+        sheets: Sheets | None = None,
+        member: int = 0,
     ):
         self.mesh = mesh
         self.settings = settings = settings or SolverSettings()
-        self.device = device
         self.fixed = np.array(fixed, dtype=bool)
+        self.sheets = sheets = sheets or Sheets(mesh, self.fixed, device=device)
+        if sheets.mesh is not mesh or not np.array_equal(sheets.fixed, self.fixed):
+            raise ValueError("sheets that are evaluated together share mesh and held coordinates")
+        self.member, self.device = member, sheets.device
         self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
-        self.floor = FloorFriction(mesh, friction, conditions or ContactConditions(), device)
-        self.friction = self.floor.coefficient
         self.positions_m = np.array(positions_m, dtype=float)
         self.velocities_m_s = np.zeros_like(self.positions_m)
         self.record = StepRecord()
@@ -169,7 +177,16 @@ class ClothSolver:
 
         self.ground_curvature_per_m = ground_curvature_per_m
         self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
-        self.floor.state.full_touch_N = FULL_TOUCH * self.nodal_force_N
+        self.floor = FloorFriction(
+            mesh,
+            friction,
+            conditions or ContactConditions(),
+            FULL_TOUCH * self.nodal_force_N,
+            sheets.friction,
+            member,
+        )
+        sheets.extended[member] = self.floor.extended
+        self.friction = self.floor.coefficient
         stiffness_N_m = self.nodal_force_N / settings.penetration_m
         self.normal_stiffness_N_m = self.tangential_stiffness_N_m = stiffness_N_m
         self.force_scale_N = (
@@ -177,158 +194,56 @@ class ClothSolver:
         )
         self._upload(tables, gravity_m_s2, rest_curvature_per_m)
         self._tangent = Tangent(
-            [mesh.faces, mesh.hinges], mesh.elimination_order, self.fixed, device
+            sheets.assembly, mesh.elimination_order, sheets.tangent_values(member)
         )
-        self._record_launches()
         self._layers = None
         if settings.self_contact:
-            self._layers = SelfContact(
+            self._layers = sheets.layers[member] = SelfContact(
                 mesh,
                 thickness_m=settings.thickness_m,
                 stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
                 friction=float(self.friction.max())
                 if settings.layer_friction is None
                 else settings.layer_friction,
-                device=device,
+                device=self.device,
             )
             self._coupled = -1  # generation of the pairs that the tangent has room for
 
     # -- set-up ---------------------------------------------------------------------------
 
     def _upload(self, tables, gravity, rest_curvature) -> None:
-        mesh, V = self.mesh, self.mesh.vertex_count
-
-        def array(values, dtype):
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
-
-        self._x = array(self.positions_m, wp.vec3d)
-        self._target = array(self.positions_m, wp.vec3d)
-        self._anchor = array(self.positions_m[:, :2], wp.vec2d)
-        self._mass = array(self.mass_kg, wp.float64)
-        self._free = array((~self.fixed).astype(float), wp.vec3d)
-        self._gravity = array([gravity], wp.vec3d)
-        self._inverse_step_squared = array([1.0], wp.float64)
-        self._damping_ratio = array([0.0], wp.float64)
-        self._residual = array(np.zeros((V, 3)), wp.vec3d)
-        self._minus_force = array(np.zeros((V, 3)), wp.vec3d)
-        self._state = array(np.zeros(V), wp.int32)
-
-        self._faces = array(mesh.faces, wp.int32)
-        self._gradients = array(elasticity.shape_gradients(mesh), wp.vec2d)
-        self._area = array(mesh.face_areas_m2(), wp.float64)
-        self._stretching = array(tables.stretching_N_m, wp.vec4d)
-        self._strain = array(np.zeros((len(mesh.faces), 3)), wp.vec3d)
-
-        length, area, direction = bending.hinge_geometry(mesh)
-        # A cylinder about u turns by curvature x (distance between the faces' centres, along v).
-        edge = np.diff(mesh.rest_uv_m[mesh.hinges[:, :2]], axis=1)[:, 0]
-        across = np.abs(edge[:, 0]) / length
-        height = 2 * area / length / 2  # the mean of the two faces' heights over the edge
-        rest_angle = rest_curvature * height * across**2
-        self._hinges = array(mesh.hinges, wp.int32)
-        self._hinge_length = array(length, wp.float64)
-        self._hinge_area = array(area, wp.float64)
-        self._hinge_direction = array(direction, wp.float64)
-        self._rest_angle = array(rest_angle, wp.float64)
-        self._bending = array(tables.bending_N_m, wp.float64)
-        self._angle = array(np.zeros(len(mesh.hinges)), wp.float64)
-
-    def _record_launches(self) -> None:
-        def launch(kernel, dim, inputs):
-            return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
-
-        tangent = self._tangent
-        F, H, V = len(self.mesh.faces), len(self.mesh.hinges), self.mesh.vertex_count
-        faces = [self._x, self._faces, self._gradients]
-        stretching = [*faces, self._area, self._stretching, self._strain, self._damping_ratio]
-        hinges = [self._x, self._hinges]
-        shape = [*hinges, self._hinge_length, self._hinge_area, self._hinge_direction]
-        floor = [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self.floor.state]
-        kernels = self.floor.kernels
-        inertia = [self._mass, self._inverse_step_squared]
-        self._forces = [
-            launch(elasticity.stretching_force, F, [*stretching, self._minus_force]),
-            launch(
-                bending.bending_force,
-                H,
-                [
-                    *shape,
-                    self._rest_angle,
-                    self._bending,
-                    self._angle,
-                    self._damping_ratio,
-                    self._minus_force,
-                ],
-            ),
-            launch(
-                kernels.residual,
-                V,
-                [
-                    self._x,
-                    self._target,
-                    *inertia,
-                    self._gravity,
-                    self.ground_curvature_per_m,
-                    self._anchor,
-                    *floor,
-                    self._minus_force,
-                    self._free,
-                    self._residual,
-                    self._state,
-                ],
-            ),
-        ]
-        self._stiffnesses = [
-            launch(
-                elasticity.stretching_stiffness,
-                F,
-                [*stretching, tangent.entries[0], tangent.values],
-            ),
-            launch(
-                bending.bending_stiffness,
-                H,
-                [*shape, self._bending, self._damping_ratio, tangent.entries[1], tangent.values],
-            ),
-            launch(
-                kernels.stiffness,
-                V,
-                [
-                    self._x,
-                    *inertia,
-                    self.ground_curvature_per_m,
-                    self._anchor,
-                    *floor,
-                    tangent.node_entries,
-                    tangent.values,
-                ],
-            ),
-        ]
-        self._remember = [
-            launch(elasticity.green_strains, F, [*faces, self._strain]),
-            launch(bending.dihedral_angles, H, [*hinges, self._angle]),
-        ]
-        step = [self._x, self._inverse_step_squared]
-        self._anchors = [
-            launch(
-                kernels.move_anchors,
-                V,
-                [*step, self.ground_curvature_per_m, *floor, self._anchor],
-            )
-        ]
-        if self.floor.extended:
-            history = [*step, self.ground_curvature_per_m, self._state, self.floor.state]
-            self._anchors.append(launch(contact.advance_friction_state, V, history))
+        """Fill in this sheet's part of the device's arrays."""
+        sheets, member = self.sheets, self.member
+        nodes, own = sheets.nodes_of(member), slice(member, member + 1)
+        self._target, self._anchor = sheets.target[nodes], sheets.anchor[nodes]
+        self._free, self._gravity = sheets.free[nodes], sheets.gravity[own]
+        self._inverse_step_squared = sheets.inverse_step_squared[own]
+        self._damping_ratio = sheets.damping_ratio[own]
+        sheets.place(member, self.positions_m)
+        self._target.assign(self.positions_m)
+        self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
+        sheets.mass[nodes].assign(self.mass_kg)
+        self._free.assign((~self.fixed).astype(float))
+        self.set_gravity(gravity)
+        self._inverse_step_squared.fill_(1.0)
+        ground = sheets.ground
+        ground.curvature[own].fill_(self.ground_curvature_per_m)
+        ground.normal_stiffness[own].fill_(self.normal_stiffness_N_m)
+        ground.tangential_stiffness[own].fill_(self.tangential_stiffness_N_m)
+        for whole, table in [
+            (sheets.stretching, tables.stretching_N_m),
+            (sheets.bending, tables.bending_N_m),
+        ]:
+            whole[member * len(table) : (member + 1) * len(table)].assign(table)
+        sheets.rest_angle[member].assign(bending.rest_angles(self.mesh, rest_curvature))
 
     # -- pieces of a step -----------------------------------------------------------------
 
     def _evaluate(self, x: np.ndarray) -> np.ndarray:
         """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
-        self._x.assign(x)
-        if self._layers is not None:
-            self._layers.add_forces(self._x, self._minus_force)
-        for command in self._forces:
-            command.launch()
-        return self._residual.numpy().copy()
+        self.sheets.place(self.member, x)
+        self.sheets.ask(Work.FORCES, self.member)
+        return self.sheets.forces(self.member)
 
     def _factorise(self) -> None:
         """Assemble and factor the tangent at the positions last evaluated."""
@@ -340,12 +255,11 @@ class ClothSolver:
             else:
                 tangent.uncouple()
             self._coupled = layers.generation
-        tangent.clear()
-        for command in self._stiffnesses:
-            command.launch()
+        self.sheets.ask(Work.STIFFNESS, self.member)
         values = tangent.contact_values()
         if layers is not None and len(layers):
-            layers.add_stiffness(self._x, self._free, *self._room, values)
+            place = self.sheets.positions(self.member)
+            layers.add_stiffness(place, self._free, *self._room, values)
         try:
             tangent.factorise()
         except ArithmeticError as error:
@@ -367,13 +281,13 @@ class ClothSolver:
         Not symmetric where a node slips: its friction follows its normal force. ``symmetric``
         leaves that part out.
         """
-        state = self._state.numpy()
+        place, state = self.sheets.evaluated(self.member)
         nodes = np.flatnonzero(state)
         free = ~self.fixed[nodes]
         free = free[:, :, None] & free[:, None, :]
         if self.floor.extended:
-            return nodes, self._law_blocks(nodes, symmetric) * free
-        x, frames = contact.ground_coordinates(self._x.numpy()[nodes], self.ground_curvature_per_m)
+            return nodes, self.sheets.contact_tangents(self.member, nodes, symmetric) * free
+        x, frames = contact.ground_coordinates(place[nodes], self.ground_curvature_per_m)
         offset = x[:, :2] - self._anchor.numpy()[nodes]
         blocks = np.zeros((len(nodes), 3, 3))
         blocks[:, 0, 0] = blocks[:, 1, 1] = self.tangential_stiffness_N_m
@@ -390,14 +304,6 @@ class ClothSolver:
         if self.ground_curvature_per_m:
             blocks = frames.transpose(0, 2, 1) @ blocks @ frames
         return nodes, blocks * free
-
-    def _law_blocks(self, nodes: np.ndarray, symmetric: bool) -> np.ndarray:
-        blocks = wp.zeros(len(nodes), dtype=wp.mat33d, device=self.device)
-        inputs = [self._x, self._inverse_step_squared, self.ground_curvature_per_m, self._anchor]
-        inputs += [self.normal_stiffness_N_m, self.tangential_stiffness_N_m, self.floor.state]
-        inputs += [wp.array(nodes, dtype=wp.int32, device=self.device), symmetric, blocks]
-        wp.launch(self.floor.kernels.tangent, dim=len(nodes), inputs=inputs, device=self.device)
-        return blocks.numpy()
 
     def _correction(self, residual: np.ndarray) -> np.ndarray:
         """Newton correction at the positions last evaluated.
@@ -540,10 +446,9 @@ class ClothSolver:
         self.record.largest_residual = max(self.record.largest_residual, error)
         self.velocities_m_s = (x - start) / step_s
         self.positions_m = x
-        for command in [*self._anchors, *self._remember]:
-            command.launch()
+        self.sheets.ask(Work.ACCEPT, self.member)
         if self._layers is not None:
-            touching = self._layers.move_anchors(self._x)
+            touching = self._layers.move_anchors(self.sheets.positions(self.member))
             self.record.touching_pairs = max(self.record.touching_pairs, touching)
         if self.floor.extended:
             place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
@@ -599,15 +504,14 @@ class ClothSolver:
             Tangential force that the floor's friction bears at the beginning, as the force of
             the cloth on the floor: what it bears after a slow tilt, say.
         """
-        self._x.assign(self.positions_m)
+        self.sheets.place(self.member, self.positions_m)
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         anchor = place[:, :2] - preload_N / self.tangential_stiffness_N_m
         self._anchor.assign(np.ascontiguousarray(anchor))
         if self.floor.extended:
-            self.floor.state.start.assign(self.positions_m)
+            self.floor.start.assign(self.positions_m)
             self.floor.set_directions(place)
-        for command in self._remember:
-            command.launch()
+        self.sheets.ask(Work.STRAINS, self.member)
 
     def advance(
         self,
@@ -644,9 +548,9 @@ class ClothSolver:
                     "time_s": self.time_s,
                     "positions_m": self.positions_m,
                     "velocities_m_s": self.velocities_m_s,
-                    "anchors_m": self._anchor.numpy(),
-                    "last_residual_N": self._residual.numpy(),
-                    "last_positions_m": self._x.numpy(),
+                    "anchors_m": self._anchor.numpy().copy(),
+                    "last_residual_N": self.sheets.forces(self.member),
+                    "last_positions_m": self.sheets.evaluated(self.member)[0].copy(),
                     "faces": self.mesh.faces,
                 },
             )

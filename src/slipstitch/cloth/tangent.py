@@ -62,23 +62,21 @@ class _Pattern:
         return cvxopt.spmatrix(1.0, cvxopt.matrix(rows), cvxopt.matrix(columns), (size, size))
 
 
-class Tangent:
-    """Tangent stiffness of the cloth, factored by CHOLMOD.
+class Assembly:
+    """Where the elements of a mesh add to the tangent stiffness: the same for all its sheets.
 
     Parameters
     ----------
     elements : list of ndarray, shape (n, k)
         Nodes of each element of each kind (faces, hinges): what couples whom.
-    elimination_order : ndarray, shape (V,)
-        Of the nodes.
     fixed : ndarray of bool, shape (V, 3)
         Coordinates left out: their rows and columns are those of the identity.
     device : str
 
     Attributes
     ----------
-    values : wp.array
-        Entries that elements add to; :meth:`clear` sets them to those of no element.
+    template : wp.array
+        Entries of no element.
     entries : list of wp.array, shape (n, 9 k^2)
         For each kind of element, where its entry (row, column) goes; -1 for entries above the
         diagonal or of fixed coordinates.
@@ -86,32 +84,30 @@ class Tangent:
         Likewise for (xx, yx, yy, zx, zy, zz) of each node's own block.
     """
 
-    def __init__(self, elements, elimination_order, fixed, device):
+    def __init__(self, elements: list[np.ndarray], fixed: np.ndarray, device: str):
         self.device = device
         self._fixed = fixed.ravel()
-        self._nodes = V = len(fixed)
+        self.node_count = V = len(fixed)
         keys = [np.arange(V, dtype=np.int64) * (V + 1)]
-        keys += [self._pair_keys(nodes) for nodes in elements]
-        self._own = _Pattern(np.unique(np.concatenate(keys)), V)
-        self._order = elimination_order
-        self.values = wp.zeros(self._own.entry_count, dtype=wp.float64, device=device)
-        template = np.zeros(self._own.entry_count)
+        keys += [self.pair_keys(nodes) for nodes in elements]
+        self.pattern = _Pattern(np.unique(np.concatenate(keys)), V)
+        template = np.zeros(self.pattern.entry_count)
         node, axis = np.divmod(np.flatnonzero(self._fixed), 3)
-        template[self._own.entry(self._own.block(node, node), axis, axis)] = 1.0
-        self._template = wp.array(template, dtype=wp.float64, device=device)
+        template[self.pattern.entry(self.pattern.block(node, node), axis, axis)] = 1.0
+        self.template = wp.array(template, dtype=wp.float64, device=device)
         self.entries = [self._places(nodes) for nodes in elements]
         node = np.arange(V)[:, None]
         row, column = np.array([0, 1, 1, 2, 2, 2]), np.array([0, 0, 1, 0, 1, 2])
-        place = self._own.entry(self._own.block(node, node), row, column)
+        place = self.pattern.entry(self.pattern.block(node, node), row, column)
         loose = ~self._fixed.reshape(V, 3)
         place = np.where(loose[:, row] & loose[:, column], place, -1)
         self.node_entries = wp.array(place.astype(np.int32), dtype=wp.int32, device=device)
-        self.uncouple()
 
-    def _pair_keys(self, nodes: np.ndarray) -> np.ndarray:
+    def pair_keys(self, nodes: np.ndarray) -> np.ndarray:
+        """Keys of the blocks that elements couple; nodes of shape (n, k)."""
         k = nodes.shape[1]
         a, b = (nodes[:, one].ravel().astype(np.int64) for one in np.tril_indices(k, -1))
-        return np.unique(np.minimum(a, b) * self._nodes + np.maximum(a, b))
+        return np.unique(np.minimum(a, b) * self.node_count + np.maximum(a, b))
 
     def _places(self, nodes: np.ndarray) -> wp.array:
         size = 3 * nodes.shape[1]
@@ -120,8 +116,29 @@ class Tangent:
         kept = (rows >= columns) & ~self._fixed[rows] & ~self._fixed[columns]
         place = np.full(rows.shape, -1, dtype=np.int32)
         r, c = rows[kept], columns[kept]
-        place[kept] = self._own.entry(self._own.block(r // 3, c // 3), r % 3, c % 3)
+        block = self.pattern.block(r // 3, c // 3)
+        place[kept] = self.pattern.entry(block, r % 3, c % 3)
         return wp.array(place, dtype=wp.int32, device=self.device)
+
+
+class Tangent:
+    """Tangent stiffness of one sheet, factored by CHOLMOD on the host.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    elimination_order : ndarray, shape (V,)
+        Of the nodes.
+    values : wp.array
+        Entries that elements add to.
+    """
+
+    def __init__(self, assembly: Assembly, elimination_order: np.ndarray, values: wp.array):
+        self._assembly = assembly
+        self._own = assembly.pattern
+        self._order = elimination_order
+        self._values = values
+        self.uncouple()
 
     # -- contacts between far nodes -------------------------------------------------------
 
@@ -129,7 +146,7 @@ class Tangent:
         """Hold the elements' couplings only."""
         self._whole = self._own
         self._moved = None
-        self._extended = self.values
+        self._extended = self._values
         self._new_pattern(self._order)
 
     def couple(self, contacts: np.ndarray) -> tuple[wp.array, wp.array]:
@@ -145,21 +162,21 @@ class Tangent:
             Of the node pairs (a, b), b <= a, row by row: where the block's first column
             starts, and how long that column is.
         """
-        keys = np.union1d(self._own.keys, self._pair_keys(contacts))
-        whole = self._whole = _Pattern(keys, self._nodes)
+        keys = np.union1d(self._own.keys, self._assembly.pair_keys(contacts))
+        whole = self._whole = _Pattern(keys, self._assembly.node_count)
         lower = cvxopt.spmatrix(
             1.0,
             cvxopt.matrix(whole.row),
             cvxopt.matrix(whole.column),
-            (self._nodes, self._nodes),
+            (whole.node_count, whole.node_count),
         )
         self._new_pattern(np.array(cvxopt.amd.order(lower)).ravel())
         self._moved = self._entry_map()
-        self._extended = wp.zeros(whole.entry_count, dtype=wp.float64, device=self.device)
+        self._extended = wp.zeros(whole.entry_count, dtype=wp.float64, device=self._assembly.device)
         a, b = np.tril_indices(4)
         block = whole.block(contacts[:, a], contacts[:, b])
         return tuple(
-            wp.array(one.astype(np.int32), dtype=wp.int32, device=self.device)
+            wp.array(one.astype(np.int32), dtype=wp.int32, device=self._assembly.device)
             for one in (whole.block_start[block], whole.first_length[whole.column[block]])
         )
 
@@ -184,15 +201,11 @@ class Tangent:
 
     # -- assembly and solution ------------------------------------------------------------
 
-    def clear(self) -> None:
-        """Begin assembly."""
-        wp.copy(self.values, self._template)
-
     def contact_values(self) -> wp.array:
         """Entries that contacts add to, once the elements have added theirs."""
         if self._moved is not None:
             extended = np.zeros(self._whole.entry_count)
-            extended[self._moved] = self.values.numpy()
+            extended[self._moved] = self._values.numpy()
             self._extended.assign(extended)
         return self._extended
 

@@ -17,6 +17,7 @@ STRAIN_NODES = 30
 NORMAL_STRAIN_MIN = -0.25  # of G00 and G11; |G01| starts at 0
 STRAIN_SPACING = 1.0 / 30.0
 CURVATURE_SPACING_PER_M = 5.0
+FOLD_DIRECTIONS, FOLD_CURVATURES = 3, 5  # of the bending table
 
 
 @dataclass(frozen=True)
@@ -106,5 +107,5 @@ def isotropic_tables(
     return ElasticTables(
         areal_density_kg_m2,
         np.broadcast_to(k, shape).copy(),
-        np.full((3, 5), hinge_stiffness_N_m),
+        np.full((FOLD_DIRECTIONS, FOLD_CURVATURES), hinge_stiffness_N_m),
     )

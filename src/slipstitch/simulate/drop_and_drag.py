@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from math import ceil, cos, radians, sin
 
 import numpy as np
 from tqdm import tqdm
 
-from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord, rectangle
+from slipstitch.cloth import (
+    ClothSolver,
+    Sheets,
+    SolverSettings,
+    StepRecord,
+    rectangle,
+    run_together,
+)
 from slipstitch.cloth.solver import GRAVITY_M_S2
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
 from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
@@ -62,16 +71,11 @@ def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbat
     )
 
 
-def simulate_drop_and_drag(
-    material: str,
-    friction: float,
-    seed: int,
-    settings: SimulationSettings,
-    path: StagePath | None = None,
-) -> tuple[Trajectory, dict[str, np.ndarray]]:
-    """Simulate one run.
+@dataclass(frozen=True)
+class DropAndDrag:
+    """One run.
 
-    Parameters
+    Attributes
     ----------
     material : str
         A fabric of the catalogue.
@@ -79,9 +83,35 @@ def simulate_drop_and_drag(
         Friction coefficient between cloth and floor, at least 0.
     seed : int
         Of the bench's perturbation; the run itself draws nothing.
+    """
+
+    material: str
+    friction: float
+    seed: int
+
+
+Recorded = tuple[Trajectory, dict[str, np.ndarray]]
+
+
+def simulate_drop_and_drag(
+    material: str,
+    friction: float,
+    seed: int,
+    settings: SimulationSettings,
+    path: StagePath | None = None,
+    device: str = "cpu",
+) -> Recorded:
+    """Simulate one run.
+
+    Parameters
+    ----------
+    material, friction, seed
+        See :class:`DropAndDrag`.
     settings : SimulationSettings
     path : StagePath, optional
         Motion of the clamps.
+    device : str
+        Warp device on which forces and stiffness are evaluated.
 
     Returns
     -------
@@ -94,95 +124,159 @@ def simulate_drop_and_drag(
     Raises
     ------
     BadInput
-        An unknown material, or a friction coefficient that is negative or not finite.
+        An unknown material or device, or a friction coefficient that is negative or not finite.
     NotConverged
         A step could not be solved.
     """
-    if not (np.isfinite(friction) and friction >= 0):
-        raise BadInput(f"friction {friction}: must be a finite number, at least 0")
+    (outcome,) = simulate_batch([DropAndDrag(material, friction, seed)], settings, path, device)
+    if isinstance(outcome, NotConverged):
+        raise outcome
+    return outcome
+
+
+def simulate_batch(
+    runs: Sequence[DropAndDrag],
+    settings: SimulationSettings,
+    path: StagePath | None = None,
+    device: str = "cpu",
+) -> list[Recorded | NotConverged]:
+    """Simulate several runs at once, forces and stiffness of all in one go.
+
+    Parameters
+    ----------
+    runs : sequence of DropAndDrag
+    settings, path, device
+        As for :func:`simulate_drop_and_drag`.
+
+    Returns
+    -------
+    list
+        For each run what :func:`simulate_drop_and_drag` returns, to the bit on the CPU; or the
+        error of a run that could not be solved, which leaves the others alone.
+
+    Raises
+    ------
+    BadInput
+        As there, for any of the runs.
+    """
     path = path or StagePath()
-    model = read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
-    perturbation = draw_perturbation(settings, seed)
-    fabric = load_fabric(material).scaled(
-        perturbation.density_factor * (1 + model.mass_error),
-        perturbation.stretching_factor,
-        perturbation.bending_factor * (1 + model.bending_error),
-    )
     n = settings.vertices_per_side
     mesh = rectangle(n, n, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T
-    pinned = down == 0
     inner = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
-    pinned &= (across <= inner) | (across >= SIDE_M - inner)
+    pinned = (down == 0) & ((across <= inner) | (across >= SIDE_M - inner))
+    sheets = Sheets(mesh, np.repeat(pinned[:, None], 3, axis=1), len(runs), device)
+    benches = [_Bench(run, settings, path, sheets, k) for k, run in enumerate(runs)]
+    frames = len(runs) * settings.frames
+    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
+        return run_together(sheets, [partial(bench.record, bar.update) for bench in benches])
 
-    yaw = radians(perturbation.yaw_deg)
-    lateral = across - SIDE_M / 2
-    hung_m = np.column_stack([-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down])
-    hung_m[:, 2] += perturbation.height_m
 
-    def clamps(time_s: float) -> np.ndarray:
-        x, z = path.position_m(max(time_s, 0.0))
-        return hung_m + np.array([x, 0.0, z - path.start_height_m])
+class _Bench:
+    """A cloth hung up for one run."""
 
-    solver = ClothSolver(
-        mesh,
-        ElasticTables.of_fabric(fabric),
-        hung_m,
-        friction=model.law_at(friction),
-        fixed=np.repeat(pinned[:, None], 3, axis=1),
-        settings=SolverSettings.of(settings),
-        gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
-        rest_curvature_per_m=perturbation.natural_curl_per_m,
-    )
-    solver.start()
-    frame_s = 1.0 / settings.frame_rate_hz
-    steps = ceil(frame_s / settings.time_step_s - 1e-9)
-    step_s = frame_s / steps
+    def __init__(
+        self,
+        run: DropAndDrag,
+        settings: SimulationSettings,
+        path: StagePath,
+        sheets: Sheets,
+        member: int,
+    ):
+        if not (np.isfinite(run.friction) and run.friction >= 0):
+            raise BadInput(f"friction {run.friction}: must be a finite number, at least 0")
+        self.run, self.settings, self.path = run, settings, path
+        self.mesh = mesh = sheets.mesh
+        self.model = model = (
+            read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
+        )
+        self.perturbation = perturbation = draw_perturbation(settings, run.seed)
+        fabric = load_fabric(run.material).scaled(
+            perturbation.density_factor * (1 + model.mass_error),
+            perturbation.stretching_factor,
+            perturbation.bending_factor * (1 + model.bending_error),
+        )
+        across, down = mesh.rest_uv_m.T
+        yaw = radians(perturbation.yaw_deg)
+        lateral = across - SIDE_M / 2
+        self.hung_m = hung_m = np.column_stack(
+            [-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down]
+        )
+        hung_m[:, 2] += perturbation.height_m
+        self.solver = ClothSolver(
+            mesh,
+            ElasticTables.of_fabric(fabric),
+            hung_m,
+            friction=model.law_at(run.friction),
+            fixed=sheets.fixed,
+            settings=SolverSettings.of(settings),
+            gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
+            rest_curvature_per_m=perturbation.natural_curl_per_m,
+            sheets=sheets,
+            member=member,
+        )
 
-    settle_steps = ceil(settings.settle_s / step_s - 1e-9)
-    solver.time_s = -settle_steps * step_s
-    for _ in range(settle_steps):
-        solver.advance(step_s, clamps)
-    totals = StepRecord()
-    times_s = np.arange(settings.frames) / settings.frame_rate_hz
-    positions = np.empty((settings.frames, mesh.vertex_count, 3), dtype=np.float32)
-    iterations = np.zeros(settings.frames, dtype=np.int32)
-    residuals = np.zeros(settings.frames)
-    bar = tqdm(range(settings.frames), unit="frame", disable=not sys.stderr.isatty())
-    for frame in bar:
-        if frame:
-            for _ in range(steps):
-                solver.advance(step_s, clamps)
-            # Restated, so that rounding does not pile up over thousands of steps.
-            solver.time_s = float(times_s[frame])
-        positions[frame] = solver.positions_m
-        iterations[frame] = solver.record.newton_iterations
-        residuals[frame] = solver.record.largest_residual
-        totals.add(solver.record)
-        solver.record = StepRecord()
-    stage_x_m, stage_z_m = path.position_m(times_s)
-    flat = np.column_stack([np.zeros(n * n), lateral, -down])
-    trajectory = Trajectory(
-        rest_positions_m=flat,
-        uv=mesh.rest_uv_m / SIDE_M,
-        faces=mesh.faces,
-        pinned=np.flatnonzero(pinned),
-        frame=np.arange(settings.frames),
-        time_s=times_s,
-        stage_x_m=stage_x_m,
-        stage_z_m=stage_z_m + perturbation.height_m,
-        positions_m=positions,
-        metadata={
-            "material": material,
-            "friction": friction,
-            "seed": seed,
-            "settings": settings.model_dump(mode="json"),
-            "perturbation": asdict(perturbation),
-            "stage_path": asdict(path),
-            "extended_model": asdict(model) if settings.model else None,
-            "step_s": step_s,
-            "solver": asdict(totals),
-            "convergence": measured_convergence(material, friction, settings, step_s),
-        },
-    )
-    return trajectory, {"newton_iterations": iterations, "residual": residuals}
+    def clamps(self, time_s: float) -> np.ndarray:
+        """Positions (V, 3) of which those of the held vertices count, in m."""
+        x, z = self.path.position_m(max(time_s, 0.0))
+        return self.hung_m + np.array([x, 0.0, z - self.path.start_height_m])
+
+    def record(self, frame_done) -> Recorded:
+        """Let the cloth settle, then go through the protocol."""
+        solver, settings = self.solver, self.settings
+        solver.start()
+        frame_s = 1.0 / settings.frame_rate_hz
+        steps = ceil(frame_s / settings.time_step_s - 1e-9)
+        step_s = frame_s / steps
+        settle_steps = ceil(settings.settle_s / step_s - 1e-9)
+        solver.time_s = -settle_steps * step_s
+        for _ in range(settle_steps):
+            solver.advance(step_s, self.clamps)
+        totals = StepRecord()
+        times_s = np.arange(settings.frames) / settings.frame_rate_hz
+        positions = np.empty((settings.frames, self.mesh.vertex_count, 3), dtype=np.float32)
+        iterations = np.zeros(settings.frames, dtype=np.int32)
+        residuals = np.zeros(settings.frames)
+        for frame in range(settings.frames):
+            if frame:
+                for _ in range(steps):
+                    solver.advance(step_s, self.clamps)
+                # Restated, so that rounding does not pile up over thousands of steps.
+                solver.time_s = float(times_s[frame])
+            positions[frame] = solver.positions_m
+            iterations[frame] = solver.record.newton_iterations
+            residuals[frame] = solver.record.largest_residual
+            totals.add(solver.record)
+            solver.record = StepRecord()
+            frame_done()
+        trajectory = self._trajectory(times_s, positions, step_s, totals)
+        return trajectory, {"newton_iterations": iterations, "residual": residuals}
+
+    def _trajectory(self, times_s, positions_m, step_s: float, totals: StepRecord) -> Trajectory:
+        run, settings, mesh = self.run, self.settings, self.mesh
+        across, down = mesh.rest_uv_m.T
+        stage_x_m, stage_z_m = self.path.position_m(times_s)
+        return Trajectory(
+            rest_positions_m=np.column_stack([np.zeros(len(down)), across - SIDE_M / 2, -down]),
+            uv=mesh.rest_uv_m / SIDE_M,
+            faces=mesh.faces,
+            pinned=np.flatnonzero(self.solver.fixed[:, 0]),
+            frame=np.arange(settings.frames),
+            time_s=times_s,
+            stage_x_m=stage_x_m,
+            stage_z_m=stage_z_m + self.perturbation.height_m,
+            positions_m=positions_m,
+            metadata={
+                "material": run.material,
+                "friction": run.friction,
+                "seed": run.seed,
+                "settings": settings.model_dump(mode="json"),
+                "perturbation": asdict(self.perturbation),
+                "stage_path": asdict(self.path),
+                "extended_model": asdict(self.model) if settings.model else None,
+                "step_s": step_s,
+                "solver": asdict(totals),
+                "device": self.solver.device,
+                "convergence": measured_convergence(run.material, run.friction, settings, step_s),
+            },
+        )

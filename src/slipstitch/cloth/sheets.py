@@ -1,0 +1,289 @@
+"""Sheets of cloth whose forces and stiffness are evaluated together, on one device.
+
+The arrays hold one sheet's nodes, faces or hinges after another's, so that one launch serves every
+sheet that has asked (those marked active); a single sheet is the case of one.
+
+Numbers are float64 on every device. A step is accepted when the forces on a node balance to 1e-4 of
+its friction force, some 1e-8 N; a membrane of 1000 N/m gives that for 1e-11 m, and float32 resolves
+1e-8 m at the size of the cloth.
+
+Sums over elements go through atomic additions: on the CPU, where a kernel's elements run in turn,
+in a fixed order, so that a sheet gets the same bits alone and among others; on a GPU in any order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from enum import Enum, auto
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth.floor_friction import friction_states
+from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.tangent import Assembly
+from slipstitch.errors import BadInput
+from slipstitch.material.law import FOLD_CURVATURES, FOLD_DIRECTIONS, STRAIN_NODES
+
+if TYPE_CHECKING:
+    from slipstitch.cloth.batch import Meeting
+    from slipstitch.cloth.self_contact import SelfContact
+
+
+class Work(Enum):
+    """What a sheet may ask for."""
+
+    FORCES = auto()  # out-of-balance forces at the placed positions
+    STIFFNESS = auto()  # entries of the tangent there
+    STRAINS = auto()  # strains there become those that damping refers to
+    ACCEPT = auto()  # likewise, and the floor's friction remembers the step
+
+
+class Sheets:
+    """Device arrays and launches of sheets of one mesh with the same held coordinates.
+
+    Parameters
+    ----------
+    mesh : ClothMesh
+    fixed : ndarray of bool, shape (V, 3)
+        Coordinates that are prescribed.
+    count : int
+        Number of sheets.
+    device : str
+        Warp device: ``cpu``, ``cuda``, ``cuda:1`` ...
+
+    Raises
+    ------
+    BadInput
+        There is no such device here.
+    """
+
+    def __init__(self, mesh: ClothMesh, fixed: np.ndarray, count: int = 1, device: str = "cpu"):
+        check_device(device)
+        self.mesh, self.count, self.device = mesh, count, device
+        self.fixed = np.array(fixed, dtype=bool)
+        self.assembly = Assembly([mesh.faces, mesh.hinges], self.fixed, device)
+        self.layers: dict[int, SelfContact] = {}
+        self.meeting: Meeting | None = None  # of the sheets' tasks, while they run together
+        self._allocate()
+        self._elements: dict[Work, list[wp.Launch]] = {}
+        self._nodes: dict[tuple[Work, bool], list[wp.Launch]] = {}
+        self._record_elements()
+
+    def _allocate(self) -> None:
+        mesh, count = self.mesh, self.count
+        V, F, H = mesh.vertex_count, len(mesh.faces), len(mesh.hinges)
+
+        def zeros(*shape, dtype=wp.float64):
+            return wp.zeros(shape, dtype=dtype, device=self.device)
+
+        def table(values, dtype):
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+        def repeated(values, dtype, offset=0):
+            shift = np.arange(count).repeat(len(values)) * offset
+            whole = np.concatenate([values] * count)
+            return table(whole + shift.reshape(-1, *[1] * (whole.ndim - 1)), dtype)
+
+        def members(elements):
+            return table(np.arange(count).repeat(elements), wp.int32)
+
+        # Of the elements.
+        self._faces = repeated(mesh.faces, wp.int32, V)
+        self._gradients = repeated(elasticity.shape_gradients(mesh), wp.vec2d)
+        self._face_area = repeated(mesh.face_areas_m2(), wp.float64)
+        self._face_members, self._hinge_members = members(F), members(H)
+        self._hinges = repeated(mesh.hinges, wp.int32, V)
+        self._hinge_shape = [repeated(one, wp.float64) for one in bending.hinge_geometry(mesh)]
+        self._strain, self._angle = zeros(count * F, dtype=wp.vec3d), zeros(count * H)
+        self.rest_angle = zeros(count, H)
+        # Of the nodes.
+        vectors = partial(zeros, count * V, dtype=wp.vec3d)
+        self._x, self._minus_force, self._residual = vectors(), vectors(), vectors()
+        self.target, self.free = vectors(), vectors()
+        self.anchor = zeros(count * V, dtype=wp.vec2d)
+        self.mass = zeros(count * V)
+        self._state = zeros(count * V, dtype=wp.int32)
+        self.friction = friction_states(mesh, count, self.device)
+        # Of the sheets.
+        self._active = zeros(count, dtype=wp.int32)
+        self._asked: tuple[int, ...] = ()
+        self.gravity = zeros(count, dtype=wp.vec3d)
+        self.inverse_step_squared, self.damping_ratio = zeros(count), zeros(count)
+        nodes = STRAIN_NODES
+        self.stretching = zeros(count * nodes, nodes, nodes, dtype=wp.vec4d)
+        self.bending = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
+        self._values = zeros(count * self.assembly.pattern.entry_count)
+        self.ground = contact.Ground()
+        self.ground.curvature = zeros(count)
+        self.ground.normal_stiffness = zeros(count)
+        self.ground.tangential_stiffness = zeros(count)
+        self.extended = [False] * count
+        # The host's copies: placed positions, and the last forces and contact states.
+        self._host_x = np.zeros((count * V, 3))
+        self._placed = wp.array(self._host_x, dtype=wp.vec3d, device="cpu", copy=False)
+        self._host_residual = np.zeros((count * V, 3))
+        self._host_state = np.zeros(count * V, dtype=np.int32)
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, elements: int) -> wp.Launch:
+        """Record a launch over the elements of all sheets."""
+        inputs = [self._active, *inputs]
+        dim = self.count * elements
+        return wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, record_cmd=True)
+
+    def _record_elements(self) -> None:
+        F, H = len(self.mesh.faces), len(self.mesh.hinges)
+        faces = [self._face_members, self._x, self._faces, self._gradients]
+        stretching = [*faces, self._face_area, self.stretching, self._strain, self.damping_ratio]
+        hinges = [self._hinge_members, self._x, self._hinges]
+        shape = [*hinges, *self._hinge_shape]
+        rest_angle = self.rest_angle.flatten()
+        folding = [rest_angle, self.bending, self._angle, self.damping_ratio, self._minus_force]
+        of_faces, of_hinges = self.assembly.entries
+        values = [self._values, self.assembly.pattern.entry_count]
+        unfolding = [self.bending, self.damping_ratio, of_hinges, *values]
+        self._elements[Work.FORCES] = [
+            self._launch(elasticity.stretching_force, [*stretching, self._minus_force], F),
+            self._launch(bending.bending_force, [*shape, *folding], H),
+        ]
+        self._elements[Work.STIFFNESS] = [
+            self._launch(elasticity.stretching_stiffness, [*stretching, of_faces, *values], F),
+            self._launch(bending.bending_stiffness, [*shape, *unfolding], H),
+        ]
+        self._elements[Work.STRAINS] = self._elements[Work.ACCEPT] = [
+            self._launch(elasticity.green_strains, [*faces, self._strain], F),
+            self._launch(bending.dihedral_angles, [*hinges, self._angle], H),
+        ]
+
+    def _node_launches(self, work: Work, extended: bool) -> list[wp.Launch]:
+        """Launches over nodes, recorded when first asked for: each law is a module to compile."""
+        if (work, extended) not in self._nodes:
+            self._nodes[work, extended] = [
+                self._launch(kernel, inputs, self.mesh.vertex_count)
+                for kernel, inputs in self._node_kernels(work, extended)
+            ]
+        return self._nodes[work, extended]
+
+    def _node_kernels(self, work: Work, extended: bool) -> Iterator[tuple[wp.Kernel, list]]:
+        kernels = contact.contact_kernels(extended)
+        floor = [self.ground, self.anchor, self.friction]
+        step = [self._x, self.inverse_step_squared]
+        if work is Work.FORCES:
+            inertia = [self.target, self.mass, self.inverse_step_squared, self.gravity]
+            out = [self._minus_force, self.free, self._residual, self._state]
+            yield kernels.residual, [self._x, *inertia, *floor, *out]
+        elif work is Work.STIFFNESS:
+            inertia = [self.mass, self.inverse_step_squared]
+            out = [self.assembly.node_entries, self._values, self.assembly.pattern.entry_count]
+            yield kernels.stiffness, [self._x, *inertia, *floor, *out]
+        elif work is Work.ACCEPT:
+            yield kernels.move_anchors, [*step, self.ground, self.friction, self.anchor]
+            if extended:
+                history = [*step, self.ground, self._state, self.friction]
+                yield contact.advance_friction_state, history
+
+    def nodes_of(self, member: int) -> slice:
+        """Places of a sheet's nodes in the arrays of all."""
+        V = self.mesh.vertex_count
+        return slice(member * V, (member + 1) * V)
+
+    # -- what a sheet's solver does -------------------------------------------------------
+
+    def place(self, member: int, x: np.ndarray) -> None:
+        """Put a sheet's nodes at positions (V, 3), in m, for the work asked for next."""
+        self._host_x[self.nodes_of(member)] = x
+
+    def ask(self, work: Work, member: int) -> None:
+        """Have work done for a sheet; among others, when all that still run have asked."""
+        if self.meeting is None:
+            self.run(work, [member])
+        else:
+            self.meeting.ask(work, member)
+
+    def forces(self, member: int) -> np.ndarray:
+        """Out-of-balance forces (V, 3) of a sheet when it last asked for them, in N."""
+        return self._host_residual[self.nodes_of(member)].copy()
+
+    def evaluated(self, member: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where a sheet's forces were last evaluated (V, 3), and the nodes' states (V,)."""
+        nodes = self.nodes_of(member)
+        return self._host_x[nodes], self._host_state[nodes]
+
+    def contact_tangents(self, member: int, nodes: np.ndarray, symmetric: bool) -> np.ndarray:
+        """Tangents (n, 3, 3) of the ground's force on some nodes, see :mod:`..contact`."""
+        blocks = wp.zeros(len(nodes), dtype=wp.mat33d, device=self.device)
+        numbers = (nodes + self.nodes_of(member).start).astype(np.int32)
+        inputs = [self._x, self.inverse_step_squared, self.ground, self.anchor, self.friction]
+        inputs += [wp.array(numbers, dtype=wp.int32, device=self.device), symmetric, blocks]
+        kernel = contact.contact_kernels(self.extended[member]).tangent
+        wp.launch(kernel, dim=len(nodes), inputs=inputs, device=self.device)
+        return blocks.numpy()
+
+    def positions(self, member: int) -> wp.array:
+        """A sheet's positions (V,) on the device, where its forces were last evaluated."""
+        return self._x[self.nodes_of(member)]
+
+    def tangent_values(self, member: int) -> wp.array:
+        """Entries of a sheet's tangent on the device."""
+        entries = self.assembly.pattern.entry_count
+        return self._values[member * entries : (member + 1) * entries]
+
+    # -- launches -------------------------------------------------------------------------
+
+    def run(self, work: Work, members: Sequence[int]) -> None:
+        """Do one kind of work for some sheets."""
+        if work in (Work.FORCES, Work.STRAINS):
+            wp.copy(self._x, self._placed)
+        if work is Work.FORCES and self.layers:
+            self._add_layers(members)
+        if work is Work.STIFFNESS:
+            for member in members:
+                wp.copy(self.tangent_values(member), self.assembly.template)
+        if work is Work.ACCEPT:
+            self._run_nodes(work, members)
+        self._activate(members)
+        for launch in self._elements[work]:
+            launch.launch()
+        if work in (Work.FORCES, Work.STIFFNESS):
+            self._run_nodes(work, members)
+        if work is Work.FORCES:
+            self._host_residual = self._residual.numpy()
+            self._host_state = self._state.numpy()
+
+    def _add_layers(self, members: Sequence[int]) -> None:
+        for member in members:
+            if member in self.layers:
+                force = self._minus_force[self.nodes_of(member)]
+                self.layers[member].add_forces(self.positions(member), force)
+
+    def _run_nodes(self, work: Work, members: Sequence[int]) -> None:
+        for extended in (False, True):
+            group = [member for member in members if self.extended[member] == extended]
+            if group:
+                self._activate(group)
+                for launch in self._node_launches(work, extended):
+                    launch.launch()
+
+    def _activate(self, members: Sequence[int]) -> None:
+        """Mark the sheets that the next launches are for."""
+        if tuple(members) != self._asked:
+            self._asked = tuple(members)
+            active = np.zeros(self.count, dtype=np.int32)
+            active[list(members)] = 1
+            self._active.assign(active)
+
+
+def check_device(name: str) -> None:
+    """Whether forces can be evaluated on a device.
+
+    Raises
+    ------
+    BadInput
+        There is no such device here.
+    """
+    here = [device.alias for device in wp.get_devices()]
+    if name not in here and not (name == "cuda" and wp.is_cuda_available()):
+        raise BadInput(f"device {name}: not available on this machine; there is: {', '.join(here)}")
