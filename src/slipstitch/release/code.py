@@ -10,7 +10,7 @@ CODE = "code"
 SNAKEFILE = f"{CODE}/Snakefile"
 SOURCES = f"{CODE}/src"
 _NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff", "src/slipstitch")
-_TOO = ("rules", "config", "envs/requirements.lock", "pyproject.toml")
+_TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
 _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~", ".*")
 
 
