@@ -62,8 +62,10 @@ COSTS = {
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
     "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
-    "release_s": Cost(0.0002, "CPU s an image", "hashed twice, written once; an allowance"),
-    "release_start_s": Cost(3.0, "CPU s", "smoke chain: 2 s, most of it imports"),
+    "release_s": Cost(
+        0.0003, "CPU s an image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
+    ),
+    "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
     "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
