@@ -28,6 +28,8 @@ def draw(result, path):
         left.set_xticks(vertices, [f"{row['vertices_per_side']}²" for row in mesh["rows"]])
         left.minorticks_off()
         left.legend(frameon=False)
+    else:
+        left.text(0.5, 0.5, "not measured yet", transform=left.transAxes, ha="center")
     left.set(
         xlabel="vertices", ylabel="CPU s a simulated second", title="royal-target, touching down"
     )
@@ -40,7 +42,7 @@ def draw(result, path):
         )  # fmt: skip
     window_s = runs[0]["window_s"] if runs else 0.0
     right.set(
-        xlabel="friction coefficient", ylabel="CPU s a simulated second", ylim=(0, None),
+        xlabel="friction coefficient", ylabel="CPU s a simulated second", ylim=(0, 1.1 * max((row["cpu_s_per_s"] for row in runs), default=1)),
         title=f"41 × 41 vertices, first {window_s:g} s",
     )  # fmt: skip
     if runs:
