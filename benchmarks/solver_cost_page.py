@@ -41,8 +41,9 @@ def draw(result, path):
             label=material,
         )  # fmt: skip
     window_s = runs[0]["window_s"] if runs else 0.0
+    top = 1.1 * max((row["cpu_s_per_s"] for row in runs), default=1)
     right.set(
-        xlabel="friction coefficient", ylabel="CPU s a simulated second", ylim=(0, 1.1 * max((row["cpu_s_per_s"] for row in runs), default=1)),
+        xlabel="friction coefficient", ylabel="CPU s a simulated second", ylim=(0, top),
         title=f"41 × 41 vertices, first {window_s:g} s",
     )  # fmt: skip
     if runs:
