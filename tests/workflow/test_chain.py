@@ -158,11 +158,18 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
         ("train={dropout: 0.3}", {"train", "evaluate", "report"}),
         ("evaluate={friction_step: 0.05}", {"evaluate", "report"}),
         ("simulation={damping_s: 0.003}", {"calibrate", "simulate"} | AFTER_SIMULATE),
+        ("calibrate={strip_slip_strain: 0.007}", {"calibrate", "simulate"} | AFTER_SIMULATE),
         ("seed=2", {"simulate"} | AFTER_SIMULATE),
     ],
 )
 def test_changed_value_reruns_the_stages_that_use_it(chain, override, rerun):
     assert stages(chain.pending("--config", override)) == rerun
+
+
+def test_a_changed_demand_keeps_the_pushes_of_the_strip(chain):
+    pending = chain.pending("--config", "calibrate={strip_slip_strain: 0.007}")
+    assert "calibrate/calibration.json" in pending
+    assert not [file for file in pending if file.startswith("calibrate/sweep/")]
 
 
 def test_one_more_replicate_keeps_the_simulations_there_are(chain, config):

@@ -178,7 +178,7 @@ def settings_figure(calibration: Mapping[str, Any]) -> Figure:
         _slip_strains(panels[0, column], key, tried, base)
         _largest_errors(panels[1, column], key, tried, base, demand)
     panels[0, 0].set_ylabel("vertical strain ε at slip")
-    panels[1, 0].set_ylabel("largest error of ε")
+    panels[1, 0].set_ylabel("largest error of ε (dotted: demand)")
     for axes in panels[0, len(keys) :]:
         axes.set_axis_off()
     return figure
@@ -226,7 +226,6 @@ def _largest_errors(axes: Axes, key: str, tried, base, demand: float | None) -> 
         )
     if demand:
         axes.axhline(demand, color=THEORY, lw=1, ls=":")
-        axes.text(len(values) - 0.52, demand, "demand", fontsize=7, va="bottom", ha="right")
     axes.set_yscale("log")
     axes.set_ylim(1e-4, 20.0)
     axes.set_xlim(-0.5, len(values) - 0.5)
