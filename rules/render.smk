@@ -1,7 +1,18 @@
-"""One Blender process a simulation and viewpoint, all textures in it; previews."""
+"""One Blender process a simulation and viewpoint; then all textures, without Blender; previews."""
 
-# The list of viewpoints decides which shards there are, not what one shard holds.
-RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints"})
+# Which shards there are, and what is put on the light afterwards, is not what the light depends on.
+SHADING_SETTINGS = settings(
+    "render",
+    render={
+        "viewpoints",
+        "test_viewpoints",
+        "textures",
+        "test_textures",
+        "augmentation",
+        "verified_images",
+    },
+)
+RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints", "verified_images"})
 
 
 def camera_file(wildcards):
@@ -21,33 +32,95 @@ rule render:
             simulation=SIMULATIONS,
             kind=["png", "mp4"],
         ),
+        "results/render/verification.json",
 
 
-rule render_one:
+rule render_shading:
     input:
         trajectory="results/simulate/{simulation}.parquet",
         camera=camera_file,
     output:
-        "results/render/{simulation}_{viewpoint}.parquet",
+        "results/render/shading/{simulation}_{viewpoint}.parquet",
     log:
-        "results/logs/render/{simulation}_{viewpoint}.log",
+        "results/logs/render/shade_{simulation}_{viewpoint}.log",
     benchmark:
-        "results/benchmarks/render/{simulation}_{viewpoint}.tsv"
+        "results/benchmarks/render/shade_{simulation}_{viewpoint}.tsv"
     threads: CONFIG.render.threads
     resources:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("render", CONFIG),
     params:
-        settings=RENDER_SETTINGS,
+        settings=SHADING_SETTINGS,
+        lamp=CONFIG.render.augmentation.lamp_m,
+        seed=CONFIG.seed,
         frames=CONFIG.sample.frames,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
+        code=code_digest("render.packing"),
+        config=CONFIG_FILE,
+    message:
+        "Render the light of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+    shell:
+        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        " --viewpoint {wildcards.viewpoint} --shading {output} > {log} 2>&1"
+
+
+rule render_images:
+    input:
+        trajectory="results/simulate/{simulation}.parquet",
+        shading=expand(
+            "results/render/shading/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS
+        ),
+        textures=CONFIG.render.texture_files(),
+    output:
+        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+    log:
+        "results/logs/render/compose_{simulation}.log",
+    benchmark:
+        "results/benchmarks/render/compose_{simulation}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("compose"),
+        runtime=job_runtime_min("compose", CONFIG),
+    params:
+        settings=RENDER_SETTINGS,
+        seed=CONFIG.seed,
         code=code_digest("render"),
         config=CONFIG_FILE,
     message:
-        "Render {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+        "Compose the images of {wildcards.simulation}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectory}"
-        " --viewpoint {wildcards.viewpoint} --out {output} > {log} 2>&1"
+        " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
+
+
+rule render_verification:
+    input:
+        trajectories=expand("results/simulate/{simulation}.parquet", simulation=SIMULATIONS),
+        shards=expand(
+            "results/render/{simulation}_{viewpoint}.parquet",
+            simulation=SIMULATIONS,
+            viewpoint=VIEWPOINTS,
+        ),
+    output:
+        "results/render/verification.json",
+    log:
+        "results/logs/render/verify.log",
+    benchmark:
+        "results/benchmarks/render/verify.tsv"
+    threads: CONFIG.render.threads
+    resources:
+        mem_mb=job_memory_mb("render"),
+        runtime=job_runtime_min("verify", CONFIG),
+    params:
+        images=CONFIG.render.verified_images,
+        seed=CONFIG.seed,
+        code=code_digest("render"),
+        config=CONFIG_FILE,
+    message:
+        "Compare {params.images} images with direct renders"
+    shell:
+        "slipstitch render --config {params.config} --verify --trajectories results/simulate"
+        " --packs results/render/shading --out {output} {input.shards} > {log} 2>&1"
 
 
 rule preview_one:

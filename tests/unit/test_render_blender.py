@@ -70,7 +70,7 @@ CAMERAS = [
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_blender_projects_as_opencv_does(flat, camera):
     scene, positions, (corner, along, down) = flat
-    _, uv = scene.render(positions, camera, samples=1)
+    _, uv, _ = scene.render(positions, camera, samples=1)
     y, x = np.nonzero(uv[..., 2])
     assert len(x) > 50
     point = corner + uv[y, x, :1] * along + uv[y, x, 1:2] * down
@@ -113,7 +113,7 @@ def test_cloth_without_albedo_is_black_and_more_albedo_is_brighter(flat):
     _, positions, _ = flat
     _, uv, faces = synthetic_cloth.grid(9)
     scene = ClothScene(faces, uv)
-    radiance, cover = scene.render(positions, view(32), samples=4)
+    radiance, cover, _ = scene.render(positions, view(32), samples=4)
     on_cloth = radiance.sum(axis=0)[cover[..., 2] == 1]
     red, green, blue = on_cloth.T
     assert np.abs(green).max() < 1e-6
@@ -126,7 +126,7 @@ def test_cloth_without_albedo_is_black_and_more_albedo_is_brighter(flat):
 def test_cloth_and_floor_are_well_lit_and_the_background_is_dark(name):
     _, uv, faces = synthetic_cloth.grid(21)
     positions = synthetic_cloth.shape(21, 0.1, 0.15, 1.0, 0.005)
-    radiance, cover = ClothScene(faces, uv).render(positions, view(64, name), samples=4)
+    radiance, cover, _ = ClothScene(faces, uv).render(positions, view(64, name), samples=4)
     total, cover = radiance.sum(axis=0), cover[..., 2]
     white = total[cover == 1][:, 0] / 0.8
     assert 0.25 < np.median(white) < 1.3

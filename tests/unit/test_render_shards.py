@@ -180,7 +180,7 @@ def test_interrupted_work_leaves_nothing(work, monkeypatch):
     def interrupt(layers, names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(shards, "compose", interrupt)
+    monkeypatch.setattr(shards, "compose_light", interrupt)
     before = sorted(work.iterdir())
     assert render(work, "--viewpoint", "v00", out="interrupted.parquet") == 130
     assert sorted(work.iterdir()) == before

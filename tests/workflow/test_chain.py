@@ -121,10 +121,14 @@ def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
         pending = chain.pending()
     made_from_it = {f"simulate/{gone}.parquet"}
     made_from_it |= {f"render/{gone}_{view}.parquet" for view in config.render.viewpoint_ids()}
+    made_from_it |= {
+        f"render/shading/{gone}_{view}.parquet" for view in config.render.viewpoint_ids()
+    }
     made_from_it |= {f"render/preview/{gone}.{kind}" for kind in ("png", "mp4")}
     assert made_from_it <= pending
     # What follows is made from all simulations together.
-    assert stages(pending - made_from_it) == {"sample", "train", "evaluate", "report"}
+    pending_after = pending - made_from_it - {"render/verification.json"}
+    assert stages(pending_after) == {"sample", "train", "evaluate", "report"}
     assert not [
         file
         for file in pending
@@ -138,6 +142,15 @@ def test_deleted_shard_reruns_no_simulation(chain, config):
         pending = chain.pending()
     assert gone in pending
     assert not stages(pending) & {"calibrate", "simulate"}
+
+
+@pytest.mark.parametrize(
+    "override", ["render={test_textures: [chevron]}", "render={augmentation: {noise: 0.02}}"]
+)
+def test_another_texture_or_camera_never_starts_blender(chain, override):
+    pending = chain.pending("--config", override)
+    assert [file for file in pending if file.startswith("render/m")]
+    assert not [file for file in pending if file.startswith("render/shading/")]
 
 
 def test_changed_friction_reruns_its_simulations_only(chain, config):

@@ -19,7 +19,8 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["simulate_one"] == 10 * 16
-    assert counts["render_one"] == 10 * 16 * (3 + 6)
+    assert counts["render_shading"] == 10 * 16 * (3 + 6)
+    assert counts["render_images"] == 10 * 16
     assert counts["preview_one"] == 10 * 16
     assert counts["train_one"] % (2 * 3) == 0  # splits, networks; times seeds
 
@@ -56,7 +57,7 @@ def test_dry_run_writes_no_results(workflow):
 def test_every_stage_is_a_target(workflow, target):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)
     assert answer.returncode == 0, answer.stderr
-    order = ["calibrate_settings", "simulate_one", "render_one", "sample_all", "train_one",
+    order = ["calibrate_settings", "simulate_one", "render_images", "sample_all", "train_one",
              "evaluate_all", "report_page"]  # fmt: skip
     wanted = [name for name in order if name.startswith(target)]
     later = order[order.index(wanted[-1]) + 1 :]
@@ -69,7 +70,13 @@ def test_release_is_a_target_of_its_own(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "release")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
-    assert {"simulate_one", "render_one", "sample_all", "release_folder"} <= set(counts)
+    assert {
+        "simulate_one",
+        "render_shading",
+        "render_images",
+        "sample_all",
+        "release_folder",
+    } <= set(counts)
     assert not {"train_one", "report_page"} & set(counts)
 
 

@@ -68,12 +68,15 @@ def _run(*words: str) -> None:
 def _configuration(contents: Contents, folder: Path) -> Path:
     """The release's configuration, with files from outside taken from the release."""
     config = contents.config
-    if config.render.camera is not None:
-        name = next(
-            (path for path in contents.artefacts if not is_ours(path)), config.render.camera
-        )
-        camera = (contents.folder / carried_file(name)).resolve()
-        render = config.render.model_copy(update={"camera": str(camera)})
+    carried = {
+        Path(path).name: str((contents.folder / carried_file(path)).resolve())
+        for path in contents.artefacts
+        if not is_ours(path)
+    }
+    render = config.render
+    if render.camera is not None:
+        camera = carried.get(Path(render.camera).name, render.camera)
+        render = render.model_copy(update={"camera": camera})
         config = config.model_copy(update={"render": render})
     write_config(config, folder / "config.json")
     return folder / "config.json"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from slipstitch.calibrate.settings import KEYS
 from slipstitch.config.grid import simulations, textures, viewpoints
 from slipstitch.config.model import Config
+from slipstitch.render.catalogue import FLOORS
 from slipstitch.train.settings import NETWORKS
 
 
@@ -47,9 +48,18 @@ COSTS = {
         1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
     ),
     "render_frame_s": Cost(
-        0.10, "CPU s a frame at 112 px, 1 sample", "30 frames: mean of 0.100, 0.133, 0.075 by view"
+        0.14,
+        "CPU s a frame at 112 px, 1 sample: traced, separated, smoothed, packed",
+        "busy machine: 0.145, 0.222, 0.075 by view",
     ),
+    "mirror_factor": Cost(2.0, "of render_frame_s on a floor that mirrors", "two paths for one"),
+    "pack_bytes": Cost(8.0, "bytes a pixel", "112 px, matte"),
+    "compose_start_s": Cost(0.6, "CPU s a simulation", "imports, textures drawn"),
+    "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
     "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
+    "direct_pixel_s": Cost(
+        2.5e-4, "CPU s a pixel at 256 samples", "about 1 M camera samples a second and core"
+    ),
     "image_bytes": Cost(1.75, "bytes a pixel of PNG", "demo, 64 px: mean of 6480 images"),
     "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
     "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
@@ -75,6 +85,8 @@ MEMORY_MB = {
     "calibrate": 1024,
     "simulate": 1024,
     "render": 2048,
+    "compose": 2048,
+    "verify": 2048,
     "preview": 1024,
     "sample": 2048,
     "train": 6144,
@@ -125,12 +137,31 @@ def _render_cpu_s(config: Config) -> float:
     images = _frames_rendered(config)
     # Half of it does not depend on the image's size: 0.07 s at 64 px.
     size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
-    shading = _cost("render_frame_s") * size
-    return _cost("render_start_s") + images * (shading + _cost("texture_s") * len(textures(config)))
+    mirrors = sum(FLOORS[name].reflectance[1] > 0 for name in config.render.floors)
+    mirrors = mirrors / len(config.render.floors)
+    size *= 1 + mirrors * (_cost("mirror_factor") - 1)
+    return _cost("render_start_s") + images * _cost("render_frame_s") * size
+
+
+def _compose_cpu_s(config: Config) -> float:
+    """One simulation's images from all viewpoints in all textures."""
+    images = _frames_rendered(config) * len(viewpoints(config))
+    each = _cost("look_frame_s") + _cost("texture_s") * len(textures(config))
+    return _cost("compose_start_s") + images * each
+
+
+def _verify_cpu_s(config: Config) -> float:
+    """The images that are rendered directly."""
+    one = _cost("render_start_s") + _cost("direct_pixel_s") * config.render.pixels**2
+    return config.render.verified_images * one
 
 
 def _image_bytes(config: Config) -> float:
     return _cost("image_bytes") * config.render.pixels**2
+
+
+def _pack_bytes(config: Config) -> float:
+    return _cost("pack_bytes") * config.render.pixels**2
 
 
 def _frame_factor(config: Config) -> float:
@@ -167,9 +198,11 @@ def estimate(config: Config) -> list[StageEstimate]:
         StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
         StageEstimate(
             "render",
-            runs * (views + 1),
-            runs * (views * _render_cpu_s(config) + _cost("preview_s")),
+            runs * (views + 2) + 1,
+            runs * (views * _render_cpu_s(config) + _compose_cpu_s(config) + _cost("preview_s"))
+            + _verify_cpu_s(config),
             images * _frames_rendered(config) * _image_bytes(config)
+            + runs * views * _frames_rendered(config) * _pack_bytes(config)
             + runs * _cost("preview_bytes"),
         ),
         # The table of ids counts here.
@@ -212,6 +245,10 @@ def job_runtime_min(stage: str, config: Config) -> int:
         cpu_s = _cost(f"{stage}_s")
     elif stage == "render":
         cpu_s = _render_cpu_s(config)
+    elif stage == "compose":
+        cpu_s = _compose_cpu_s(config)
+    elif stage == "verify":
+        cpu_s = _verify_cpu_s(config)
     else:
         stages = [*estimate(config), estimate_release(config)]
         whole = next(one for one in stages if one.stage == stage)

@@ -4,6 +4,7 @@ from slipstitch.provenance.code import code_digest, code_sources
 from slipstitch.provenance.files import atomic_path, file_digest
 from slipstitch.provenance.record import (
     attach_metadata,
+    parquet_stream,
     provenance_record,
     read_metadata,
     read_provenance,
@@ -19,6 +20,7 @@ __all__ = [
     "code_digest",
     "code_sources",
     "file_digest",
+    "parquet_stream",
     "provenance_record",
     "read_metadata",
     "read_provenance",

@@ -1,5 +1,6 @@
 """The record that goes with every artefact: what made it, from what, with what, at what cost."""
 
+import contextlib
 import functools
 import importlib.metadata
 import json
@@ -8,7 +9,7 @@ import platform
 import resource
 import subprocess
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +228,43 @@ def write_parquet(
     whole = attach_metadata(table, metadata or {}, record)
     with atomic_path(path) as temporary:
         pyarrow.parquet.write_table(whole, temporary, **{"compression": "zstd", **options})
+
+
+class ParquetStream:
+    """A Parquet file that is written group by group; made by `parquet_stream`."""
+
+    def __init__(self, writer):
+        self._writer = writer
+
+    def write(self, rows: list[dict[str, Any]]) -> None:
+        """Append rows as one row group."""
+        import pyarrow as pa
+
+        self._writer.write_table(pa.Table.from_pylist(rows, schema=self._writer.schema))
+
+    def describe(self, metadata: Mapping[str, Any], record: Mapping[str, Any]) -> None:
+        """Say what the file holds and what made it, once, after the last rows."""
+        whole = {**_plain(metadata), "provenance": _plain(record)}
+        text = json.dumps(whole, allow_nan=False)
+        self._writer.add_key_value_metadata({METADATA_KEY.decode(): text})
+
+
+@contextlib.contextmanager
+def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[ParquetStream]:
+    """Write a Parquet file atomically, a group of rows at a time: memory does not grow with it.
+
+    The file says what it holds as one of `write_parquet` does. `schema` must hold types that
+    Parquet itself knows; `options` go to ``pyarrow.parquet.ParquetWriter``.
+    """
+    import pyarrow.parquet
+
+    options = {"compression": "zstd", **options}
+    # Arrow's own copy of the schema is left out: it would hide metadata that is added at the end.
+    with (
+        atomic_path(path) as temporary,
+        pyarrow.parquet.ParquetWriter(temporary, schema, store_schema=False, **options) as writer,
+    ):
+        yield ParquetStream(writer)
 
 
 def read_metadata(source) -> dict[str, Any]:

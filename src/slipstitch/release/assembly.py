@@ -106,8 +106,8 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
 
 def _outside(config: Config) -> dict[str, Path]:
     """Name -> place of the files from outside that the configuration names."""
-    camera = config.render.camera
-    return {Path(camera).name: Path(camera)} if camera else {}
+    files = [config.render.camera, *config.render.texture_files()]
+    return {Path(file).name: Path(file) for file in files if file}
 
 
 def _check_target(out: Path) -> None:

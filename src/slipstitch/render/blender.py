@@ -1,7 +1,8 @@
 """The cloth on its substrate in Blender: scene, lights, camera, and Cycles on the CPU.
 
-The only module that imports bpy. Everything but the cloth is grey, and every surface is a
-Lambertian reflector, which is what lets `slipstitch.render.composition` put textures on afterwards.
+The only module that imports bpy. Everything but the cloth is grey, the cloth is a Lambertian
+reflector and the floor one that may mirror besides, which is what lets
+`slipstitch.render.composition` put textures on afterwards.
 """
 
 import contextlib
@@ -11,36 +12,48 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from slipstitch.errors import SlipstitchError
 from slipstitch.render.camera import Camera
 from slipstitch.render.exr import read_exr
+from slipstitch.render.surroundings import FLOOR_M, MATTE, Surroundings
 
 #: Albedo of the cloth in the shading render, per colour channel; see `composition.separate`.
 SHADING_ALBEDO = (0.8, 0.0, 0.4)
 
-_FLOOR_ALBEDO = 0.22
-# Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
-# so that neither is drawn through the other.
-_FLOOR_BELOW_M = 0.0004
 _LIGHT_GROUPS = ("lamp", "dome")
-#: Corners of the substrate.
-FLOOR_M = np.array(
-    [(x, y, -_FLOOR_BELOW_M) for x, y in ((-0.34, -0.3), (0.64, -0.3), (0.64, 0.3), (-0.34, 0.3))]
-)
 _BACKGROUND_RADIANCE = 0.006
 _DIFFUSE_BOUNCES = 2
 # One lamp: with two, each path would pick one at random, and that choice would be most of the
 # noise. The fill light is a dome, brightest towards _FILL_FROM, which the camera does not see.
-_LAMP_POSITION_M = (0.80, -0.50, 1.00)
 _LAMP_AIM_M = (0.15, 0.0, 0.05)
 _LAMP_SIDE_M = 0.15
 _LAMP_POWER_W = 15.5
 _FILL_RADIANCE = 0.28
 _FILL_GRADIENT = 0.6
 _FILL_FROM = (-0.30, -0.80, 0.52)
+
+
+class Rendering(NamedTuple):
+    """What Blender drew.
+
+    Attributes
+    ----------
+    radiance : ndarray (2, rows, columns, 3) float32
+        Linear light that comes from the lamp, and from the dome and background: red, green,
+        blue. The image is the sum of the two.
+    uv : ndarray (rows, columns, 3) float32
+        Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
+    glossy : ndarray (rows, columns, 3) float32, optional
+        The part of the image that the floor mirrors, if it does.
+    """
+
+    radiance: np.ndarray
+    uv: np.ndarray
+    glossy: np.ndarray | None
 
 
 @contextlib.contextmanager
@@ -70,17 +83,27 @@ class ClothScene:
         Triangles.
     uv : ndarray (V, 2)
         Texture coordinates in [0, 1].
+    surroundings : Surroundings
+        The floor's look and the lamp's place.
     threads : int
         Threads of Cycles.
     """
 
-    def __init__(self, faces: np.ndarray, uv: np.ndarray, *, threads: int = 1):
+    def __init__(
+        self,
+        faces: np.ndarray,
+        uv: np.ndarray,
+        surroundings: Surroundings = MATTE,
+        *,
+        threads: int = 1,
+    ):
         with _silent_stdout():
             import bpy
 
             bpy.ops.wm.read_factory_settings(use_empty=True)
         self._bpy = bpy
         self._scene = bpy.context.scene
+        self._surroundings = surroundings
         self._configure(threads)
         self._make_floor()
         self._make_lamp()
@@ -110,6 +133,9 @@ class ClothScene:
         image.color_depth = "32"
         image.exr_codec = "NONE"
         scene.view_layers[0].use_pass_uv = True
+        if self._surroundings.reflects:
+            for kind in ("direct", "indirect", "color"):
+                setattr(scene.view_layers[0], f"use_pass_glossy_{kind}", True)
         for group in _LIGHT_GROUPS:
             scene.view_layers[0].lightgroups.add(name=group)
         scene.view_settings.view_transform = "Standard"
@@ -178,9 +204,62 @@ class ClothScene:
         mesh = self._bpy.data.meshes.new("floor")
         mesh.from_pydata(FLOOR_M.tolist(), [], [(0, 1, 2, 3)])
         material, colour = self._diffuse("floor")
-        colour.default_value = (_FLOOR_ALBEDO, _FLOOR_ALBEDO, _FLOOR_ALBEDO, 1)
+        albedo = self._surroundings.albedo
+        colour.default_value = (albedo, albedo, albedo, 1)
+        if self._surroundings.reflects:
+            self._polish(material.node_tree)
         mesh.materials.append(material)
         self._link(self._bpy.data.objects.new("floor", mesh))
+
+    def _polish(self, tree) -> None:
+        """Put a mirror over the floor's Lambertian body, as the camera sees it.
+
+        Light that the floor throws onto the cloth stays Lambertian, with the mirror's share in its
+        albedo: mirrored light on rough ground is what few paths resolve worst.
+        """
+        nodes, link = tree.nodes, tree.links.new
+        normal = self._surroundings.reflectance
+        body = next(node for node in nodes if node.type == "BSDF_DIFFUSE")
+        output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+
+        def calculate(operation: str, first, second):
+            node = nodes.new("ShaderNodeMath")
+            node.operation = operation
+            for socket, value in zip(node.inputs, (first, second), strict=False):
+                if isinstance(value, float):
+                    socket.default_value = value
+                else:
+                    link(value, socket)
+            return node.outputs["Value"]
+
+        # Schlick: F = F0 + (1 - F0) (1 - cos)^5.
+        geometry = nodes.new("ShaderNodeNewGeometry")
+        cosine = nodes.new("ShaderNodeVectorMath")
+        cosine.operation = "DOT_PRODUCT"
+        link(geometry.outputs["Incoming"], cosine.inputs[0])
+        link(geometry.outputs["True Normal"], cosine.inputs[1])
+        grazing = calculate("SUBTRACT", 1.0, calculate("ABSOLUTE", cosine.outputs["Value"], 0.0))
+        fresnel = calculate(
+            "ADD", calculate("MULTIPLY", calculate("POWER", grazing, 5.0), 1 - normal), normal
+        )
+        mirror = nodes.new("ShaderNodeBsdfAnisotropic")
+        mirror.distribution = "GGX"
+        mirror.inputs["Color"].default_value = (1, 1, 1, 1)
+        mirror.inputs["Roughness"].default_value = self._surroundings.roughness
+        polished = nodes.new("ShaderNodeMixShader")
+        link(fresnel, polished.inputs[0])
+        link(body.outputs[0], polished.inputs[1])
+        link(mirror.outputs[0], polished.inputs[2])
+        # Schlick's mean over the hemisphere is F0 + (1 - F0) / 21.
+        mean = normal + (1 - normal) / 21
+        scattered = nodes.new("ShaderNodeBsdfDiffuse")
+        albedo = self._surroundings.albedo * (1 - mean) + mean
+        scattered.inputs["Color"].default_value = (albedo, albedo, albedo, 1)
+        seen = nodes.new("ShaderNodeMixShader")
+        link(nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], seen.inputs[0])
+        link(scattered.outputs[0], seen.inputs[1])
+        link(polished.outputs[0], seen.inputs[2])
+        link(seen.outputs[0], output.inputs["Surface"])
 
     def _make_lamp(self) -> None:
         from mathutils import Vector
@@ -192,8 +271,8 @@ class ClothScene:
         lamp.cycles.use_multiple_importance_sampling = False
         thing = self._bpy.data.objects.new("lamp", lamp)
         thing.lightgroup = "lamp"
-        thing.location = _LAMP_POSITION_M
-        beam = Vector(_LAMP_AIM_M) - Vector(_LAMP_POSITION_M)
+        thing.location = self._surroundings.lamp_position_m
+        beam = Vector(_LAMP_AIM_M) - thing.location
         thing.rotation_euler = beam.to_track_quat("-Z", "Y").to_euler()
         self._link(thing)
 
@@ -236,7 +315,7 @@ class ClothScene:
         *,
         samples: int,
         seed: int = 0,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Rendering:
         """Render the cloth with these vertices through this camera.
 
         Parameters
@@ -250,14 +329,6 @@ class ClothScene:
             evenly over the pixel.
         seed : int
             Of the path tracer's samples.
-
-        Returns
-        -------
-        radiance : ndarray (2, rows, columns, 3) float32
-            Linear light that comes from the lamp, and from the dome and background: red, green,
-            blue. The image is the sum of the two.
-        uv : ndarray (rows, columns, 3) float32
-            Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
 
         Raises
         ------
@@ -282,14 +353,15 @@ class ClothScene:
                     f"Blender's image could not be read back from {folder} (is it full?): {error}"
                 ) from None
         layer = self._scene.view_layers[0].name
-        radiance = np.stack(
-            [
-                np.stack([channels[f"{layer}.Combined_{group}.{c}"] for c in "RGB"], axis=-1)
-                for group in _LIGHT_GROUPS
-            ]
-        )
-        uv = np.stack([channels[f"{layer}.UV.{c}"] for c in "UVA"], axis=-1)
-        return radiance, uv
+
+        def colours(name: str, letters: str = "RGB") -> np.ndarray:
+            return np.stack([channels[f"{layer}.{name}.{c}"] for c in letters], axis=-1)
+
+        glossy = None
+        if self._surroundings.reflects:
+            glossy = (colours("GlossDir") + colours("GlossInd")) * colours("GlossCol")
+        radiance = np.stack([colours(f"Combined_{group}") for group in _LIGHT_GROUPS])
+        return Rendering(radiance, colours("UV", "UVA"), glossy)
 
     def _aim(self, camera: Camera) -> None:
         from mathutils import Matrix

@@ -60,3 +60,45 @@ TEXTURES: dict[str, int] = {
     "chevron": 109,
 }
 TEST_ONLY_TEXTURES: frozenset[str] = frozenset({"chevron"})
+
+
+def is_texture_file(name: str) -> bool:
+    """Whether a texture's name is that of an image file."""
+    return name.lower().endswith((".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"))
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A substrate's look: a mirror of some roughness over a grey Lambertian body.
+
+    Each pair is a range from which every simulation draws its own value.
+
+    Attributes
+    ----------
+    albedo : tuple of float
+        Of the body.
+    reflectance : tuple of float
+        Of the mirror at normal incidence; it grows towards grazing incidence (Schlick 1994).
+    roughness : tuple of float
+        As Blender has it: the width of the distribution of slopes (GGX) is its square.
+    """
+
+    albedo: tuple[float, float]
+    reflectance: tuple[float, float] = (0.0, 0.0)
+    roughness: tuple[float, float] = (0.0, 0.0)
+
+
+#: The paper's substrates, and two that stand for many. Reflectances at normal incidence are those
+#: of the materials (aluminium 0.91, steel 0.58, a refractive index of 1.5: 0.04) less what a film
+#: or a worn surface takes; roughness and albedo are estimates of what such plates look like.
+FLOORS: dict[str, Floor] = {
+    "matte": Floor(albedo=(0.22, 0.22)),
+    "reflective": Floor((0.08, 0.3), (0.04, 0.5), (0.1, 0.5)),
+    "aluminium": Floor((0.02, 0.06), (0.7, 0.9), (0.3, 0.5)),
+    "aluminium-pet": Floor((0.02, 0.06), (0.6, 0.8), (0.2, 0.35)),
+    "ceramic": Floor((0.45, 0.65), (0.035, 0.055), (0.1, 0.25)),
+    "rough-glass": Floor((0.15, 0.3), (0.035, 0.05), (0.4, 0.6)),
+    "smooth-glass": Floor((0.1, 0.25), (0.035, 0.05), (0.02, 0.08)),
+    "polyester-mirror": Floor((0.01, 0.03), (0.75, 0.9), (0.02, 0.1)),
+    "stainless-steel": Floor((0.02, 0.06), (0.5, 0.62), (0.2, 0.4)),
+}

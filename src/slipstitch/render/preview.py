@@ -45,7 +45,8 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
     return videos
 
 
-def _decode(data: bytes, where: str) -> np.ndarray:
+def decode_image(data: bytes, where: str) -> np.ndarray:
+    """An image file's content, blue first (H, W, 3) uint8; BadInput if it is damaged."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise BadInput(f"{where}: an image cannot be decoded")
@@ -91,7 +92,7 @@ def preview(
 
     def image(simulation: str, texture: str, view: str, number: int) -> np.ndarray:
         data, path = videos[simulation, texture, view][number]
-        return _decode(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
+        return decode_image(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
 
     record = provenance_record("render", inputs=shards, started=started)
     if sheet is not None:

@@ -1,4 +1,4 @@
-"""Cloth textures, drawn by formula and seeded noise: every one is the project's own.
+"""Cloth textures: the project's own, drawn by formula and seeded noise, and image files.
 
 A texture is linear albedo over the unit square of the cloth's texture coordinates; the demo cloth
 is 20 cm wide, so that 0.05 is a centimetre. Patterns are drawn with edges of a texel's width and
@@ -6,11 +6,13 @@ repeat nothing finer than about 4 mm, which the images can still resolve.
 """
 
 from functools import cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from slipstitch.errors import BadInput
-from slipstitch.render.catalogue import TEXTURES
+from slipstitch.render.catalogue import TEXTURES, is_texture_file
 
 TEXELS = 512
 # Cloth is neither black nor a mirror of all light; the interreflection is resolved up to 0.8.
@@ -24,7 +26,7 @@ def texture(name: str) -> np.ndarray:
     Parameters
     ----------
     name : str
-        One of `slipstitch.render.catalogue.TEXTURES`.
+        One of `slipstitch.render.catalogue.TEXTURES`, or an image file (sRGB).
 
     Returns
     -------
@@ -35,17 +37,42 @@ def texture(name: str) -> np.ndarray:
     Raises
     ------
     BadInput
-        If there is no texture of this name.
+        If there is no texture of this name, or its file is no image.
     """
-    if name not in TEXTURES:
-        raise BadInput(f"no texture {name!r}; there are: {', '.join(TEXTURES)}")
-    centres = (np.arange(TEXELS) + 0.5) / TEXELS
-    u, v = np.meshgrid(centres, centres)
-    srgb = _DRAWINGS[name](u, v, np.random.default_rng(TEXTURES[name]))
+    file = texture_file(name)
+    if file:
+        srgb = _read(file)
+    else:
+        centres = (np.arange(TEXELS) + 0.5) / TEXELS
+        u, v = np.meshgrid(centres, centres)
+        srgb = _DRAWINGS[name](u, v, np.random.default_rng(TEXTURES[name]))
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     albedo = np.clip(linear, _DARKEST, _LIGHTEST).astype(np.float32)
     albedo.setflags(write=False)
     return albedo
+
+
+def texture_file(name: str) -> Path | None:
+    """The image file that a texture is read from, None if it is drawn; BadInput if neither."""
+    if name in TEXTURES:
+        return None
+    path = Path(name)
+    if not is_texture_file(name):
+        raise BadInput(f"no texture {name!r}; there are: {', '.join(TEXTURES)}, or image files")
+    if not path.is_file():
+        raise BadInput(f"{path}: no such texture file")
+    return path
+
+
+def _read(path: Path) -> np.ndarray:
+    """An image file as sRGB values (512, 512, 3) in 0 ... 1, its upper edge the cloth's."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise BadInput(f"{path}: a texture must be an image file, and this is none")
+    size = (TEXELS, TEXELS)
+    shrinks = min(image.shape[:2]) >= TEXELS
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
+    return np.clip(cv2.resize(image, size, interpolation=how)[..., ::-1] / 255.0, 0, 1)
 
 
 def _colour(code: str) -> np.ndarray:

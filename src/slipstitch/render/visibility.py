@@ -39,10 +39,13 @@ class Visibility:
         Flat numbers of the pixels whose ray meets the cloth, rising.
     uv : ndarray (N, 2) float64
         Texture coordinates there.
+    depth_m : ndarray (N,) float64
+        Along the optical axis.
     """
 
     seen: np.ndarray
     uv: np.ndarray
+    depth_m: np.ndarray
 
 
 def visible_cloth(
@@ -102,7 +105,9 @@ def visible_cloth(
     seen, first = np.unique(pixel[front], return_index=True)
     front = front[first]
     blend = weights[front] / near[front, None]
-    return Visibility(seen, np.einsum("nk,nkd->nd", blend, uv[faces[triangle[front]]]))
+    return Visibility(
+        seen, np.einsum("nk,nkd->nd", blend, uv[faces[triangle[front]]]), 1 / near[front]
+    )
 
 
 def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:

@@ -16,8 +16,9 @@ from tqdm import tqdm
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
-from slipstitch.provenance import provenance_record, start_clock, write_parquet
+from slipstitch.provenance import provenance_record, read_metadata, start_clock, write_parquet
 from slipstitch.render.catalogue import VIEWPOINTS
+from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of
 from slipstitch.sample.splits import (
@@ -60,6 +61,9 @@ MANIFEST_SCHEMA = pa.schema(
         ("texture_role", pa.string()),
         ("viewpoint_role", pa.string()),
         ("viewpoint_turn_deg", pa.float64()),
+        ("floor", pa.string()),
+        ("floor_reflectance", pa.float64()),
+        ("floor_roughness", pa.float64()),
         ("split_by_video", pa.string()),
         ("split_by_simulation", pa.string()),
         ("frames", pa.int32()),
@@ -201,7 +205,10 @@ def _write_simulation(
     """Write one simulation's frames; return its manifest rows, sorted by video."""
     started = start_clock()
     videos: dict[tuple[str, str], list] = {}
+    floor: dict[str, Any] = {}
     for path in paths:
+        # One simulation, one floor: the same in every shard.
+        floor = read_metadata(path).get("surroundings") or MATTE.record()
         for (simulation, texture, view), images in read_shard(path, frames).items():
             if simulation != one.id:
                 continue
@@ -256,6 +263,9 @@ def _write_simulation(
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
                 "viewpoint_turn_deg": turn,
+                "floor": floor["floor"],
+                "floor_reflectance": floor["reflectance"],
+                "floor_roughness": floor["roughness"],
                 "split_by_video": by_video,
                 "split_by_simulation": by_simulation,
                 "frames": len(frames),

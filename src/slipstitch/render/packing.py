@@ -1,0 +1,288 @@
+"""Shading packs: the light of one simulation from one viewpoint, all that Blender has to give.
+
+Any texture is composed from a pack and the trajectory, without Blender. Light is kept in half
+precision (relative error 2^-11, under a tenth of an 8-bit level), its high and low bytes apart,
+which compresses better. Packs are read and written frame by frame.
+"""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.errors import BadInput
+from slipstitch.provenance import (
+    file_digest,
+    parquet_stream,
+    provenance_record,
+    read_metadata,
+    start_clock,
+)
+from slipstitch.render.settings import RenderSettings
+from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
+from slipstitch.render.shots import (
+    Shot,
+    camera_record,
+    cloth_size,
+    recorded_shots,
+    share_in_image,
+    shots,
+)
+from slipstitch.render.surroundings import FLOOR_M, MATTE, Surroundings, draw_surroundings
+from slipstitch.simulate.trajectory import Trajectory, read_trajectory
+
+_SCHEMA = pa.schema(
+    [
+        ("frame", pa.int32()),
+        ("window", pa.list_(pa.int32())),
+        ("still", pa.binary()),
+        ("cloth", pa.binary()),
+        ("mirrored", pa.binary()),
+    ]
+)
+# What is mirrored has one scattering more to resolve.
+_SAMPLES_MIRRORED = 2
+#: Largest light that half precision holds.
+_BRIGHTEST = 6e4
+
+
+@dataclass(frozen=True)
+class Job:
+    """One simulation from one viewpoint.
+
+    Attributes
+    ----------
+    trajectory_path : path
+        Its name without suffix is the simulation's id.
+    viewpoint_id, viewpoint : str
+        As the rows call it, and its name in the catalogue.
+    settings : RenderSettings
+    frames_sampled : int
+        How many frames the sample stage uses.
+    seed : int
+        The configuration's.
+    """
+
+    trajectory_path: str | os.PathLike
+    viewpoint_id: str
+    viewpoint: str
+    settings: RenderSettings
+    frames_sampled: int
+    seed: int
+
+    @property
+    def simulation(self) -> str:
+        """The simulation's id."""
+        return Path(self.trajectory_path).stem
+
+    def inputs(self) -> list:
+        """The files that the light depends on."""
+        camera = self.settings.camera_of(self.viewpoint)
+        return [self.trajectory_path, *([camera] if camera else [])]
+
+
+@dataclass(frozen=True)
+class Pack:
+    """The light of a simulation from a viewpoint.
+
+    Attributes
+    ----------
+    metadata : dict
+        Simulation, viewpoint, cameras, surroundings.
+    shots : list of Shot
+    shadings : iterable of dict
+        As half-precision bytes, one a shot; may be run through only once.
+    """
+
+    metadata: dict
+    shots: list[Shot]
+    shadings: Iterable[dict]
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """Floor and lamp."""
+        record = dict(self.metadata["surroundings"])
+        record["lamp_position_m"] = tuple(record["lamp_position_m"])
+        return Surroundings(**record)
+
+    def frames(self, trajectory: Trajectory) -> Iterator[tuple[Shot, Shading, Sight]]:
+        """Each frame's light and what its rays see."""
+        for shot, packed in zip(self.shots, self.shadings, strict=True):
+            sight = _sight(trajectory, shot, self.surroundings)
+            yield shot, _unpack(packed, shot.camera.pixels), sight
+
+
+def usable_trajectory(path: str | os.PathLike) -> Trajectory:
+    """A trajectory that can be rendered; BadInput if it cannot."""
+    trajectory = read_trajectory(path)
+    if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
+        raise BadInput(f"{path}: texture coordinates lie outside 0 ... 1")
+    if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
+        raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
+    return trajectory
+
+
+def _sight(trajectory: Trajectory, shot: Shot, surroundings: Surroundings) -> Sight:
+    positions = trajectory.positions_m[shot.row].astype(np.float64)
+    roughness = surroundings.roughness if surroundings.reflects else None
+    mesh = (positions, trajectory.faces, trajectory.uv)
+    return look(*mesh, FLOOR_M, shot.camera, roughness)
+
+
+def render_shadings(
+    trajectory: Trajectory,
+    wanted: list[Shot],
+    settings: RenderSettings,
+    surroundings: Surroundings = MATTE,
+) -> Iterator[tuple[Shot, Shading, Sight]]:
+    """Render the frames one by one in Blender."""
+    from slipstitch.render.blender import ClothScene
+
+    scene = ClothScene(trajectory.faces, trajectory.uv, surroundings, threads=settings.threads)
+    samples = settings.samples * (_SAMPLES_MIRRORED if surroundings.reflects else 1)
+    for shot in wanted:
+        rendering = scene.render(
+            trajectory.positions_m[shot.row],
+            shot.camera.at_resolution(settings.pixels * LIGHT_OVERSAMPLING),
+            samples=samples,
+            seed=shot.frame,
+        )
+        sight = _sight(trajectory, shot, surroundings)
+        yield shot, shade(*rendering, sight), sight
+
+
+def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
+    """Render the light of a simulation from a viewpoint.
+
+    Parameters
+    ----------
+    job : Job
+    trajectory : Trajectory
+        The job's.
+    progress : callable
+        Wraps the list of frames, to show how far the work is.
+    """
+    settings = job.settings
+    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled)
+    surroundings = draw_surroundings(settings, job.seed, job.simulation)
+    metadata = {
+        "simulation": job.simulation,
+        "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
+        "camera": camera_record(wanted, settings),
+        "surroundings": surroundings.record(),
+        "smallest_share_of_cloth_in_image": min(
+            share_in_image(trajectory, shot) for shot in wanted
+        ),
+        "trajectory_sha256": file_digest(job.trajectory_path),
+    }
+    frames = render_shadings(trajectory, progress(wanted), settings, surroundings)
+    return Pack(metadata, wanted, (_pack(shading, sight) for _, shading, sight in frames))
+
+
+def write_pack(job: Job, out: str | os.PathLike, progress=iter) -> Pack:
+    """Render the light of a simulation from a viewpoint into a file, atomically."""
+    started = start_clock()
+    pack = shade_job(job, usable_trajectory(job.trajectory_path), progress)
+    with parquet_stream(out, _SCHEMA) as stream:
+        for shot, packed in zip(pack.shots, pack.shadings, strict=True):
+            stream.write([{"frame": shot.frame, **packed}])
+        stream.describe(pack.metadata, _pack_record(job, started))
+    return pack
+
+
+def _pack_record(job: Job, started: tuple[float, float]) -> dict:
+    # What the light does not depend on.
+    unused: dict = dict.fromkeys(
+        ("textures", "test_textures", "viewpoints", "test_viewpoints", "verified_images"), True
+    )
+    unused["augmentation"] = {"exposure_stops", "colour_cast", "noise", "jpeg_quality"}
+    return provenance_record(
+        "render.packing",
+        inputs=job.inputs(),
+        config={
+            "render": job.settings.model_dump(mode="json", exclude=unused),
+            "sample": {"frames": job.frames_sampled},
+            "viewpoint": job.viewpoint,
+        },
+        seed=job.seed,
+        started=started,
+    )
+
+
+def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pack:
+    """Read what `write_pack` wrote.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, damaged, no shading pack, or of another trajectory.
+    """
+    try:
+        file = pq.ParquetFile(path)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file") from None
+    except (OSError, pa.ArrowException, ValueError) as error:
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise BadInput(f"{path}: damaged or no Parquet file: {first}") from None
+    metadata = read_metadata(file.schema_arrow)
+    if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
+        raise BadInput(f"{path}: not a shading pack")
+    if metadata["trajectory_sha256"] != file_digest(trajectory_path):
+        raise BadInput(f"{path}: rendered from another trajectory than {trajectory_path}")
+    trajectory = usable_trajectory(trajectory_path)
+    return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(file, path))
+
+
+def _rows(file: pq.ParquetFile, path: str | os.PathLike) -> Iterator[dict]:
+    with file:
+        for group in range(file.num_row_groups):
+            try:
+                yield from file.read_row_group(group).to_pylist()
+            except (OSError, pa.ArrowException) as error:
+                first = str(error).splitlines()[0] if str(error) else type(error).__name__
+                raise BadInput(f"{path}: damaged: {first}") from None
+
+
+def _pack(shading: Shading, sight: Sight) -> dict:
+    """Half-precision bytes of a frame's light; of the cloth's, what rays meet."""
+    side = shading.cloth.shape[-1]
+    step = sight.rays // LIGHT_OVERSAMPLING
+    met = np.zeros((side, side), dtype=bool)
+    y, x = np.divmod(sight.cloth.seen, side * step)
+    met[y // step, x // step] = True
+    rows, columns = np.flatnonzero(met.any(axis=1)), np.flatnonzero(met.any(axis=0))
+    window = [0, 0, 0, 0]
+    if len(rows):
+        window = [rows[0], rows[-1] + 1, columns[0], columns[-1] + 1]
+    top, bottom, left, right = window
+    cloth = (shading.cloth * met)[:, top:bottom, left:right]
+    return {
+        "window": [int(edge) for edge in window],
+        "still": _bytes(shading.still),
+        "cloth": _bytes(cloth),
+        "mirrored": None if shading.mirrored is None else _bytes(shading.mirrored),
+    }
+
+
+def _unpack(packed: dict, pixels: int) -> Shading:
+    top, bottom, left, right = packed["window"]
+    cloth = np.zeros((3, LIGHT_OVERSAMPLING * pixels, LIGHT_OVERSAMPLING * pixels), np.float32)
+    cloth[:, top:bottom, left:right] = _array(packed["cloth"], (3, bottom - top, right - left))
+    mirrored = packed["mirrored"]
+    if mirrored is not None:
+        mirrored = _array(mirrored, (2, pixels, pixels))
+    return Shading(_array(packed["still"], (3, pixels, pixels)), cloth, mirrored)
+
+
+def _bytes(light: np.ndarray) -> bytes:
+    half = np.clip(light, -_BRIGHTEST, _BRIGHTEST).astype("<f2")
+    return np.ascontiguousarray(half.ravel().view(np.uint8).reshape(-1, 2).T).tobytes()
+
+
+def _array(data: bytes, shape: tuple[int, ...]) -> np.ndarray:
+    halves = np.ascontiguousarray(np.frombuffer(data, np.uint8).reshape(2, -1).T)
+    return halves.view("<f2").reshape(shape).astype(np.float32)

@@ -1,0 +1,247 @@
+"""The light of one frame, separated by how often it met the cloth, and what its rays see.
+
+Lamps, floor and background are grey and the cloth is Lambertian, so the light that reaches a
+pixel is a power series in the cloth's albedo a: with a uniform cloth,
+
+    L(a) = scene + a first + a^2 second + ...
+
+where `scene` never touched the cloth, `first` touched it once (the lit cloth, or its light on the
+floor), `second` twice (light between folds, or from cloth to floor to cloth). One render with the
+albedos 0.8, 0 and 0.4 in its three channels gives three equations a pixel:
+
+    scene = G,   first = (4 (B - G) - (R - G)) / 0.8,   second = ((R - G) - 2 (B - G)) / 0.32
+
+with orders above the second folded into these two so that L is exact at a = 0.4 and a = 0.8. All
+three channels follow the same paths, so the solution holds path by path and adds no noise.
+
+Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths
+a pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16
+rays a pixel, 64 in small images (`slipstitch.render.visibility`). `slipstitch.render.composition`
+joins the two and puts textures on.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from slipstitch.render.camera import Camera
+from slipstitch.render.reflection import (
+    MirroredSight,
+    mirrored_sight,
+    smooth_beside,
+    smooth_mirrored_light,
+)
+from slipstitch.render.visibility import Visibility, sees_quad, visible_cloth
+
+#: The shading render has this many times the pixels of the image along each side.
+LIGHT_OVERSAMPLING = 2
+
+# Smoothing of the lamp's light and of the dome's, in pixels of the shading render. The lamp's has
+# the edges of shadows in it, the dome's is smooth but noisier.
+_FLOOR_BLUR = (0.7, 2.0)
+_CLOTH_BLUR = (1.2, 2.0)
+# Of light that the cloth throws onto a floor that mirrors besides.
+_CLOTH_LIGHT_BLUR = 1.4
+# On the cloth: this many pixels around, and weighted by nearness in texture coordinates.
+_CLOTH_RADIUS = 3
+_CLOTH_NEARBY = 0.06
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one frame's rays see.
+
+    Attributes
+    ----------
+    rays : int
+        Along each side of a pixel.
+    cloth : Visibility
+        Of the rays.
+    floor : ndarray (rays pixels, rays pixels) bool
+        The rays that see the floor.
+    mirrored : MirroredSight, optional
+        On a floor that mirrors.
+    """
+
+    rays: int
+    cloth: Visibility
+    floor: np.ndarray
+    mirrored: MirroredSight | None
+
+
+@dataclass(frozen=True)
+class Shading:
+    """One frame's light, separated and smoothed: all that composing needs of Blender.
+
+    Attributes
+    ----------
+    still : ndarray (3, pixels, pixels)
+        Scene, first- and second-order light of what is not cloth, averaged over each pixel.
+    cloth : ndarray (3, 2 pixels, 2 pixels)
+        The same of the cloth, where there is any.
+    mirrored : ndarray (2, pixels, pixels), optional
+        First- and second-order light that the floor mirrors (its scene light is in `still`).
+    """
+
+    still: np.ndarray
+    cloth: np.ndarray
+    mirrored: np.ndarray | None = None
+
+
+def separate(radiance: np.ndarray) -> np.ndarray:
+    """Scene, first- and second-order light (3, ...) of a shading render (..., 3)."""
+    scene = radiance[..., 1]
+    high, low = radiance[..., 0] - scene, radiance[..., 2] - scene
+    return np.stack([scene, (4 * low - high) / 0.8, (high - 2 * low) / 0.32])
+
+
+def look(
+    positions_m: np.ndarray,
+    faces: np.ndarray,
+    vertex_uv: np.ndarray,
+    floor_m: np.ndarray,
+    camera: Camera,
+    roughness: float | None = None,
+) -> Sight:
+    """What the rays of an image see.
+
+    Parameters
+    ----------
+    positions_m, faces, vertex_uv : ndarray
+        The cloth's mesh.
+    floor_m : ndarray (4, 3)
+        Corners of the floor.
+    camera : Camera
+        At the resolution of the image.
+    roughness : float, optional
+        Of a floor that mirrors.
+    """
+    rays = _rays_per_side(camera.pixels)
+    fine = camera.at_resolution(camera.pixels * rays)
+    cloth = visible_cloth(positions_m, faces, vertex_uv, fine, rays)
+    floor = sees_quad(floor_m, fine, rays)
+    mirrored = None
+    if roughness is not None:
+        bare = floor.copy()
+        bare.ravel()[cloth.seen] = False
+        mesh = (positions_m, faces, vertex_uv)
+        z, cells = floor_m[0, 2], LIGHT_OVERSAMPLING
+        mirrored = mirrored_sight(*mesh, z, roughness, bare, camera, rays, cells)
+    return Sight(rays, cloth, floor, mirrored)
+
+
+def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight: Sight) -> Shading:
+    """Separate and smooth the light of a shading render.
+
+    Parameters
+    ----------
+    radiance : ndarray (2, 2 pixels, 2 pixels, 3)
+    uv : ndarray (2 pixels, 2 pixels, 3)
+    glossy : ndarray (2 pixels, 2 pixels, 3), optional
+        As `ClothScene.render` returns them at twice the camera's resolution.
+    sight : Sight
+        Of the image.
+    """
+    light = np.stack([separate(part) for part in radiance])
+    step = sight.rays // LIGHT_OVERSAMPLING
+    floor = sight.floor.astype(np.float32)
+    # Light comes from pixels that see nothing but one surface.
+    cover = uv[..., 2]
+    on_cloth = cover > 0.999
+    of_floor = _shrink(floor, step)
+    on_floor = (of_floor > 0.999) & (cover < 0.001)
+    elsewhere = (of_floor < 0.001) & (cover < 0.001)
+    cloth_light = _smooth_on_cloth(light, uv, on_cloth)
+    if glossy is None:
+        floor_light = sum(map(_spread, light, (on_floor,) * 2, _FLOOR_BLUR))
+    else:
+        by_cloth = separate(glossy)[1:]
+        coverage = sight.mirrored.coverage
+        mirrored = smooth_mirrored_light(by_cloth, on_floor, sight.mirrored)
+        floor_light = np.concatenate(
+            [
+                _spread(light[0, :1], on_floor, _FLOOR_BLUR[0])
+                + smooth_beside(light[1, 0], on_floor, coverage),
+                _spread(light[:, 1:].sum(axis=0) - by_cloth, on_floor, _CLOTH_LIGHT_BLUR),
+            ]
+        )
+
+    # What is not cloth, without the rays that meet the cloth.
+    other = 1 - floor
+    for share in (floor, other):
+        share.ravel()[sight.cloth.seen] = 0
+    share = _shrink(floor, step)
+    still = floor_light * share
+    background = np.median(light[:, 0].sum(axis=0)[elsewhere]) if elsewhere.any() else 0.0
+    still[0] += background * _shrink(other, step)
+    still = np.stack([_shrink(part, LIGHT_OVERSAMPLING) for part in still])
+    if glossy is None:
+        return Shading(still, cloth_light)
+    mirrored = np.stack([_shrink(part * share, LIGHT_OVERSAMPLING) for part in mirrored])
+    return Shading(still, cloth_light, mirrored)
+
+
+def _rays_per_side(pixels: int) -> int:
+    """Rays along each side of a pixel: small images show more of the texture in each."""
+    return 8 if pixels <= 80 else 4
+
+
+def _shrink(image: np.ndarray, step: int) -> np.ndarray:
+    """Means over blocks of step x step pixels."""
+    return cv2.resize(image, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
+
+
+def _spread(light: np.ndarray, where: np.ndarray, blur: float) -> np.ndarray:
+    """Light (3, H, W) smoothed within a region and carried a little way out of it."""
+    share = where.astype(np.float32)
+    values = np.moveaxis(light, 0, -1).astype(np.float32) * share[..., None]
+    result = np.zeros_like(values)
+    # First far, then near, so that every pixel around the region gets a value.
+    for smooth in (
+        lambda image: cv2.blur(image, (15, 15)),
+        lambda image: cv2.GaussianBlur(image, (7, 7), blur),
+    ):
+        total = smooth(share)[..., None]
+        smoothed = smooth(values).reshape(values.shape)
+        np.divide(smoothed, total, out=result, where=total > 1e-3)
+    return np.moveaxis(result, -1, 0)
+
+
+def _smooth_on_cloth(light: np.ndarray, uv: np.ndarray, on_cloth: np.ndarray) -> np.ndarray:
+    """Light (2, 3, H, W) smoothed over pixels close both in the image and on the cloth, added."""
+    result = sum(map(_spread, light, (on_cloth,) * 2, _CLOTH_BLUR))
+    rows, columns = np.flatnonzero(on_cloth.any(axis=1)), np.flatnonzero(on_cloth.any(axis=0))
+    if not len(rows):
+        return result
+    window = np.s_[..., rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    inside = on_cloth[window]
+    smooth = light[window].astype(np.float32)
+    place = np.moveaxis(uv[window[1:]][..., :2], -1, 0) / np.float32(_CLOTH_NEARBY)
+    # Along the rows, then along the columns: nearly the same as over squares, at a third the cost.
+    for axis in (-1, -2):
+        smooth = _smooth_along(axis, smooth, place, inside)
+    result[window] = np.where(inside, smooth.sum(axis=0), result[window])
+    return result
+
+
+def _smooth_along(
+    axis: int, light: np.ndarray, place: np.ndarray, inside: np.ndarray
+) -> np.ndarray:
+    share = inside.astype(np.float32)
+    total = np.zeros((2, *inside.shape), np.float32)
+    parts = np.zeros_like(light)
+    size = inside.shape[axis]
+    # Every pair of pixels that lie `step` apart, weighted both ways at once.
+    for step in range(min(_CLOTH_RADIUS, size - 1) + 1):
+        one, other = [slice(None)] * 2, [slice(None)] * 2
+        one[axis], other[axis] = slice(0, size - step), slice(step, size)
+        one, other = (..., *one), (..., *other)
+        apart = place[one] - place[other]
+        near = np.exp(-(apart[0] ** 2 + apart[1] ** 2)) * share[one] * share[other]
+        for k, blur in enumerate(_CLOTH_BLUR):
+            weight = near * np.float32(np.exp(-(step**2) / 2 / blur**2))
+            for to, source in ((one, other), (other, one))[: 1 + (step > 0)]:
+                total[k][to] += weight
+                parts[k][to] += weight * light[k][source]
+    return parts / np.maximum(total, 1e-6)[:, None]

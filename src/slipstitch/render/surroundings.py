@@ -1,0 +1,85 @@
+"""What a simulation is rendered on and by: the floor's look and the lamp's place.
+
+Drawn once a simulation, the same for all its viewpoints and textures, from the configuration's seed
+and the simulation's id: adding a viewpoint or a simulation changes no other.
+"""
+
+import hashlib
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from slipstitch.render.catalogue import FLOORS
+from slipstitch.render.settings import RenderSettings
+
+# Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
+# so that neither is drawn through the other.
+_FLOOR_BELOW_M = 0.0004
+#: Corners of the substrate.
+FLOOR_M = np.array(
+    [(x, y, -_FLOOR_BELOW_M) for x, y in ((-0.34, -0.3), (0.64, -0.3), (0.64, 0.3), (-0.34, 0.3))]
+)
+#: Where the lamp hangs, unless it is moved.
+LAMP_POSITION_M = (0.80, -0.50, 1.00)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Floor and lamp of one simulation.
+
+    Attributes
+    ----------
+    floor : str
+        Name in the catalogue.
+    albedo, reflectance, roughness : float
+        As drawn, see `slipstitch.render.catalogue.Floor`.
+    lamp_position_m : tuple of float
+    """
+
+    floor: str = "matte"
+    albedo: float = 0.22
+    reflectance: float = 0.0
+    roughness: float = 0.0
+    lamp_position_m: tuple[float, float, float] = LAMP_POSITION_M
+
+    @property
+    def reflects(self) -> bool:
+        """Whether the floor mirrors anything."""
+        return self.reflectance > 0
+
+    def record(self) -> dict:
+        """The values as a mapping."""
+        return asdict(self)
+
+
+#: The floor and lamp of a configuration that varies neither.
+MATTE = Surroundings()
+
+
+def generator(seed: int, *names: str) -> np.random.Generator:
+    """Random numbers that depend on the configuration's seed and on these names only."""
+    text = "|".join([str(seed), *names])
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
+
+
+def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> Surroundings:
+    """Floor and lamp of a simulation.
+
+    Parameters
+    ----------
+    settings : RenderSettings
+        Floors to draw from, and how far the lamp may move.
+    seed : int
+        The configuration's.
+    simulation : str
+        Its id.
+    """
+    rng = generator(seed, simulation, "surroundings")
+    name = settings.floors[int(rng.integers(len(settings.floors)))]
+    floor = FLOORS[name]
+    albedo, reflectance, roughness = (
+        float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
+    )
+    moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
+    lamp = tuple(float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
+    return Surroundings(name, albedo, reflectance, roughness, lamp)

@@ -1,0 +1,211 @@
+"""A random sample of the dataset's images against Blender with the texture itself on the cloth."""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+
+from slipstitch.config import Config
+from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.provenance import (
+    atomic_path,
+    provenance_record,
+    read_metadata,
+    start_clock,
+    write_sidecar,
+)
+from slipstitch.render.composition import compose_light, encode_srgb, join
+from slipstitch.render.packing import Job, read_pack, usable_trajectory
+from slipstitch.render.preview import decode_image
+from slipstitch.render.shards import SCHEMA, cameras
+from slipstitch.render.surroundings import generator
+from slipstitch.render.textures import texture
+
+#: Paths a pixel of the direct renders.
+SAMPLES = 256
+#: What a composed image must reach, by whether its floor mirrors.
+LEAST_PSNR_DB = {False: 38.0, True: 36.0}
+LEAST_SSIM = 0.97
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One image of the dataset against a direct render."""
+
+    video: str
+    frame: int
+    floor: str
+    psnr_db: float
+    ssim: float
+    least_psnr_db: float
+    as_stored: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether the image is the one in the dataset, and near enough to the direct one."""
+        return self.as_stored and self.psnr_db >= self.least_psnr_db and self.ssim >= LEAST_SSIM
+
+
+def psnr_db(image: np.ndarray, reference: np.ndarray) -> float:
+    """Peak signal-to-noise ratio (dB) of two 8-bit images."""
+    error = np.mean((image.astype(np.float64) - reference) ** 2)
+    return float(10 * np.log10(255**2 / max(error, 1e-12)))
+
+
+def ssim(image: np.ndarray, reference: np.ndarray) -> float:
+    """Structural similarity of two 8-bit RGB images' luma (Wang, Bovik, Sheikh & Simoncelli 2004).
+
+    Gaussian windows of 11 pixels, standard deviation 1.5; windows inside the image only.
+    """
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(values, (11, 11), 1.5)[5:-5, 5:-5]
+
+    one, other = (cv2.cvtColor(x, cv2.COLOR_RGB2GRAY).astype(float) for x in (image, reference))
+    m1, m2 = mean(one), mean(other)
+    v1, v2 = mean(one**2) - m1**2, mean(other**2) - m2**2
+    both = mean(one * other) - m1 * m2
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    similar = (2 * m1 * m2 + c1) * (2 * both + c2) / ((m1**2 + m2**2 + c1) * (v1 + v2 + c2))
+    return float(similar.mean())
+
+
+def compare(
+    config: Config,
+    shard: str | os.PathLike,
+    row: int,
+    trajectory_path: str | os.PathLike,
+    pack_path: str | os.PathLike,
+) -> Comparison:
+    """Compare one image.
+
+    Parameters
+    ----------
+    config : Config
+    shard : path
+    row : int
+        Of the shard.
+    trajectory_path, pack_path : path
+        That the shard was composed from.
+    """
+    from slipstitch.render.blender import ClothScene
+
+    stored = pq.read_table(shard).slice(row, 1).to_pylist()[0]
+    view = read_metadata(shard)["viewpoint"]
+    settings = config.render
+    job = Job(
+        trajectory_path, view["id"], view["name"], settings, config.sample.frames, config.seed
+    )
+    name = settings.texture_ids()[stored["texture"]]
+    trajectory = usable_trajectory(trajectory_path)
+    pack = read_pack(pack_path, trajectory_path)
+    shot, shading, sight = next(
+        frame for frame in pack.frames(trajectory) if frame[0].frame == stored["frame"]
+    )
+    camera = cameras(job)[name]
+    (light,) = compose_light(join(shading, sight), [name])
+    words = (job.simulation, name, job.viewpoint, str(shot.frame))
+    again = camera.photograph(light, generator(config.seed, *words))
+    scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
+    scene.wear(texture(name))
+    # Another seed than the shading render's: the two share no noise.
+    positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
+    direct = scene.render(positions, shot.camera, samples=SAMPLES, seed=seed).radiance.sum(axis=0)
+    composed, reference = (encode_srgb(camera.light(image)) for image in (light, direct))
+    video = f"{job.simulation}_{stored['texture']}_{view['id']}"
+    image = decode_image(stored["image"]["bytes"], f"{shard}: {video} frame {shot.frame}")
+    return Comparison(
+        video,
+        shot.frame,
+        pack.surroundings.floor,
+        psnr_db(composed, reference),
+        ssim(composed, reference),
+        LEAST_PSNR_DB[pack.surroundings.reflects],
+        bool((image[..., ::-1] == again).all()),
+    )
+
+
+def verify(
+    config: Config,
+    shards: Sequence[str | os.PathLike],
+    trajectories: str | os.PathLike,
+    packs: str | os.PathLike,
+    out: str | os.PathLike,
+    progress=iter,
+) -> list[Comparison]:
+    """Render a random sample of the shards' images directly and compare.
+
+    Parameters
+    ----------
+    config : Config
+        `render.verified_images` says how many, its seed which.
+    shards : sequence of paths
+        Image shards.
+    trajectories, packs : path
+        Folders of the simulations and of the shading packs.
+    out : path
+        JSON file of all comparisons.
+    progress : callable
+        Wraps the list of images.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing or damaged.
+    SlipstitchError
+        If an image is not the dataset's, or not near enough to the direct one.
+    """
+    started = start_clock()
+    rows = []
+    for path in sorted(map(os.fspath, shards)):
+        try:
+            with pq.ParquetFile(path) as file:
+                if file.schema_arrow.names != SCHEMA.names:
+                    raise BadInput(f"{path}: not an image shard")
+                rows += [(path, row) for row in range(file.metadata.num_rows)]
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{path}: {str(error).splitlines()[0]}") from None
+    rng = generator(config.seed, "verification")
+    count = min(config.render.verified_images, len(rows))
+    chosen = [rows[k] for k in sorted(rng.choice(len(rows), count, replace=False))]
+    comparisons, inputs = [], set()
+    for path, row in progress(chosen):
+        simulation = Path(path).stem.rsplit("_", 1)[0]
+        files = (Path(trajectories) / f"{simulation}.parquet", Path(packs) / Path(path).name)
+        comparisons.append(compare(config, path, row, *files))
+        inputs.update([path, *map(os.fspath, files)])
+    worst = {
+        "images": len(comparisons),
+        "lowest_psnr_db": min((one.psnr_db for one in comparisons), default=None),
+        "lowest_ssim": min((one.ssim for one in comparisons), default=None),
+        "comparisons": [{**asdict(one), "passed": one.passed} for one in comparisons],
+    }
+    failed = [one for one in comparisons if not one.passed]
+    if failed:
+        raise SlipstitchError("; ".join(map(_complaint, failed)))
+    with atomic_path(out) as temporary:
+        temporary.write_text(json.dumps(worst, indent=1) + "\n", encoding="utf-8")
+    record = provenance_record(
+        "render",
+        inputs=sorted(inputs),
+        config={"render": config.render},
+        seed=config.seed,
+        started=started,
+    )
+    write_sidecar(out, record)
+    return comparisons
+
+
+def _complaint(one: Comparison) -> str:
+    where = f"{one.video} frame {one.frame}"
+    if not one.as_stored:
+        return f"{where}: the stored image is not what its shading pack gives"
+    return (
+        f"{where} (floor {one.floor}): {one.psnr_db:.1f} dB and SSIM {one.ssim:.3f} against the "
+        f"direct render, at least {one.least_psnr_db:g} dB and {LEAST_SSIM:g} are needed"
+    )
