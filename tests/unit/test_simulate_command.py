@@ -8,6 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from slipstitch.command import main
+from slipstitch.config.grid import simulations
+from slipstitch.config.load import read_mapping, resolve_config
+from slipstitch.errors import NotConverged
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.simulate.trajectory import read_trajectory
 
@@ -19,6 +22,11 @@ def run(*words) -> int:
         return main([str(word) for word in words]) or 0
     except SystemExit as end:
         return int(end.code or 0)
+
+
+def simulation_ids(config_file) -> list[str]:
+    config = resolve_config(read_mapping(config_file), sources=("grid",))
+    return [one.id for one in simulations(config)]
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +94,10 @@ def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_pat
             ["--material", "gray-interlock", "--friction", "0.3", "--seed", "-4"],
             "--seed -4: must be at least 0",
         ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--device", "abacus"],
+            "device abacus: not available on this machine; there is: cpu",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(words, message, tmp_path, capfd):
@@ -96,6 +108,60 @@ def test_bad_input_is_one_line_and_leaves_nothing(words, message, tmp_path, capf
     assert captured.err.count("\n") == 1
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def grid_file(tmp_path):
+    config = tmp_path / "grid.yaml"
+    config.write_text(
+        "grid: {materials: [gray-interlock, royal-target], frictions: [0.2, 0.7]}\n"
+        "simulation: {vertices_per_side: 7, frames: 3, settle_s: 0.2}\nsample: {frames: 2}\n"
+    )
+    return config
+
+
+def test_several_simulations_of_the_grid_at_once_are_those_one_by_one(grid_file, tmp_path, capfd):
+    grid = simulation_ids(grid_file)[:3]
+    together = [tmp_path / f"{one}.parquet" for one in grid]
+    words = ["--config", grid_file, "--simulation"]
+    assert run("simulate", *words, *grid, "--out", *together) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert len(lines) == 3 and all("CPU s for all 3" in line for line in lines)
+    for one, file in zip(grid, together, strict=True):
+        alone = tmp_path / "alone.parquet"
+        assert run("simulate", *words, one, "--out", alone) == 0
+        here, there = read_trajectory(file), read_trajectory(alone)
+        assert np.array_equal(here.positions_m, there.positions_m)
+        assert here.metadata["simulation"] == there.metadata["simulation"] == one
+        assert here.metadata["simulated_at_once"] == 3
+
+
+def test_as_many_files_as_simulations_are_needed(grid_file, tmp_path, capfd):
+    words = ["--config", grid_file, "--simulation", *simulation_ids(grid_file)[:2]]
+    assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
+    assert "1 files --out for 2 simulations: one each" in capfd.readouterr().err
+
+
+def test_what_could_be_solved_is_written_although_another_failed(
+    grid_file, tmp_path, capfd, monkeypatch
+):
+    import slipstitch.simulate.drop_and_drag as module
+
+    record = module._Bench.record
+
+    def failing(self, frame_done):
+        if self.run.material == "royal-target":
+            raise NotConverged("at 1 s it did not", {"positions_m": np.zeros((49, 3))})
+        return record(self, frame_done)
+
+    monkeypatch.setattr(module._Bench, "record", failing)
+    ids = simulation_ids(grid_file)
+    ids = [ids[0], ids[-1]]
+    files = [tmp_path / "good.parquet", tmp_path / "bad.parquet"]
+    assert run("simulate", "--config", grid_file, "--simulation", *ids, "--out", *files) == 1
+    assert files[0].exists() and not files[1].exists()
+    assert (tmp_path / "bad.failed.npz").exists()
+    assert "at 1 s it did not" in capfd.readouterr().err
 
 
 def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(tmp_path, capfd):

@@ -66,6 +66,16 @@ def test_every_stage_is_a_target(workflow, target):
     assert not set(later) & set(counts)
 
 
+def test_simulations_in_batches_are_a_job_a_batch(workflow):
+    overrides = ("--config", "compute={batch: 10}")
+    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    batches = {name: count for name, count in counts.items() if name.startswith("simulate_batch")}
+    assert batches == {"simulate_batch_0": 1, "simulate_batch_1": 1, "simulate_batch_2": 1}
+    assert "simulate_one" not in counts
+
+
 def test_release_is_a_target_of_its_own(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "release")
     assert answer.returncode == 0, answer.stderr

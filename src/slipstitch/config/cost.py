@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from slipstitch.calibrate.settings import KEYS
-from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
 from slipstitch.render.catalogue import FLOORS
 from slipstitch.train.settings import NETWORKS
@@ -195,7 +195,9 @@ def estimate(config: Config) -> list[StageEstimate]:
     return [
         # A job a swept setting, one for the configured settings, one that chooses and checks.
         StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
-        StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
+        StageEstimate(
+            "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
+        ),
         StageEstimate(
             "render",
             runs * (views + 2) + 1,

@@ -13,7 +13,7 @@ from slipstitch.material import fabric_names
 from slipstitch.release.settings import ReleaseSettings
 from slipstitch.render.settings import RenderSettings
 from slipstitch.sample.settings import SampleSettings
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.simulate.settings import ComputeSettings, SimulationSettings
 from slipstitch.train.settings import TrainSettings
 
 Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
@@ -67,6 +67,7 @@ class Config(BaseModel):
     )
     grid: GridSettings = Field(default_factory=GridSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
+    compute: ComputeSettings = Field(default_factory=ComputeSettings)
     calibrate: CalibrateSettings = Field(default_factory=CalibrateSettings)
     convergence: ConvergenceSettings = Field(default_factory=ConvergenceSettings)
     render: RenderSettings = Field(default_factory=RenderSettings)

@@ -73,3 +73,23 @@ class SimulationSettings(BaseModel):
         description="natural curvature of the cloth; its side, drawn per replicate, decides "
         "to which side the hanging cloth sags",
     )
+
+
+class ComputeSettings(BaseModel):
+    """Where simulations run, and how many at once: to rounding, they are the same."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    device: str = Field(
+        "cpu",
+        pattern=r"^(cpu|cuda(:\d+)?)$",
+        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; the linear "
+        "systems are solved on the CPU in any case",
+    )
+    batch: int = Field(
+        1,
+        ge=1,
+        le=256,
+        description="simulations in one job, evaluated at once: for cuda; on the cpu a job each "
+        "is faster, as jobs run side by side",
+    )
