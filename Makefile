@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit \
+.PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
 	benchmark-estimate convergence criticise-measured clean
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
+	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'
 	@echo 'make benchmark-estimate  the cost of paper.yaml against a measured part of it'
 	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
@@ -57,6 +58,9 @@ convergence: setup
 
 benchmark-audit: setup
 	$(SINGLE) $(BIN)/python benchmarks/audit.py --size-gb 1 --jobs $(CORES)
+
+benchmark-batch: setup
+	$(SINGLE) $(BIN)/python benchmarks/batch.py
 
 benchmark-estimate: setup
 	$(SINGLE) $(BIN)/python benchmarks/estimate.py

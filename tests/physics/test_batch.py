@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 import warp as wp
 
-from slipstitch.cloth import ClothSolver, Sheets, SolverSettings, rectangle, run_together
+from slipstitch.cloth import (
+    ClothSolver,
+    Sheets,
+    SolverSettings,
+    bending,
+    contact,
+    elasticity,
+    rectangle,
+    run_together,
+    self_contact,
+)
 from slipstitch.cloth.sheets import Work
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
@@ -142,6 +152,21 @@ def test_sheets_that_are_evaluated_together_share_their_mesh():
     sheets = Sheets(rectangle(5, 5, 0.04, 0.04), FREE, 2)
     with pytest.raises(ValueError, match="share mesh"):
         sliding(0, sheets)
+
+
+def test_every_kernel_compiles_for_a_gpu(tmp_path):
+    """Without one: to PTX for compute capability 8.0; sums into shared entries are atomic."""
+    name = contact.__name__
+    for extended in (False, True):
+        contact.contact_kernels(extended)
+    modules = [one.__name__ for one in (elasticity, bending, self_contact, contact)]
+    for module in (*modules, f"{name}_coulomb", f"{name}_extended"):
+        options = {"arch": 80, "module_dir": tmp_path, "use_ptx": True, "strip_hash": True}
+        (compiled,) = wp.compile_aot_module(wp.get_module(module), **options)
+        assert ".target sm_80" in compiled.read_text()
+    for module in (elasticity, bending):
+        source = (tmp_path / f"wp_{module.__name__}.sm80.ptx").read_text()
+        assert ".add.f64" in source and ("atom." in source or "red." in source)
 
 
 @pytest.mark.skipif(wp.is_cuda_available(), reason="there is such a device")
