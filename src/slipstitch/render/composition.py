@@ -87,14 +87,16 @@ def _texture_blur(rays: int) -> float:
 
 @cache
 def _prepared(name: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A texture's texels (M, 3), its neighbourhood means (64^2, 3) and its mean (3,)."""
+    """A texture's texels (3, M), its neighbourhood means (3, 64^2) and its mean (3,)."""
     full = texture(name)
     coarse = cv2.resize(full, (_COARSE_TEXELS,) * 2, interpolation=cv2.INTER_AREA)
     coarse = cv2.GaussianBlur(
         coarse, (0, 0), _NEIGHBOURHOOD * _COARSE_TEXELS, borderType=cv2.BORDER_REFLECT
     )
     fine = cv2.GaussianBlur(full, (0, 0), blur, borderType=cv2.BORDER_REFLECT)
-    return fine.reshape(-1, 3), coarse.reshape(-1, 3), full.mean(axis=(0, 1))
+    # A plane for each colour: gathering from and summing along planes is twice as fast.
+    planes = (np.ascontiguousarray(image.reshape(-1, 3).T) for image in (fine, coarse))
+    return *planes, full.mean(axis=(0, 1))
 
 
 def _texel(uv: np.ndarray, texels: int) -> np.ndarray:
@@ -112,19 +114,19 @@ def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
     texel, coarse_texel = _texel(layers.uv, TEXELS), _texel(layers.uv, _COARSE_TEXELS)
     if layers.mirrored is not None:
         mirrored_texel = _texel(layers.sight.uv, TEXELS)
-    scene, first, second = layers.light[..., None]
+    scene, first, second = layers.light
     pixel, start = np.unique(layers.pixel, return_index=True)
+    by_pixel = np.add.reduceat(scene, start) if len(pixel) else scene
     blur = _texture_blur(len(layers.pixel))
     for name in names:
         fine, coarse, mean = _prepared(name, blur)
         linear = layers.still[1:].T @ np.stack([mean, mean**2]) + layers.still[0][:, None]
-        if len(pixel):
-            value = coarse[coarse_texel]
+        for colour in range(3 if len(pixel) else 0):
+            value = coarse[colour][coarse_texel]
             value *= second
             value += first
-            value *= fine[texel]
-            value += scene
-            linear[pixel] += np.add.reduceat(value, start, axis=0)
+            value *= fine[colour][texel]
+            linear[pixel, colour] += np.add.reduceat(value, start) + by_pixel
         if layers.mirrored is not None:
             seen = mirrored_albedo(layers.sight, mirrored_texel, fine).reshape(-1, 3)
             linear += (layers.mirrored[0][:, None] + layers.mirrored[1][:, None] * mean) * seen

@@ -193,13 +193,14 @@ def mirrored_albedo(sight: MirroredSight, texel: np.ndarray, texels: np.ndarray)
     sight : MirroredSight
     texel : ndarray (N,) int
         Number of each ray's texel.
-    texels : ndarray (M, 3)
+    texels : ndarray (3, M)
     """
     shape = (*sight.width.shape, 4)
     image = np.zeros((sight.width.size, 4), np.float32)
     if len(texel):
         pixel, start = np.unique(sight.pixel, return_index=True)
-        image[pixel, :3] = np.add.reduceat(texels[texel], start, axis=0)
+        for colour in range(3):
+            image[pixel, colour] = np.add.reduceat(texels[colour][texel], start)
         image[pixel, 3] = np.diff(np.append(start, len(texel)))
     image = blurred(image.reshape(shape), sight.width, sight.squeeze)
     mean = image[..., :3].sum(axis=(0, 1)) / max(float(image[..., 3].sum()), 1e-6)
