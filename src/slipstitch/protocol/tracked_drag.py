@@ -7,7 +7,7 @@ tension; then the holder moves. Kept cylindrical: the planar protocol of docs/me
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, pi, sin, sqrt
+from math import ceil, pi, sin, sqrt, tan
 
 import numpy as np
 
@@ -123,6 +123,8 @@ def drag_tracked(
     for _ in range(RELAXING_STEPS):
         level.advance(RELAXING_STEP_S)
     start_m = level.positions_m
+    # On a slope the cloth hangs plumb all the same: lean it, holder and all, before it is dragged.
+    start_m[:, 0] -= tan(run.tilt_downhill_rad) * np.maximum(start_m[:, 2], 0.0)
     solver = ClothSolver(
         mesh,
         tables,
