@@ -74,10 +74,17 @@ def _configuration(contents: Contents, folder: Path) -> Path:
         if not is_ours(path)
     }
     render = config.render
-    if render.camera is not None:
-        camera = carried.get(Path(render.camera).name, render.camera)
-        render = render.model_copy(update={"camera": camera})
-        config = config.model_copy(update={"render": render})
+    outside = {render.camera, *render.texture_files()} - {None}
+
+    def taken_along(name: str | None) -> str | None:
+        return carried.get(Path(name).name, name) if name in outside else name
+
+    changed = {
+        "camera": taken_along(render.camera),
+        "textures": [taken_along(name) for name in render.textures],
+        "test_textures": [taken_along(name) for name in render.test_textures],
+    }
+    config = config.model_copy(update={"render": render.model_copy(update=changed)})
     write_config(config, folder / "config.json")
     return folder / "config.json"
 
