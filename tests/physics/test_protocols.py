@@ -11,7 +11,8 @@ from slipstitch.protocol import run_protocol
 from slipstitch.simulate.settings import SimulationSettings
 
 FRICTIONS = (0.1, 0.5, 1.2)
-STEPS_S = (0.005, 0.02)
+STEPS_S = (0.005, 0.02, 0.08)
+FINE = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 
 
 def _incline(friction, multiple, step_s):
@@ -64,7 +65,7 @@ def test_steady_drag_of_a_hanging_strip_is_the_heavy_elastica(friction):
 
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.35])
 def test_the_foot_of_a_pushed_strip_slips_where_the_elastica_says(friction):
-    result = run_protocol("strip", {"friction": friction}, SimulationSettings())
+    result = run_protocol("strip", {"friction": friction}, FINE)
     assert result["regime"] == result["theory_regime"] == "slipped"
     assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=0.001)
     assert result["friction_at_slip"] == pytest.approx(friction, abs=1e-4)
@@ -72,7 +73,7 @@ def test_the_foot_of_a_pushed_strip_slips_where_the_elastica_says(friction):
 
 
 def test_with_more_friction_the_foot_lies_flat_before_it_slips():
-    result = run_protocol("strip", {"friction": 0.37}, SimulationSettings())
+    result = run_protocol("strip", {"friction": 0.37}, FINE)
     assert result["slip_strain"] is None
     assert result["regime"] == result["theory_regime"] == "partially slipped"
     assert result["flat_strain"] == pytest.approx(0.3303, abs=0.002)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from enum import Enum, auto
 
 import numpy as np
 import scipy.sparse.linalg
@@ -37,6 +38,7 @@ PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new fa
 KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
+REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
 COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
 
 
@@ -54,6 +56,9 @@ class SolverSettings:
         A step that needs more is halved.
     halvings_max : int
         More halvings of one step than this are an error.
+    step_error_m : float
+        A step whose time discretisation moves the vertices by more than this (root of the
+        mean square) is halved, up to three times.
     damping_s : float
         Stiffness-proportional damping time.
     penetration_m : float
@@ -73,6 +78,7 @@ class SolverSettings:
     friction_floor: float = 0.05
     newton_iterations_max: int = 30
     halvings_max: int = 8
+    step_error_m: float = np.inf
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7
     self_contact: bool = False
@@ -87,6 +93,14 @@ class SolverSettings:
         return cls(**{name: getattr(settings, name) for name in names})
 
 
+class Outcome(Enum):
+    """Of the attempt at a step."""
+
+    ACCEPTED = auto()
+    INACCURATE = auto()
+    UNSOLVED = auto()
+
+
 @dataclass
 class StepRecord:
     """What the steps cost and how well they converged, summed since the last reset."""
@@ -95,6 +109,7 @@ class StepRecord:
     newton_iterations: int = 0
     factorisations: int = 0
     halvings: int = 0
+    refinements: int = 0
     largest_residual: float = 0.0  # relative, as in SolverSettings.friction_tolerance
     solves: int = 0
     touching_pairs: int = 0  # most at the end of a step
@@ -105,6 +120,7 @@ class StepRecord:
         self.newton_iterations += other.newton_iterations
         self.factorisations += other.factorisations
         self.halvings += other.halvings
+        self.refinements += other.refinements
         self.solves += other.solves
         self.largest_residual = max(self.largest_residual, other.largest_residual)
         self.touching_pairs = max(self.touching_pairs, other.touching_pairs)
@@ -174,6 +190,7 @@ class ClothSolver:
         self.velocities_m_s = np.zeros_like(self.positions_m)
         self.record = StepRecord()
         self.time_s = 0.0
+        self._accurate_step_s = np.inf
 
         self.ground_curvature_per_m = ground_curvature_per_m
         self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
@@ -416,7 +433,7 @@ class ClothSolver:
 
     # -- stepping -------------------------------------------------------------------------
 
-    def _try_step(self, step_s: float, prescribed: np.ndarray | None) -> bool:
+    def _try_step(self, step_s, prescribed: np.ndarray | None, may_refine: bool) -> Outcome:
         """Solve one implicit step; on success the state moves on."""
         start = self.positions_m
         target = start + step_s * self.velocities_m_s
@@ -429,7 +446,7 @@ class ClothSolver:
         for _ in range(COVERS_MAX):
             x, error = self._solve_step(self._clear_guess(guess))
             if error > self.settings.friction_tolerance:
-                return False
+                return Outcome.UNSOLVED
             if self._layers is None:
                 break
             if not self._layers.covers(x):
@@ -442,7 +459,15 @@ class ClothSolver:
             ):
                 break
         else:
-            return False
+            return Outcome.UNSOLVED
+        # Of implicit Euler: half the squared step times the acceleration.
+        step_error_m = 0.5 * float(np.sqrt(np.square(x - target).sum(axis=1).mean()))
+        if step_error_m > self.settings.step_error_m:
+            self._accurate_step_s = step_s / 2
+            if may_refine:
+                return Outcome.INACCURATE
+        elif step_error_m < self.settings.step_error_m / 5:
+            self._accurate_step_s = 2 * step_s
         self.record.largest_residual = max(self.record.largest_residual, error)
         self.velocities_m_s = (x - start) / step_s
         self.positions_m = x
@@ -453,7 +478,7 @@ class ClothSolver:
         if self.floor.extended:
             place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
             self.floor.set_directions(place)
-        return True
+        return Outcome.ACCEPTED
 
     def _clear_guess(self, guess: np.ndarray) -> np.ndarray:
         """Free coordinates held back to where no listed pair has passed through."""
@@ -532,10 +557,19 @@ class ClothSolver:
         NotConverged
             The step did not converge after the allowed number of halvings.
         """
+        if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
+            self._halve(duration_s, prescribed, halvings)
+            return
         end_s = self.time_s + duration_s
-        if self._try_step(duration_s, prescribed(end_s) if prescribed else None):
+        may_refine = halvings < REFINEMENTS_MAX
+        outcome = self._try_step(duration_s, prescribed(end_s) if prescribed else None, may_refine)
+        if outcome is Outcome.ACCEPTED:
             self.time_s = end_s
             self.record.steps += 1
+            return
+        if outcome is Outcome.INACCURATE:
+            self.record.refinements += 1
+            self._halve(duration_s, prescribed, halvings)
             return
         self._tangent.factored = False
         self.record.halvings += 1
@@ -554,6 +588,9 @@ class ClothSolver:
                     "faces": self.mesh.faces,
                 },
             )
+        self._halve(duration_s, prescribed, halvings)
+
+    def _halve(self, duration_s, prescribed, halvings: int) -> None:
         self.advance(duration_s / 2, prescribed, halvings + 1)
         self.advance(duration_s / 2, prescribed, halvings + 1)
 

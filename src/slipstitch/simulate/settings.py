@@ -14,15 +14,21 @@ class SimulationSettings(BaseModel):
         41, ge=5, le=401, description="vertices along a side of the 20 cm square"
     )
     time_step_s: float = Field(
-        0.02,
+        0.084,
         gt=0,
         le=0.1,
         description="largest time step; the step used divides the time between frames",
     )
+    step_error_m: float = Field(
+        1.0e-4,
+        gt=0,
+        description="a step whose discretisation moves the vertices by more (root mean square) "
+        "is halved, up to three times; .inf: never",
+    )
     frames: int = Field(300, ge=1, le=100_000, description="recorded frames, the first at 0 s")
     frame_rate_hz: float = Field(2.4, gt=0, le=1000, description="frame k is at k / this rate")
     friction_tolerance: float = Field(
-        1.0e-4,
+        5.0e-4,
         gt=0,
         lt=1,
         description="largest out-of-balance force on a vertex in an accepted step, over "
