@@ -435,30 +435,15 @@ class ClothSolver:
 
     def _try_step(self, step_s, prescribed: np.ndarray | None, may_refine: bool) -> Outcome:
         """Solve one implicit step; on success the state moves on."""
-        start = self.positions_m
-        target = start + step_s * self.velocities_m_s
+        target = self.positions_m + step_s * self.velocities_m_s
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
         self._damping_ratio.fill_(self.settings.damping_s / step_s)
         guess = target.copy()
         if prescribed is not None:
             guess[self.fixed] = prescribed[self.fixed]
-        for _ in range(COVERS_MAX):
-            x, error = self._solve_step(self._clear_guess(guess))
-            if error > self.settings.friction_tolerance:
-                return Outcome.UNSOLVED
-            if self._layers is None:
-                break
-            if not self._layers.covers(x):
-                # Farther than the list of near pairs reaches: is it still a solution?
-                self._layers.cover(start, x)
-                error = self._relative(self._evaluate(x))
-            if (
-                error <= self.settings.friction_tolerance
-                and self._layers.clear_part(start, x - start) == 1.0
-            ):
-                break
-        else:
+        x, error = self._solve_apart(guess)
+        if not error <= self.settings.friction_tolerance:
             return Outcome.UNSOLVED
         # Of implicit Euler: half the squared step times the acceleration.
         step_error_m = 0.5 * float(np.sqrt(np.square(x - target).sum(axis=1).mean()))
@@ -469,7 +454,12 @@ class ClothSolver:
         elif step_error_m < self.settings.step_error_m / 5:
             self._accurate_step_s = 2 * step_s
         self.record.largest_residual = max(self.record.largest_residual, error)
-        self.velocities_m_s = (x - start) / step_s
+        self._accept(x, step_s)
+        return Outcome.ACCEPTED
+
+    def _accept(self, x: np.ndarray, step_s: float) -> None:
+        """Move the state on to positions that were just evaluated."""
+        self.velocities_m_s = (x - self.positions_m) / step_s
         self.positions_m = x
         self.sheets.ask(Work.ACCEPT, self.member)
         if self._layers is not None:
@@ -478,7 +468,30 @@ class ClothSolver:
         if self.floor.extended:
             place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
             self.floor.set_directions(place)
-        return Outcome.ACCEPTED
+
+    def _solve_apart(self, guess: np.ndarray) -> tuple[np.ndarray, float]:
+        """Solve the step so that no part of the cloth passes through another on the way.
+
+        Returns
+        -------
+        x : ndarray, shape (V, 3)
+        error : float
+            Relative residual; infinite if parts would pass through.
+        """
+        tolerance = self.settings.friction_tolerance
+        layers = self._layers
+        for _ in range(COVERS_MAX):
+            x, error = self._solve_step(self._clear_guess(guess))
+            if layers is None or not error <= tolerance:
+                return x, error
+            if not layers.covers(x):
+                # Farther than the list of near pairs reaches: is it still a solution?
+                layers.cover(self.positions_m, x)
+                error = self._relative(self._evaluate(x))
+            apart = layers.clear_part(self.positions_m, x - self.positions_m) == 1.0
+            if apart and error <= tolerance:
+                return x, error
+        return x, np.inf
 
     def _clear_guess(self, guess: np.ndarray) -> np.ndarray:
         """Free coordinates held back to where no listed pair has passed through."""
