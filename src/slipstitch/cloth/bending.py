@@ -149,6 +149,7 @@ def bending_force(
     rest_angle: wp.array(dtype=wp.float64),
     table: wp.array(dtype=wp.float64, ndim=2),
     angle_before: wp.array(dtype=wp.float64),
+    stiffness_of_start: wp.array(dtype=wp.int32),
     damping_ratio: wp.array(dtype=wp.float64),
     minus_force: wp.array(dtype=wp.vec3d),
 ):
@@ -162,7 +163,10 @@ def bending_force(
     x2 = x[hinges[h, 2]]
     x3 = x[hinges[h, 3]]
     theta = dihedral_angle(x0, x1, x2, x3)
-    curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
+    bent = theta
+    if stiffness_of_start[member] == 1:
+        bent = angle_before[h]
+    curvature = wp.abs(bent) * length[h] / (wp.float64(2.0) * area[h])
     c = hinge_stiffness(table, member, direction[h], curvature) * length[h] * length[h]
     c = c / (wp.float64(4.0) * area[h])
     viscous = damping_ratio[member] * (theta - angle_before[h])
@@ -182,6 +186,8 @@ def bending_stiffness(
     area: wp.array(dtype=wp.float64),
     direction: wp.array(dtype=wp.float64),
     table: wp.array(dtype=wp.float64, ndim=2),
+    angle_before: wp.array(dtype=wp.float64),
+    stiffness_of_start: wp.array(dtype=wp.int32),
     damping_ratio: wp.array(dtype=wp.float64),
     entry: wp.array(dtype=wp.int32, ndim=2),
     values: wp.array(dtype=wp.float64),
@@ -196,9 +202,13 @@ def bending_stiffness(
     x1 = x[hinges[h, 1]]
     x2 = x[hinges[h, 2]]
     x3 = x[hinges[h, 3]]
-    theta = dihedral_angle(x0, x1, x2, x3)
-    curvature = wp.abs(theta) * length[h] / (wp.float64(2.0) * area[h])
-    c = hinge_tangent_stiffness(table, member, direction[h], curvature) * length[h] * length[h]
+    per_angle = length[h] / (wp.float64(2.0) * area[h])
+    if stiffness_of_start[member] == 1:
+        ke = hinge_stiffness(table, member, direction[h], wp.abs(angle_before[h]) * per_angle)
+    else:
+        theta = dihedral_angle(x0, x1, x2, x3)
+        ke = hinge_tangent_stiffness(table, member, direction[h], wp.abs(theta) * per_angle)
+    c = ke * length[h] * length[h]
     c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[member])
     d = angle_gradient(x0, x1, x2, x3)
     local = h - member * entry.shape[0]

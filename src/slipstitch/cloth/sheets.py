@@ -113,6 +113,7 @@ class Sheets:
         self._asked: tuple[int, ...] = ()
         self.gravity = zeros(count, dtype=wp.vec3d)
         self.inverse_step_squared, self.damping_ratio = zeros(count), zeros(count)
+        self.stiffness_of_start = zeros(count, dtype=wp.int32)
         nodes = STRAIN_NODES
         self.stretching = zeros(count * nodes, nodes, nodes, dtype=wp.vec4d)
         self.bending = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
@@ -141,17 +142,16 @@ class Sheets:
         hinges = [self._hinge_members, self._x, self._hinges]
         shape = [*hinges, *self._hinge_shape]
         rest_angle = self.rest_angle.flatten()
-        folding = [rest_angle, self.bending, self._angle, self.damping_ratio, self._minus_force]
+        law = [self.bending, self._angle, self.stiffness_of_start, self.damping_ratio]
         of_faces, of_hinges = self.assembly.entries
         values = [self._values, self.assembly.pattern.entry_count]
-        unfolding = [self.bending, self.damping_ratio, of_hinges, *values]
         self._elements[Work.FORCES] = [
             self._launch(elasticity.stretching_force, [*stretching, self._minus_force], F),
-            self._launch(bending.bending_force, [*shape, *folding], H),
+            self._launch(bending.bending_force, [*shape, rest_angle, *law, self._minus_force], H),
         ]
         self._elements[Work.STIFFNESS] = [
             self._launch(elasticity.stretching_stiffness, [*stretching, of_faces, *values], F),
-            self._launch(bending.bending_stiffness, [*shape, *unfolding], H),
+            self._launch(bending.bending_stiffness, [*shape, *law, of_hinges, *values], H),
         ]
         self._elements[Work.STRAINS] = self._elements[Work.ACCEPT] = [
             self._launch(elasticity.green_strains, [*faces, self._strain], F),

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
+from typing import Literal
 
 import numpy as np
 import scipy.sparse.linalg
@@ -59,6 +60,8 @@ class SolverSettings:
     step_error_m : float
         A step whose time discretisation moves the vertices by more than this (root of the
         mean square) is halved, up to three times.
+    bending_stiffness_at : {"start", "end"}
+        The end of the step whose curvature the stiffness of a hinge follows.
     damping_s : float
         Stiffness-proportional damping time.
     penetration_m : float
@@ -79,6 +82,7 @@ class SolverSettings:
     newton_iterations_max: int = 30
     halvings_max: int = 8
     step_error_m: float = np.inf
+    bending_stiffness_at: Literal["start", "end"] = "end"
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7
     self_contact: bool = False
@@ -243,6 +247,8 @@ class ClothSolver:
         self._free.assign((~self.fixed).astype(float))
         self.set_gravity(gravity)
         self._inverse_step_squared.fill_(1.0)
+        of_start = self.settings.bending_stiffness_at == "start"
+        sheets.stiffness_of_start[own].fill_(int(of_start))
         ground = sheets.ground
         ground.curvature[own].fill_(self.ground_curvature_per_m)
         ground.normal_stiffness[own].fill_(self.normal_stiffness_N_m)
