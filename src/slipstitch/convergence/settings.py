@@ -40,7 +40,7 @@ class ConvergenceSettings(BaseModel):
     window_s: float = Field(
         38.0, gt=0, le=131, description="of the protocol; 38 s are the drop and the first stroke"
     )
-    frame_rate_hz: float = Field(10.0, gt=0, le=100, description="compared moments per second")
+    frame_rate_hz: float = Field(12.0, gt=0, le=100, description="compared moments per second")
     seed: int = Field(0, ge=0, description="of the bench's perturbation, the same for all runs")
     mean_distance_m: float = Field(
         1.0e-3,
