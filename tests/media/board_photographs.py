@@ -102,7 +102,7 @@ class Photographer:
         """Grey image (360, 480) uint8 of the board at this place in the camera's coordinates."""
         local = self.corners @ turn.T + at
         stage = (local - self.pinhole.translation_m) @ self.pinhole.rotation
-        radiance, _ = self.scene.render(stage, self.pinhole, samples=4, seed=seed)
+        radiance = self.scene.render(stage, self.pinhole, samples=4, seed=seed).radiance
         light = radiance.sum(axis=0).mean(axis=-1)
         seen = cv2.remap(light, self.map, None, cv2.INTER_CUBIC)
         return np.rint(255 * np.clip(seen / 1.1, 0, 1) ** (1 / 2.2)).astype(np.uint8)

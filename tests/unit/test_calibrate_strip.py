@@ -20,7 +20,7 @@ from slipstitch.config import resolve_config
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.simulate.settings import SimulationSettings
 
-SIMULATION = SimulationSettings()
+SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 SETTINGS = CalibrateSettings(
     strip_frictions=(0.1, 0.3, 0.4),
     sweep_time_step_s=(0.005, 0.1, 0.4),

@@ -26,6 +26,7 @@ from slipstitch.report.page import (
 )
 from slipstitch.report.pictures import confusion_counts, cumulative_error
 from slipstitch.report.results import Results
+from slipstitch.simulate.settings import SimulationSettings
 
 CONFIG = synthetic_results.config()
 NOW = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -132,7 +133,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
 def test_checks_show_measured_theory_and_demand(page):
     text = text_of(page)
     assert "All 25 checks, 25 met" in text
-    assert "Verified settings: time_step_s = 0.02" in text
+    assert f"Verified settings: time_step_s = {SimulationSettings().time_step_s}" in text
 
 
 def test_an_empty_folder_gives_a_page_that_says_so_for_every_stage(tmp_path):
