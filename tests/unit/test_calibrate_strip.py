@@ -148,7 +148,12 @@ def test_pictures_are_the_same_every_time(tmp_path):
 @pytest.fixture
 def config(monkeypatch):
     monkeypatch.setattr("slipstitch.protocol.run_protocol", answer)
-    return resolve_config({"calibrate": SETTINGS.model_dump(mode="json")})
+    return resolve_config(
+        {
+            "simulation": {"time_step_s": 0.02, "friction_tolerance": 1e-4},
+            "calibrate": SETTINGS.model_dump(mode="json"),
+        }
+    )
 
 
 def sweeps(config, folder):
