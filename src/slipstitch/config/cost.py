@@ -36,10 +36,9 @@ COSTS = {
         "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
     ),
     "self_contact_step_s": Cost(
-        0.048,
-        "CPU s a time step of 41 x 41 vertices that may touch themselves",
-        "three fabrics, friction 0.5, 67 s, busy machine: 138 CPU s, 2735 steps; "
-        "two fabrics, friction 1.0 and 1.5, 125 s: 221 CPU s, 5262 steps",
+        0.055,
+        "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
+        "131 s, 1575 steps, busy machine: 20 CPU s at friction 0, 92 to 159 at 0.5 to 1.5",
     ),
     "trajectory_bytes": Cost(
         15.6, "bytes a vertex and frame", "smoke chain, 441 vertices, 300 frames"
