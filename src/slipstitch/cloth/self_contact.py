@@ -346,9 +346,8 @@ class SelfContact:
         self._rest = wp.array(rest, dtype=wp.vec3d, device=device)
         self._vertices = table(np.arange(V)[:, None])
         self._faces = table(mesh.faces)
-        self._edges = table(edges_of(mesh.faces))
-        self._faces_host = mesh.faces
-        self._edges_host = edges_of(mesh.faces)
+        self._faces_host, self._edges_host = mesh.faces, edges_of(mesh.faces)
+        self._edges = table(self._edges_host)
         self._move = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._x = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._boxes = {
@@ -403,7 +402,6 @@ class SelfContact:
             place = np.searchsorted(keys, self._keys).clip(max=len(keys) - 1)
             kept = keys[place] == self._keys
             anchors[place[kept]] = self.anchors.numpy()[kept]
-        self._x.assign(start)
         self._set_pairs(keys, anchors)
 
     def _search(self, kind, first, first_boxes, second, second_boxes) -> np.ndarray:
