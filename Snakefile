@@ -25,6 +25,7 @@ include: "rules/evaluate.smk"
 include: "rules/report.smk"
 include: "rules/release.smk"
 include: "rules/criticise.smk"
+include: "rules/status.smk"
 
 
 localrules:
@@ -58,9 +59,3 @@ rule all:
         rules.train.input,
         rules.evaluate.input,
         rules.report.input,
-
-
-# What the stages read is written when the first job starts: neither a dry run nor a changed key
-# that a stage does not use touches anything. The rules carry the values as parameters instead.
-onstart:
-    write_config(CONFIG, CONFIG_FILE)

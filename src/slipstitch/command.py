@@ -26,6 +26,7 @@ ORDER = (
     "train",
     "evaluate",
     "report",
+    "status",
     "release",
     "audit",
     "capture",

@@ -245,21 +245,34 @@ def job_memory_mb(stage: str) -> int:
     return MEMORY_MB[stage]
 
 
-def job_runtime_min(stage: str, config: Config) -> int:
+JOB_KINDS = tuple(MEMORY_MB)
+
+
+def job_cpu_s(kind: str, config: Config) -> float:
+    """CPU seconds of one job of a kind, the mean where a stage's jobs differ.
+
+    Parameters
+    ----------
+    kind : str
+        One of `JOB_KINDS`: a stage, or ``compose``, ``verify``, ``preview`` of rendering.
+    config : Config
+    """
+    if kind in ("preview", "criticise"):
+        return _cost(f"{kind}_s")
+    if kind == "render":
+        return _render_cpu_s(config)
+    if kind == "compose":
+        return _compose_cpu_s(config)
+    if kind == "verify":
+        return _verify_cpu_s(config)
+    stages = [*estimate(config), estimate_release(config)]
+    whole = next(one for one in stages if one.stage == kind)
+    return whole.cpu_s / whole.jobs
+
+
+def job_runtime_min(kind: str, config: Config) -> int:
     """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
-    if stage in ("preview", "criticise"):
-        cpu_s = _cost(f"{stage}_s")
-    elif stage == "render":
-        cpu_s = _render_cpu_s(config)
-    elif stage == "compose":
-        cpu_s = _compose_cpu_s(config)
-    elif stage == "verify":
-        cpu_s = _verify_cpu_s(config)
-    else:
-        stages = [*estimate(config), estimate_release(config)]
-        whole = next(one for one in stages if one.stage == stage)
-        cpu_s = whole.cpu_s / whole.jobs
-    return max(15, math.ceil(5 * cpu_s / 60))
+    return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
 
 
 def _size(size_bytes: float) -> str:

@@ -23,6 +23,7 @@ NOT_PART_OF_A_RESULT = (
     "slipstitch.config",
     "slipstitch.doctor",
     "slipstitch.errors",
+    "slipstitch.progress",
     "slipstitch.provenance",
 )
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")

@@ -4,18 +4,18 @@ import datetime
 import json
 import os
 import shutil
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import yaml
-from tqdm import tqdm
 
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.release.card import write_card
 from slipstitch.release.chain import (
@@ -197,7 +197,7 @@ def _fill(
         dict(zip(videos, part_of, strict=True)),
         folder,
         config.release.shard_mb,
-        lambda files: tqdm(files, "release", disable=not sys.stderr.isatty(), unit="file"),
+        partial(progress, description="release: ", unit="file"),
     )
     rows = released_rows(sampled, splits, part_of, places)
     write_manifest(rows, pq.read_schema(sample / MANIFEST), list(splits), folder)

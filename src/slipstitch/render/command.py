@@ -205,6 +205,6 @@ def _warn(path: Path, share_inside: float) -> None:
 
 
 def _progress(frames: list):
-    from tqdm import tqdm
+    from slipstitch.progress import progress
 
-    return tqdm(frames, unit="frame", disable=not sys.stderr.isatty(), file=sys.stderr)
+    return progress(frames, unit="frame")

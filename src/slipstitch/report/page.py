@@ -21,6 +21,7 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.report import paper, pictures
 from slipstitch.report.results import Benchmark, Results, Trajectory
+from slipstitch.status.runs import Failure
 
 # A page that a browser opens at once, at the paper's scale too.
 MOST_FRICTIONS_SHOWN = 6
@@ -487,6 +488,19 @@ def _cost_rows(benchmarks: Sequence[Benchmark]) -> list[dict[str, str]]:
     ]
 
 
+def _failure_rows(failures: Sequence[Failure]) -> list[dict[str, str]]:
+    return [
+        {
+            "when": datetime.fromtimestamp(one.time_s, UTC).strftime("%Y-%m-%d %H:%M"),
+            "rule": one.rule,
+            "output": ", ".join(one.output[:2]) + (" ..." if len(one.output) > 2 else ""),
+            "log": ", ".join(one.log),
+            "then": one.then,
+        }
+        for one in failures
+    ]
+
+
 def _provenance(results: Results) -> dict[str, Any]:
     records = results.provenance()
     rows = [
@@ -567,6 +581,8 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "confusion": _svg(pictures.confusions(predictions, frictions)),
         "cumulative": _svg(pictures.cumulative(predictions, frictions)),
         "costs": _cost_rows(benchmarks),
+        "runs": len(results.runs()),
+        "failures": _failure_rows(results.failures()),
         "cost_figure": _svg(pictures.costs(benchmarks)),
         "total_cpu": duration(sum(one.cpu_s for one in benchmarks)) if benchmarks else None,
         "provenance": _provenance(results),

@@ -17,6 +17,7 @@ from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_provenance
 from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.status.runs import Failure, Run, failures, read_runs
 
 STAGES = ("calibrate", "simulate", "convergence", "render", "sample", "train", "evaluate", "report")
 
@@ -272,6 +273,14 @@ class Results:
                 )
             )
         return found
+
+    def runs(self) -> list[Run]:
+        """Runs of the workflow that left a journal, the last one last."""
+        return read_runs(self.folder)
+
+    def failures(self) -> list[Failure]:
+        """Every failed attempt at a job, the oldest first."""
+        return failures(self.folder, self.runs())
 
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:
         """One record of each stage, with the artefact that carries it."""

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import sys
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from tqdm import tqdm
 
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
+from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock, write_parquet
 from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.surroundings import MATTE
@@ -173,7 +172,7 @@ def write_dataset(
         )
 
     rows: list[dict[str, Any]] = []
-    for one in tqdm(grid.values(), "sample", disable=not sys.stderr.isatty(), unit="simulation"):
+    for one in progress(grid.values(), "sample: ", unit="simulation"):
         rows += _write_simulation(config, one, paths_of[one.id], frames, sides, Path(out_dir))
     check_no_simulation_on_both_sides(
         [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]

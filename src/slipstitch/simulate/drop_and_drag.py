@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import ceil, cos, radians, sin
 
 import numpy as np
-from tqdm import tqdm
 
 from slipstitch.cloth import (
     ClothSolver,
@@ -23,6 +21,7 @@ from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.progress import progress
 from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
 from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
@@ -168,7 +167,7 @@ def simulate_batch(
     sheets = Sheets(mesh, np.repeat(pinned[:, None], 3, axis=1), len(runs), device)
     benches = [_Bench(run, settings, path, sheets, k) for k, run in enumerate(runs)]
     frames = len(runs) * settings.frames
-    with tqdm(total=frames, unit="frame", disable=not sys.stderr.isatty()) as bar:
+    with progress(unit="frame", total=frames) as bar:
         return run_together(sheets, [partial(bench.record, bar.update) for bench in benches])
 
 

@@ -1,0 +1,28 @@
+"""What happens around a run: the configuration and the journal are written, failures shown last."""
+
+from snakemake.logging import logger
+
+from slipstitch.status.journal import Journal
+from slipstitch.status.runs import last_failures
+
+# What `slipstitch status` and the report read; the processes of single jobs add nothing to it.
+JOURNAL = Journal()
+if workflow.is_main_process:
+    logger.addHandler(JOURNAL)
+
+
+# What the stages read is written when the first job starts: neither a dry run nor a changed key
+# that a stage does not use touches anything. The rules carry the values as parameters instead.
+onstart:
+    write_config(CONFIG, CONFIG_FILE)
+    JOURNAL.begin(workflow.dag, workflow.cores)
+
+
+onsuccess:
+    JOURNAL.end(success=True)
+
+
+# The end of a failed job's log is the last thing on the screen.
+onerror:
+    JOURNAL.end(success=False)
+    print(last_failures("results"), file=sys.stderr)

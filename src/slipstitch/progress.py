@@ -1,0 +1,63 @@
+"""How far a loop has come: a bar on a terminal, elsewhere a plain line now and then."""
+
+import sys
+from collections.abc import Iterable
+from typing import TextIO
+
+from tqdm import tqdm
+
+LINE_INTERVAL_S = 30.0
+_LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} since the start, {remaining} to go"
+
+
+class _Lines:
+    """A stream that gets whole lines from a bar that redraws itself."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        line = text.strip()
+        if line:
+            self._stream.write(line + "\n")
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+
+def progress(
+    items: Iterable | None = None,
+    description: str | None = None,
+    *,
+    unit: str,
+    total: int | None = None,
+    initial: int = 0,
+) -> tqdm:
+    """A tqdm bar over `items`, or one that is told with ``update``, on stderr.
+
+    Where stderr is no terminal (a log, a pipe), it writes a line every `LINE_INTERVAL_S` seconds
+    and nothing at all in jobs that are shorter.
+
+    Parameters
+    ----------
+    items : iterable, optional
+    description : str, optional
+        What goes in front.
+    unit : str
+        One item, in the singular.
+    total, initial : int
+        How many there are, and with how many it begins.
+    """
+    options = {"unit": unit, "total": total, "initial": initial, "desc": description}
+    if sys.stderr.isatty():
+        return tqdm(items, file=sys.stderr, **options)
+    return tqdm(
+        items,
+        file=_Lines(sys.stderr),
+        bar_format=_LINE,
+        mininterval=LINE_INTERVAL_S,
+        delay=LINE_INTERVAL_S,
+        miniters=1,
+        leave=False,
+        **options,
+    )

@@ -1,0 +1,116 @@
+"""The journal that a run of the workflow keeps: a plan of its jobs, then a line for every event.
+
+Snakemake hands its events to `Journal` as structured log records; nothing is read off its text.
+Only the main process writes, from the first job's start on: a dry run, or a run that has nothing to
+do, leaves no trace.
+"""
+
+import json
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from slipstitch.provenance.files import atomic_path
+
+FOLDER = Path("results/status")
+PLAN = "plan.json"
+EVENTS = "journal.jsonl"
+
+
+def process_identity() -> dict[str, Any]:
+    """What tells this process from any other, on this machine, without naming the machine."""
+    return {"pid": os.getpid(), "born": process_birth(os.getpid()), "boot": boot_identity()}
+
+
+def boot_identity() -> str | None:
+    """A random number that is drawn when a machine starts; None where there is none."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return None
+
+
+def process_birth(pid: int) -> int | None:
+    """When a process was started, in clock ticks since the machine was; None if it is no more."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    fields = text.rpartition(")")[2].split()
+    return None if fields[0] in "ZX" else int(fields[19])
+
+
+def plan_of(dag) -> list[dict[str, Any]]:
+    """The jobs of Snakemake's graph that make files, in the order of their ids."""
+    needed = set(dag.needrun_jobs())
+    jobs = [
+        {
+            "id": dag.jobid(job),
+            "rule": job.rule.name,
+            "output": [str(file) for file in job.output],
+            "log": [str(file) for file in job.log],
+            "benchmark": None if job.benchmark is None else str(job.benchmark),
+            "threads": job.threads,
+            "needed": job in needed,
+        }
+        for job in dag.jobs
+        if job.output
+    ]
+    return sorted(jobs, key=lambda job: job["id"])
+
+
+class Journal(logging.Handler):
+    """Writes the events of one run; a handler of Snakemake's logger.
+
+    Parameters
+    ----------
+    folder : path
+        Where plan and journal lie; relative to the working folder when the first job starts.
+    """
+
+    def __init__(self, folder: str | os.PathLike = FOLDER):
+        super().__init__()
+        self._folder = Path(folder)
+        self._begun = False
+
+    def begin(self, dag, cores: int) -> None:
+        """Write the plan and the head of the run."""
+        self._begun = True
+        plan = plan_of(dag)
+        with atomic_path(self._folder / PLAN) as temporary:
+            temporary.write_text(json.dumps({"jobs": plan}) + "\n", encoding="utf-8")
+        needed = sum(job["needed"] for job in plan)
+        self._write("run", cores=cores, jobs=len(plan), needed=needed, **process_identity())
+
+    def end(self, success: bool) -> None:
+        """Write how the run ended."""
+        if self._begun:
+            self._write("end", success=success)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take what concerns single jobs from Snakemake's log records."""
+        if not self._begun:
+            return
+        event = getattr(getattr(record, "event", None), "value", None)
+        if event == "job_info":
+            self._write("started", job=record.jobid)
+        elif event == "job_finished":
+            self._write("finished", job=record.job_id)
+        elif event == "job_error":
+            self._write(
+                "failed",
+                job=record.jobid,
+                rule=record.rule_name,
+                output=list(map(str, record.output)),
+                log=list(map(str, record.log)),
+            )
+
+    def _write(self, event: str, **what: Any) -> None:
+        line = json.dumps({"event": event, "time": round(time.time(), 3), **what})
+        try:
+            with open(self._folder / EVENTS, "a", encoding="utf-8") as stream:
+                stream.write(line + "\n")
+        except OSError as error:  # a full disk shall stop jobs, not the telling of it
+            logging.getLogger(__name__).debug("journal: %s", error)

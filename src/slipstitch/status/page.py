@@ -1,0 +1,138 @@
+"""`Status` as text."""
+
+import math
+import time
+from pathlib import Path
+
+from slipstitch.status.runs import Failure, failure_lines, last_lines
+from slipstitch.status.state import Running, Stage, Status
+
+MOST_RUNNING = 8
+MOST_FAILURES = 3
+
+
+def duration(seconds: float | None) -> str:
+    """A time in the unit that reads best."""
+    if seconds is None or math.isnan(seconds):
+        return "?"
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    if seconds < 100 * 60:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def size(size_bytes: float) -> str:
+    """A size in the unit that reads best."""
+    for unit, scale in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size_bytes >= scale:
+            return f"{size_bytes / scale:.3g} {unit}"
+    return f"{size_bytes / 1e3:.3g} kB"
+
+
+def _table(stages: list[Stage]) -> list[str]:
+    total = Stage("together")
+    for stage in stages:
+        for key, value in vars(stage).items():
+            if key != "name":
+                setattr(total, key, getattr(total, key) + value)
+    rows = [("stage", "done", "running", "failed", "to do", "CPU", "to come", "disk", "to come")]
+    for one in [*stages, total]:
+        rows.append(
+            (
+                one.name,
+                f"{one.done}/{one.jobs}",
+                str(one.running or "-"),
+                str(one.failed or "-"),
+                str(one.waiting or "-"),
+                duration(one.cpu_s),
+                duration(one.left_s) if one.left_s else "-",
+                size(one.disk_bytes),
+                size(one.disk_to_come_bytes) if one.disk_to_come_bytes else "-",
+            )
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        f"{row[0]:<{widths[0]}}"
+        + "".join(f"  {cell:>{wide}}" for cell, wide in zip(row[1:], widths[1:], strict=True))
+        for row in rows
+    ]
+
+
+def _head(found: Status, now_s: float) -> str:
+    run = found.run
+    began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head["time"]))
+    if run.success is True:
+        state = f"all done {duration(max(0.0, run.last_s - run.head['time']))} later"
+    elif run.success is False:
+        state = "stopped by a failure; once mended, the same snakemake command goes on from here"
+    elif found.alive:
+        state = "running"
+        if found.left_s is not None:
+            state += f", about {duration(found.left_s)} to go on {run.head['cores']} cores"
+    elif found.alive is None:
+        ago = duration(max(0.0, now_s - run.last_s))
+        state = f"started on another machine, last heard of {ago} ago"
+    else:
+        state = (
+            "broken off without a word; to go on: `snakemake --unlock`, "
+            "then the same snakemake command"
+        )
+    return f"Run of {began}: {state}."
+
+
+def _running(base: Path, running: list[Running], alive: bool | None, now_s: float) -> list[str]:
+    if not running:
+        return []
+    lines = ["", "Under way:" if alive is not False else "Broken off:"]
+    for one in running[:MOST_RUNNING]:
+        told = f"  {one.output} ({one.rule}), since {duration(max(0.0, now_s - one.since_s))}"
+        if one.expected_s is not None:
+            told += f" of about {duration(one.expected_s)}"
+        lines.append(told)
+        for log in one.log:
+            if (base / log).is_file():
+                lines.append(f"    {last_lines(base / log, 1)[0]}")
+    if len(running) > MOST_RUNNING:
+        lines.append(f"  and {len(running) - MOST_RUNNING} more")
+    return lines
+
+
+def _failed(folder: Path, failures: list[Failure], count: int) -> list[str]:
+    """The failures that still stand, with their logs, first; of the others, how many."""
+    standing = [one for one in failures if one.then == "not made"]
+    mended = len(failures) - len(standing)
+    lines = []
+    for one in standing[-MOST_FAILURES:]:
+        lines += [*failure_lines(folder, one, count), ""]
+    if len(standing) > MOST_FAILURES:
+        lines += [f"and {len(standing) - MOST_FAILURES} more that failed", ""]
+    if mended:
+        lines += [f"{mended} earlier failed attempt{'s' * (mended > 1)} made good since", ""]
+    return lines
+
+
+def text(folder: Path, found: Status, log_lines: int, now_s: float | None = None) -> str:
+    """The whole page: failures first, where the run stands, the stages, the jobs under way.
+
+    Parameters
+    ----------
+    folder : path
+        The results folder.
+    found : Status
+    log_lines : int
+        How many lines of a failed job's log to show.
+    now_s : float, optional
+        Seconds since 1970; the present by default.
+    """
+    now_s = time.time() if now_s is None else now_s
+    if found.run is None:
+        return f"{folder}: no run of snakemake has started a job here."
+    lines = [
+        *_failed(folder, found.failures, log_lines),
+        _head(found, now_s),
+        "",
+        *_table(found.stages),
+        *_running(folder.parent, found.running, found.alive, now_s),
+    ]
+    return "\n".join(lines)

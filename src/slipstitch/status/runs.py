@@ -1,0 +1,200 @@
+"""Reading what `slipstitch.status.journal` wrote: the last run's jobs, and every failure so far."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from slipstitch.errors import BadInput
+from slipstitch.status.journal import EVENTS, PLAN, boot_identity, process_birth
+
+LOG_LINES = 12
+LOG_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One attempt at a job that failed.
+
+    Attributes
+    ----------
+    time_s : float
+        When, in seconds since 1970.
+    rule : str
+    output, log : list of str
+        What it was to make, and where it wrote what it said.
+    then : str
+        ``retried`` if another attempt of the same run followed, ``made later`` if its output is
+        there now, else ``not made``.
+    """
+
+    time_s: float
+    rule: str
+    output: list[str]
+    log: list[str]
+    then: str
+
+
+@dataclass
+class Run:
+    """One run of the workflow: how it began, what happened to each job, how it ended.
+
+    Attributes
+    ----------
+    head : dict
+        The journal's line that opened it.
+    state : dict of int to str
+        Last event of each job that had one: started, finished or failed.
+    started_s : dict of int to float
+        When each job was last started.
+    failures : list of dict
+        The journal's lines.
+    success : bool or None
+        None if it never said that it ended.
+    last_s : float
+        When it last said anything.
+    """
+
+    head: dict[str, Any]
+    state: dict[int, str] = field(default_factory=dict)
+    started_s: dict[int, float] = field(default_factory=dict)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    success: bool | None = None
+    last_s: float = 0.0
+
+    def alive(self) -> bool | None:
+        """Whether its process still runs; None if it was started on another machine."""
+        if self.success is not None:
+            return False
+        if self.head.get("boot") is None or self.head["boot"] != boot_identity():
+            return None
+        return process_birth(self.head["pid"]) == self.head["born"]
+
+
+def _lines(path: Path) -> Iterator[dict[str, Any]]:
+    """The journal's lines; one that a crash cut short is left out."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    for line in text.splitlines():
+        try:
+            event = json.loads(line)
+            event["event"], event["time"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            continue
+        yield event
+
+
+def read_runs(folder: str | os.PathLike) -> list[Run]:
+    """All runs that a results folder's journal tells of, the last one last.
+
+    Parameters
+    ----------
+    folder : path
+        The results folder.
+    """
+    runs: list[Run] = []
+    for event in _lines(Path(folder) / "status" / EVENTS):
+        if event["event"] == "run":
+            runs.append(Run(event))
+        if not runs:
+            continue
+        run = runs[-1]
+        run.last_s = event["time"]
+        if event["event"] == "end":
+            run.success = bool(event.get("success"))
+        elif "job" in event:
+            run.state[event["job"]] = event["event"]
+            if event["event"] == "started":
+                run.started_s[event["job"]] = event["time"]
+            elif event["event"] == "failed":
+                run.failures.append(event)
+    return runs
+
+
+def read_plan(folder: str | os.PathLike) -> list[dict[str, Any]]:
+    """The jobs of the last run; empty if there was none.
+
+    Raises
+    ------
+    BadInput
+        If the plan cannot be read.
+    """
+    path = Path(folder) / "status" / PLAN
+    try:
+        jobs = json.loads(path.read_text(encoding="utf-8"))["jobs"]
+        for job in jobs:
+            job["id"], job["rule"], job["output"][0], job["log"], job["benchmark"], job["needed"]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
+        raise BadInput(f"{path}: damaged; the next run of snakemake writes it anew") from None
+    return jobs
+
+
+def failures(folder: str | os.PathLike, runs: list[Run]) -> list[Failure]:
+    """Every failed attempt of every run, the oldest first."""
+    base = Path(folder).parent
+    found = []
+    for run in runs:
+        for position, event in enumerate(run.failures):
+            output = list(event.get("output") or [])
+            again = any(later["job"] == event["job"] for later in run.failures[position + 1 :])
+            if again or run.state.get(event["job"]) == "finished":
+                then = "retried"
+            else:
+                there = output and all((base / path).exists() for path in output)
+                then = "made later" if there else "not made"
+            logs = list(event.get("log") or [])
+            found.append(Failure(event["time"], event.get("rule", "?"), output, logs, then))
+    return found
+
+
+def last_lines(path: str | os.PathLike, count: int = LOG_LINES) -> list[str]:
+    """The last lines of a log that are not empty, control characters taken out."""
+    try:
+        with open(path, "rb") as stream:
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(max(0, size - LOG_BYTES))
+            text = stream.read().decode("utf-8", errors="replace")
+    except OSError as error:
+        return [f"(no log: {error.strerror})"]
+    lines = [
+        "".join(letter if letter.isprintable() else " " for letter in line).rstrip()
+        for line in text.replace("\r", "\n").splitlines()
+    ]
+    return [line for line in lines if line][-count:] or ["(the log is empty)"]
+
+
+def failure_lines(
+    folder: str | os.PathLike, event: Failure | dict[str, Any], count: int = LOG_LINES
+) -> list[str]:
+    """What one failure has to say: what failed, where its log is, and the log's end."""
+    one = event if isinstance(event, dict) else vars(event)
+    made = ", ".join(one["output"][:3]) + (" ..." if len(one["output"]) > 3 else "")
+    lines = [f"failed: {one['rule']}, which makes {made}"]
+    for log in one["log"]:
+        lines.append(f"  the end of {log}:")
+        lines += [f"    {line}" for line in last_lines(Path(folder).parent / log, count)]
+    return lines
+
+
+def last_failures(folder: str | os.PathLike, most: int = 3) -> str:
+    """What the failures of the last run have to say, for the end of a failed run."""
+    runs = read_runs(folder)
+    # Of a job that was tried several times, the last attempt.
+    failed = {event["job"]: event for event in (runs[-1].failures if runs else [])}
+    standing = [one for job, one in failed.items() if runs[-1].state[job] == "failed"]
+    lines = []
+    for event in standing[:most]:
+        lines += ["", *failure_lines(folder, event)]
+    if len(standing) > most:
+        lines += ["", f"and {len(standing) - most} more: slipstitch status"]
+    if standing:
+        lines += ["", "Finished work is kept: the same command goes on once the cause is mended."]
+    return "\n".join(lines)

@@ -1,0 +1,252 @@
+"""Where the last run stands: jobs by stage, cost so far, time and disk still to come."""
+
+import csv
+import math
+import os
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from slipstitch.config import Config
+from slipstitch.config.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
+from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
+
+# What a job of a rule costs, by the cost model, where the rule's name alone does not say it.
+KIND = {
+    "render_shading": "render",
+    "render_images": "compose",
+    "render_verification": "verify",
+    "preview_one": "preview",
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one finished job took, from its benchmark file (s, MiB); NaN where it was too short."""
+
+    wall_s: float
+    cpu_s: float
+    memory_mib: float
+
+
+@dataclass
+class Stage:
+    """One stage of the run: its jobs by state, their cost (s), disk used and to be used (bytes)."""
+
+    name: str
+    jobs: int = 0
+    done: int = 0
+    running: int = 0
+    failed: int = 0
+    waiting: int = 0
+    cpu_s: float = 0.0
+    left_s: float = 0.0
+    disk_bytes: int = 0
+    disk_to_come_bytes: float = 0.0
+
+
+@dataclass(frozen=True)
+class Running:
+    """A job that was started and has not ended."""
+
+    output: str
+    rule: str
+    since_s: float
+    expected_s: float | None
+    log: list[str]
+
+
+@dataclass
+class Status:
+    """Everything that ``slipstitch status`` shows.
+
+    Attributes
+    ----------
+    run : Run or None
+        The last run; None if no run has left a journal.
+    alive : bool or None
+        Whether it still runs; None if that cannot be known here.
+    stages : list of Stage
+    running : list of Running
+        Jobs under way, or interrupted if the run is no more.
+    failures : list of Failure
+        Of all runs.
+    left_s : float or None
+        Seconds until the run is through; None if nothing says what a waiting job will take.
+    """
+
+    run: Run | None
+    alive: bool | None
+    stages: list[Stage] = field(default_factory=list)
+    running: list[Running] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    left_s: float | None = None
+
+
+def read_benchmark(path: str | os.PathLike) -> Measured | None:
+    """A benchmark file of Snakemake; None if it is not there or holds nothing."""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as stream:
+            rows = list(csv.DictReader(stream, delimiter="\t"))
+    except (OSError, csv.Error):
+        return None
+    if not rows:
+        return None
+    wall = _number(rows[-1].get("s"))
+    if math.isnan(wall):
+        return None
+    return Measured(wall, _number(rows[-1].get("cpu_time")), _number(rows[-1].get("max_rss")))
+
+
+def _number(text: Any) -> float:
+    """A cell as a number; Snakemake writes ``-`` or ``NA`` for a job too short to be looked at."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def stage_of(job: dict[str, Any]) -> str:
+    """The stage that a job belongs to: the folder below results/ that its output lies in."""
+    parts = Path(job["output"][0]).parts
+    return parts[1] if len(parts) > 2 or (len(parts) == 2 and "." not in parts[1]) else "grid"
+
+
+def _state(job: dict[str, Any], run: Run, base: Path) -> str:
+    event = run.state.get(job["id"])
+    if event == "failed":
+        return "failed"
+    if event == "started":
+        return "running"
+    there = all((base / path).exists() for path in job["output"])
+    return "done" if there and (event == "finished" or not job["needed"]) else "waiting"
+
+
+class Expectation:
+    """How long a job will take: as its like have taken, else as the cost model says, corrected.
+
+    The correction is what all finished jobs took together over what the model says for them.
+    """
+
+    def __init__(self, config: Config | None, done: list[tuple[dict[str, Any], Measured]]):
+        self._config = config
+        self._walls = defaultdict(list)
+        modelled = taken = 0.0
+        for job, measured in done:
+            self._walls[job["rule"]].append(measured.wall_s)
+            model_s = self._model_s(job)
+            if model_s:
+                modelled, taken = modelled + model_s, taken + measured.wall_s
+        self.correction = taken / modelled if modelled else 1.0
+
+    def _model_s(self, job: dict[str, Any]) -> float | None:
+        kind = KIND.get(job["rule"], job["rule"].partition("_")[0])
+        if self._config is None or kind not in JOB_KINDS:
+            return None
+        return job_cpu_s(kind, self._config)
+
+    def wall_s(self, job: dict[str, Any]) -> float | None:
+        """Seconds; None if neither a finished job nor the model says."""
+        if self._walls[job["rule"]]:
+            return median(self._walls[job["rule"]])
+        model_s = self._model_s(job)
+        return None if model_s is None else model_s * self.correction
+
+
+def folder_bytes(folder: Path) -> int:
+    """What the files below a folder take."""
+    total = 0
+    for entry in os.walk(folder, onerror=None):
+        for name in entry[2]:
+            try:
+                total += os.lstat(os.path.join(entry[0], name)).st_size
+            except OSError:
+                continue  # gone since: a running job's
+    return total
+
+
+def status(folder: str | os.PathLike, config: Config | None, now_s: float | None = None) -> Status:
+    """Where the last run in a results folder stands.
+
+    Parameters
+    ----------
+    folder : path
+        The results folder.
+    config : Config or None
+        What it is to hold; without it, nothing is foreseen that has not been measured.
+    now_s : float, optional
+        Seconds since 1970; the present by default.
+
+    Raises
+    ------
+    BadInput
+        If the plan is damaged.
+    """
+    folder, now_s = Path(folder), time.time() if now_s is None else now_s
+    runs, plan = read_runs(folder), read_plan(folder)
+    if not runs or not plan:
+        return Status(None, None, failures=failures(folder, runs))
+    run = runs[-1]
+    found = Status(run, run.alive(), failures=failures(folder, runs))
+    base = folder.parent
+    states = {job["id"]: _state(job, run, base) for job in plan}
+    measured = {
+        job["id"]: cost
+        for job in plan
+        if states[job["id"]] == "done"
+        and job["benchmark"]
+        and (cost := read_benchmark(base / job["benchmark"]))
+    }
+    expected = Expectation(
+        config, [(job, measured[job["id"]]) for job in plan if job["id"] in measured]
+    )
+    stages = {stage_of(job): Stage(stage_of(job)) for job in plan}
+    core_s, longest_s, unknown = 0.0, 0.0, False
+    for job in plan:
+        stage, state = stages[stage_of(job)], states[job["id"]]
+        stage.jobs += 1
+        setattr(stage, state, getattr(stage, state) + 1)
+        if job["id"] in measured and not math.isnan(measured[job["id"]].cpu_s):
+            stage.cpu_s += measured[job["id"]].cpu_s
+        if state == "done":
+            continue
+        wall_s = expected.wall_s(job)
+        if state == "running":
+            since_s = run.started_s.get(job["id"], now_s)
+            found.running.append(
+                Running(job["output"][0], job["rule"], since_s, wall_s, job["log"])
+            )
+            if found.alive is not False and wall_s is not None:
+                # A clock that was set back shall not make a job longer than it is.
+                wall_s = max(0.0, wall_s - max(0.0, now_s - since_s))
+        if wall_s is None:
+            unknown = unknown or bool(job["benchmark"])
+            continue
+        stage.left_s += wall_s
+        core_s += wall_s * job.get("threads", 1)
+        longest_s = max(longest_s, wall_s)
+    if not unknown:
+        found.left_s = max(core_s / max(1, run.head.get("cores") or 1), longest_s)
+    _disk(folder, config, stages)
+    found.stages = list(stages.values())
+    return found
+
+
+def _disk(folder: Path, config: Config | None, stages: dict[str, Stage]) -> None:
+    """Fill in what the stages' files take, and what the jobs to come will add."""
+    model = {}
+    if config is not None:
+        model = {one.stage: one.disk_bytes for one in [*estimate(config), estimate_release(config)]}
+    for stage in stages.values():
+        stage.disk_bytes = folder_bytes(folder / stage.name)
+        if stage.done == stage.jobs:
+            continue
+        whole = model.get(stage.name, 0.0)
+        share_left = 1.0 - stage.done / stage.jobs
+        # Once a good part is there, what is there says more than the model.
+        if stage.done and share_left < 0.9:
+            whole = stage.disk_bytes / (1.0 - share_left)
+        stage.disk_to_come_bytes = whole * share_left
