@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
@@ -33,21 +34,68 @@ class TrainedModel:
         return self.card["target"]
 
 
-def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
-    """Write ``model.safetensors`` and ``model.json``; return the card as written.
+def write_weights(
+    tensors: dict[str, torch.Tensor], card: dict[str, Any], weights: Path, card_path: Path
+) -> dict[str, Any]:
+    """Write tensors and their card; return the card as written.
 
-    The same network and card give the same bytes. The card stands inside the weights file too, and
+    The same tensors and card give the same bytes. The card stands inside the weights file too, and
     outside with the weights' SHA-256, so that neither can change without the other.
     """
-    card = {"format": FORMAT, **card}
-    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
-    weights = Path(folder) / WEIGHTS
+    whole = {name: value.contiguous() for name, value in tensors.items()}
     with atomic_path(weights) as temporary:
-        save_file(tensors, temporary, {"card": json.dumps(card, sort_keys=True)})
-    card["weights_sha256"] = file_digest(weights)
-    with atomic_path(Path(folder) / CARD) as temporary:
-        temporary.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-    return card
+        save_file(whole, temporary, {"card": json.dumps(card, sort_keys=True)})
+    written = {**card, "weights_sha256": file_digest(weights)}
+    with atomic_path(card_path) as temporary:
+        temporary.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    return written
+
+
+def read_weights(
+    weights: Path, card_path: Path, form: str
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Tensors and card that `write_weights` wrote.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is not of the format `form`, or is not as it was written.
+    """
+    for path in (weights, card_path):
+        if not path.is_file():
+            raise BadInput(
+                f"{path}: no such file; a model is {weights.name} with {card_path.name} beside it"
+            )
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        known = card["format"]
+    except (ValueError, KeyError, TypeError):
+        raise BadInput(f"{card_path}: no model card of Slipstitch") from None
+    if known != form:
+        raise BadInput(f"{card_path}: model format {known!r}, {form!r} is needed")
+    if file_digest(weights) != card.get("weights_sha256"):
+        raise BadInput(
+            f"{weights}: altered or damaged: not the weights that {card_path.name} describes"
+        )
+    try:
+        with safe_open(weights, "pt") as file:
+            inside = json.loads(file.metadata()["card"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, KeyError, TypeError, ValueError):
+        raise BadInput(f"{weights}: no model of Slipstitch") from None
+    if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
+        raise BadInput(f"{card_path}: altered: not the card that is inside {weights.name}")
+    return tensors, card
+
+
+def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
+    """Write ``model.safetensors`` and ``model.json``; return the card as written."""
+    return write_weights(
+        network.state_dict(),
+        {"format": FORMAT, **card},
+        Path(folder) / WEIGHTS,
+        Path(folder) / CARD,
+    )
 
 
 def load_model(folder: str | os.PathLike) -> TrainedModel:
@@ -59,26 +107,7 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
         If a file is missing, is of another kind, or is not as it was written.
     """
     weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
-    for path in (weights, card_path):
-        if not path.is_file():
-            raise BadInput(f"{path}: no such file; a model is {WEIGHTS} with {CARD} beside it")
-    try:
-        card = json.loads(card_path.read_text(encoding="utf-8"))
-        known = card["format"]
-    except (ValueError, KeyError, TypeError):
-        raise BadInput(f"{card_path}: no model card of Slipstitch") from None
-    if known != FORMAT:
-        raise BadInput(f"{card_path}: model format {known!r}, {FORMAT!r} is needed")
-    if file_digest(weights) != card.get("weights_sha256"):
-        raise BadInput(f"{weights}: altered or damaged: not the weights that {CARD} describes")
-    try:
-        with safe_open(weights, "pt") as file:
-            inside = json.loads(file.metadata()["card"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, KeyError, TypeError, ValueError):
-        raise BadInput(f"{weights}: no model of Slipstitch") from None
-    if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
-        raise BadInput(f"{card_path}: altered: not the card that is inside {WEIGHTS}")
+    tensors, card = read_weights(weights, card_path, FORMAT)
     if card["network"] not in NETWORKS or card["split"] not in SPLITS:
         raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
     try:

@@ -1,0 +1,80 @@
+"""Distributions of the friction coefficient: mixtures of normals, laid on a grid."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def friction_grid(largest: float, step: float) -> np.ndarray:
+    """Values of mu from 0 to `largest` at a step, float64 of shape (G,)."""
+    return np.linspace(0.0, largest, round(largest / step) + 1)
+
+
+def mixture_cumulative(parameters: Tensor, points: Tensor) -> Tensor:
+    """Cumulative distribution function of a mixture of normals.
+
+    Parameters
+    ----------
+    parameters : tensor, shape (n, 3, M)
+        Logits of the weights; means; logarithms of the standard deviations.
+    points : tensor, shape (G,)
+
+    Returns
+    -------
+    tensor, shape (n, G)
+    """
+    weights = parameters[:, 0].softmax(-1)
+    away = points[None, :, None] - parameters[:, 1, None]
+    below = 0.5 * (1.0 + torch.erf(away * (-parameters[:, 2, None]).exp() / math.sqrt(2.0)))
+    return (below * weights[:, None]).sum(-1)
+
+
+def ranked_probability_score(cumulative: Tensor, truth: Tensor, grid: Tensor) -> Tensor:
+    """Continuous ranked probability score, in units of mu, shape (n,).
+
+    Integral of (F(x) - [x >= truth])^2 over the grid by the midpoint rule (Gneiting & Raftery
+    2007, eq. 20). `cumulative` is F at the middles between neighbouring points, shape (n, G - 1).
+    A grid point counts half where the truth lies within its cell, by the share of the cell above.
+    """
+    step = grid[1] - grid[0]
+    above = ((grid[1:][None] - truth[:, None]) / step).clamp(0.0, 1.0)
+    # Mean over the cell of (F - [x >= truth])^2 with F constant in it.
+    return (cumulative.square() * (1 - above) + (1 - cumulative).square() * above).sum(-1) * step
+
+
+def probabilities_on_grid(cumulative: np.ndarray) -> np.ndarray:
+    """Probability of each point's cell from F at the middles (n, G - 1); ends take the tails."""
+    padded = np.pad(cumulative, ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, 1.0)))
+    return np.maximum(np.diff(padded, axis=1), 0.0)
+
+
+def tempered(probabilities: np.ndarray, temperature: float) -> np.ndarray:
+    """Each row to the power 1 / temperature, normalised; above 1 it is spread, below sharpened."""
+    logarithm = np.log(np.maximum(probabilities, 1e-30)) / temperature
+    powers = np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
+    return powers / powers.sum(axis=1, keepdims=True)
+
+
+def quantiles(probabilities: np.ndarray, grid: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Quantiles of distributions on a grid, linear within a point's cell.
+
+    Parameters
+    ----------
+    probabilities : ndarray, shape (n, G)
+    grid : ndarray, shape (G,)
+        Equally spaced.
+    levels : ndarray, shape (L,)
+        In (0, 1).
+
+    Returns
+    -------
+    ndarray, shape (n, L)
+        Within the grid's ends.
+    """
+    step = grid[1] - grid[0]
+    edges = np.append(grid - step / 2, grid[-1] + step / 2)
+    rising = np.pad(np.cumsum(probabilities, axis=1), ((0, 0), (1, 0)))
+    rows = [np.interp(levels, row / row[-1], edges) for row in rising]
+    return np.clip(np.array(rows), grid[0], grid[-1])

@@ -1,0 +1,328 @@
+"""The instrument: from the frames of a video to mu, its error bar, the fabric and the alarm."""
+
+import math
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from pydantic import ValidationError
+
+from slipstitch.errors import BadInput
+from slipstitch.instrument.alarm import Alarm
+from slipstitch.instrument.augmentation import augmented, standardised
+from slipstitch.instrument.distribution import (
+    mixture_cumulative,
+    probabilities_on_grid,
+    quantiles,
+    tempered,
+)
+from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.train.model_file import read_weights, write_weights
+
+FORMAT = "slipstitch-instrument-1"
+WEIGHTS = "instrument.safetensors"
+CARD = "instrument.json"
+ALARM = "alarm."
+NOT_CALIBRATED = "the instrument is not calibrated: nothing is known of its errors"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the instrument says of one video.
+
+    Attributes
+    ----------
+    friction_coefficient : float
+        Median of the distribution.
+    distribution : tuple of ndarray
+        Grid of mu and the probability of each of its points, both of shape (G,).
+    interval_90 : tuple of float
+        Conformal interval, (low, high); the whole grid where too few simulations calibrate it.
+        The level is the card's ``coverage``, 0.9 unless it was set otherwise.
+    material_probabilities : dict
+        Fabric -> probability.
+    alarm : bool
+        Whether the video is unlike the training data, so that the rest is not to be believed.
+    alarm_reason : str
+        Why; empty without alarm.
+    moments : ndarray, shape (frames,)
+        Weight of each frame in the decision, sum 1.
+    """
+
+    friction_coefficient: float
+    distribution: tuple[np.ndarray, np.ndarray]
+    interval_90: tuple[float, float]
+    material_probabilities: dict[str, float]
+    alarm: bool
+    alarm_reason: str
+    moments: np.ndarray
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Uncalibrated answers for n videos, averaged over augmented looks."""
+
+    probabilities: np.ndarray
+    material_logits: np.ndarray
+    order: np.ndarray
+    moments: np.ndarray
+    embedding: np.ndarray
+
+
+@dataclass(frozen=True)
+class ErrorBars:
+    """Calibration on held-out simulations.
+
+    Attributes
+    ----------
+    temperature, material_temperature : float
+    factor : float
+        By which the distribution's own half-intervals are stretched; infinite: not enough
+        simulations to promise anything.
+    alarm : Alarm
+    """
+
+    temperature: float
+    material_temperature: float
+    factor: float
+    alarm: Alarm
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """A network with its card and, once calibrated, its error bars."""
+
+    network: InstrumentNetwork
+    card: dict[str, Any]
+    error_bars: ErrorBars | None
+
+    @property
+    def settings(self) -> InstrumentSettings:
+        """As it was trained."""
+        return self.network.settings
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Grid of mu, float64 of shape (G,)."""
+        return self.network.grid.double().numpy()
+
+    def answers(self, videos: np.ndarray, generator: np.random.Generator) -> Answers:
+        """Uncalibrated answers.
+
+        Parameters
+        ----------
+        videos : ndarray of uint8, shape (n, frames, pixels, pixels, 3)
+        generator : numpy Generator
+            Of the augmentations.
+        """
+        self.network.eval()
+        parts = []
+        with torch.inference_mode():
+            for video in videos:
+                looks = standardised(torch.from_numpy(np.ascontiguousarray(video))[None])
+                looks = augmented(
+                    looks.repeat(self.settings.draws, 1, 1, 1, 1), self.settings, generator
+                )
+                said = self.network(looks, self.card["bfloat16"])
+                # In float64: in float32 a distribution's tail would end at five deviations.
+                cumulative = mixture_cumulative(
+                    said["friction"].double(), self.network.middles.double()
+                )
+                parts.append(
+                    [
+                        probabilities_on_grid(cumulative.numpy()).mean(0),
+                        *(
+                            said[name].double().mean(0).numpy()
+                            for name in ("material", "order", "moments", "embedding")
+                        ),
+                    ]
+                )
+        return Answers(*(np.stack(column) for column in zip(*parts, strict=True)))
+
+    def distributions(self, answers: Answers) -> np.ndarray:
+        """Calibrated distributions on the grid, shape (n, G)."""
+        bars = self.error_bars
+        return tempered(answers.probabilities, bars.temperature if bars else 1.0)
+
+    def intervals(self, distributions: np.ndarray) -> np.ndarray:
+        """Median, lower and upper end of the intervals, shape (n, 3)."""
+        factor = self.error_bars.factor if self.error_bars else math.inf
+        return stretched(distributions, self.grid, self.settings.coverage, factor)
+
+    def measure(
+        self, frames: np.ndarray, generator: np.random.Generator | None = None
+    ) -> Measurement:
+        """Measure one video.
+
+        Parameters
+        ----------
+        frames : ndarray of uint8, shape (frames, height, width, 3)
+            RGB, at regular intervals from the start of the stage's motion, cropped as the
+            training images are: square. Resized to the network's side where they differ.
+        generator : numpy Generator, optional
+            Draws the augmented looks that are averaged; by default always the same.
+
+        Returns
+        -------
+        Measurement
+
+        Raises
+        ------
+        BadInput
+            If the array is of another shape or type.
+        """
+        video = self._fitted(frames)[None]
+        answers = self.answers(video, generator or np.random.default_rng(0))
+        distribution = self.distributions(answers)
+        median, low, high = self.intervals(distribution)[0]
+        bars = self.error_bars
+        logits = answers.material_logits[0] / (bars.material_temperature if bars else 1.0)
+        shares = np.exp(logits - logits.max())
+        reason = NOT_CALIBRATED
+        if bars:
+            scores = bars.alarm.raw(video, answers.embedding, answers.order)
+            reason = bars.alarm.reason(scores[0])
+        return Measurement(
+            friction_coefficient=float(median),
+            distribution=(self.grid, distribution[0]),
+            interval_90=(float(low), float(high)),
+            material_probabilities=dict(
+                zip(self.card["materials"], (shares / shares.sum()).tolist(), strict=True)
+            ),
+            alarm=bool(reason),
+            alarm_reason=reason,
+            moments=answers.moments[0],
+        )
+
+    def _fitted(self, frames: np.ndarray) -> np.ndarray:
+        """The frames at the network's size; BadInput if they are no such frames."""
+        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is needed"
+        if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 4:
+            raise BadInput(f"the frames are no images: {wanted}")
+        count, height, width, colours = frames.shape
+        if count != self.card["frames"] or height != width or colours != 3 or height < 8:
+            raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
+        side = self.network.pixels
+        if height == side:
+            return frames
+        how = Image.Resampling.BOX if side < height else Image.Resampling.BICUBIC
+        return np.stack(
+            [np.asarray(Image.fromarray(frame).resize((side, side), how)) for frame in frames]
+        )
+
+
+def stretched(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, factor: float
+) -> np.ndarray:
+    """Median and interval whose halves are `factor` times the distribution's own, shape (n, 3).
+
+    Either half is at least one step of the grid before stretching, so that a distribution that is
+    too sure of itself can be stretched at all. Clipped to the grid.
+    """
+    levels = np.array([(1 - coverage) / 2, 0.5, (1 + coverage) / 2])
+    low, median, high = quantiles(distributions, grid, levels).T
+    step = grid[1] - grid[0]
+    if not math.isfinite(factor):
+        return np.stack(
+            [median, np.full_like(median, grid[0]), np.full_like(median, grid[-1])], axis=1
+        )
+    below = median - factor * np.maximum(median - low, step)
+    above = median + factor * np.maximum(high - median, step)
+    return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
+
+
+def stretch_scores(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
+) -> np.ndarray:
+    """Factor by which each interval would have to be stretched to reach its truth, shape (n,)."""
+    median, low, high = stretched(distributions, grid, coverage, 1.0).T
+    half = np.where(truth < median, median - low, high - median)
+    # A half that the grid's end cut off is never too short.
+    return np.abs(truth - median) / np.maximum(half, 1e-9)
+
+
+def untrained_instrument(
+    settings: InstrumentSettings, materials: list[str], pixels: int, seed: int = 0
+) -> Instrument:
+    """An instrument of random weights: well formed, knows nothing, always raises its alarm."""
+    torch.manual_seed(seed)
+    network = InstrumentNetwork(settings, len(materials), pixels)
+    network.eval()
+    card = {
+        "materials": list(materials),
+        "frames": settings.frames,
+        "pixels": pixels,
+        "bfloat16": False,
+        "settings": settings.model_dump(mode="json"),
+        "dataset_digest": None,
+        "seed": seed,
+    }
+    return Instrument(network, card, None)
+
+
+def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:
+    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written."""
+    tensors = dict(instrument.network.state_dict())
+    card = {"format": FORMAT, **instrument.card, "error_bars": None}
+    bars = instrument.error_bars
+    if bars:
+        card["error_bars"] = {
+            "temperature": bars.temperature,
+            "material_temperature": bars.material_temperature,
+            "factor": bars.factor if math.isfinite(bars.factor) else None,
+            "alarm_threshold": bars.alarm.threshold,
+        }
+        for field in fields(Alarm):
+            if field.name != "threshold":
+                tensors[ALARM + field.name] = torch.from_numpy(getattr(bars.alarm, field.name))
+    return write_weights(tensors, card, Path(folder) / WEIGHTS, Path(folder) / CARD)
+
+
+def load_instrument(path: str | os.PathLike) -> Instrument:
+    """Read an instrument that `save_instrument` wrote.
+
+    Parameters
+    ----------
+    path : path
+        Its folder, or one of the two files in it.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is of another kind, or is not as it was written.
+    """
+    given = Path(path)
+    folder = given.parent if given.name in (WEIGHTS, CARD) else given
+    weights = folder / WEIGHTS
+    tensors, card = read_weights(weights, folder / CARD, FORMAT)
+    try:
+        settings = InstrumentSettings.model_validate(card["settings"])
+        network = InstrumentNetwork(settings, len(card["materials"]), card["pixels"])
+        network.load_state_dict(
+            {name: value for name, value in tensors.items() if not name.startswith(ALARM)}
+        )
+        noted = card["error_bars"]
+        bars = None
+        if noted is not None:
+            arrays = {
+                name.removeprefix(ALARM): value.numpy()
+                for name, value in tensors.items()
+                if name.startswith(ALARM)
+            }
+            bars = ErrorBars(
+                noted["temperature"],
+                noted["material_temperature"],
+                math.inf if noted["factor"] is None else noted["factor"],
+                Alarm(**arrays, threshold=noted["alarm_threshold"]),
+            )
+    except (ValidationError, RuntimeError, KeyError, TypeError) as error:
+        first = str(error).splitlines()[0]
+        raise BadInput(f"{weights}: weights do not fit the card: {first}") from None
+    network.eval()
+    inside = {key: value for key, value in card.items() if key != "error_bars"}
+    return Instrument(network, inside, bars)

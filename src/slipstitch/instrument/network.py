@@ -1,0 +1,143 @@
+"""The instrument's network: a distribution of mu and the fabric from the frames of a video.
+
+    frame --> convolutions of stride 2, features shifted in time between them
+          --> a few channels of the last map with their position --> features
+    features of all frames --> bidirectional GRU --> attention over frames --> heads
+
+The shift in time is that of Lin, Gan & Han (TSM, 2019): an eighth of the channels comes from the
+frame before, an eighth from the frame after. It costs nothing and lets convolutions see motion.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from slipstitch.errors import BadInput
+from slipstitch.instrument.distribution import friction_grid
+from slipstitch.instrument.settings import InstrumentSettings
+
+SHARE_SHIFTED = 8  # one channel in so many, either way
+
+
+def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
+    """Maps (videos * frames, C, H, W): some channels from the frame before, some from the next."""
+    videos = maps.view(-1, frames, *maps.shape[1:])
+    moved = videos.shape[2] // SHARE_SHIFTED
+    if not moved:
+        return maps
+    before = nn.functional.pad(videos[:, :-1, :moved], (0, 0, 0, 0, 0, 0, 1, 0))
+    after = nn.functional.pad(videos[:, 1:, moved : 2 * moved], (0, 0, 0, 0, 0, 0, 0, 1))
+    joined = torch.cat([before, after, videos[:, :, 2 * moved :]], dim=2)
+    return joined.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+
+
+class InstrumentNetwork(nn.Module):
+    """Mixture of mu, material logits, order logit, weights of the frames.
+
+    Parameters
+    ----------
+    settings : InstrumentSettings
+    materials : int
+        Number of fabrics that it tells apart.
+    pixels : int
+        Side of the frames.
+
+    Raises
+    ------
+    BadInput
+        If the frames are too small for the convolutions.
+    """
+
+    def __init__(self, settings: InstrumentSettings, materials: int, pixels: int):
+        super().__init__()
+        self.settings, self.pixels = settings, pixels
+        side, inputs = pixels, 3
+        self.convolutions = nn.ModuleList()
+        self.multiply_accumulates = 0
+        for outputs in settings.channels:
+            self.convolutions.append(nn.Conv2d(inputs, outputs, 3, stride=2, padding=1))
+            side = (side + 1) // 2
+            self.multiply_accumulates += 9 * inputs * outputs * side**2
+            inputs = outputs
+        if side < 2:
+            raise BadInput(
+                f"{pixels} pixels are too few for {len(settings.channels)} convolutions of stride 2"
+            )
+        self.place = nn.Conv2d(inputs, settings.position_channels, 1)
+        self.frame_features = nn.Sequential(
+            nn.Linear(settings.position_channels * side**2, settings.features),
+            nn.LayerNorm(settings.features),
+            nn.GELU(),
+            nn.Dropout(settings.dropout),
+        )
+        units = settings.recurrent_units
+        self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)
+        self.attention = nn.Linear(2 * units, 1)
+        self.friction = nn.Sequential(
+            nn.Linear(2 * units, units), nn.GELU(), nn.Linear(units, 3 * settings.components)
+        )
+        self.material = nn.Linear(2 * units, materials)
+        self.order = nn.Linear(2 * units, 1)
+        self._initialise()
+        self.convolutions.to(memory_format=torch.channels_last)
+        grid = torch.from_numpy(friction_grid(settings.friction_max, settings.friction_step))
+        self.register_buffer("grid", grid.float(), persistent=False)
+
+    def _initialise(self) -> None:
+        """He's variances; the mixture's means spread over the grid, its deviations wide."""
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                nn.init.zeros_(module.bias)
+        count, largest = self.settings.components, self.settings.friction_max
+        last = self.friction[-1]
+        with torch.no_grad():
+            last.weight.mul_(0.1)
+            last.bias[:count] = 0.0
+            last.bias[count : 2 * count] = (torch.arange(count) + 0.5) / count * largest
+            last.bias[2 * count :] = torch.tensor(0.2 * largest).log()
+
+    @property
+    def middles(self) -> Tensor:
+        """Middles between the grid's points, where the cumulative distribution is wanted."""
+        return (self.grid[1:] + self.grid[:-1]) / 2
+
+    def forward(self, frames: Tensor, bfloat16: bool = False) -> dict[str, Tensor]:
+        """Answers of a batch.
+
+        Parameters
+        ----------
+        frames : float32 tensor, shape (videos, frames, pixels, pixels, 3)
+            Standardised colours.
+        bfloat16 : bool
+            Compute the convolutions in bfloat16; the rest stays float32.
+
+        Returns
+        -------
+        dict
+            ``friction`` (n, 3, components), see `mixture_cumulative`; ``material`` (n, materials)
+            logits; ``order`` (n,) logit of an ordinary video; ``moments`` (n, frames), weights of
+            the frames, sum 1; ``embedding`` (n, 2 * recurrent_units).
+        """
+        videos, count = frames.shape[:2]
+        maps = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
+        with torch.autocast(maps.device.type, torch.bfloat16, enabled=bfloat16):
+            for number, convolution in enumerate(self.convolutions):
+                if number:
+                    maps = shifted_in_time(maps, count)
+                maps = convolution(maps).relu_()
+            maps = self.place(maps)
+        features = self.frame_features(maps.float().flatten(1)).view(videos, count, -1)
+        states, _ = self.recurrent(features)
+        moments = self.attention(states)[..., 0].softmax(1)
+        embedding = (states * moments[..., None]).sum(1)
+        raw = self.friction(embedding).view(videos, 3, -1)
+        # Deviations between a third of the grid's step and its length.
+        smallest = torch.log(self.grid[1] / 3)
+        spread = raw[:, 2].clamp(smallest, torch.log(self.grid[-1]))
+        return {
+            "friction": torch.stack([raw[:, 0], raw[:, 1], spread], dim=1),
+            "material": self.material(embedding),
+            "order": self.order(embedding)[..., 0],
+            "moments": moments,
+            "embedding": embedding,
+        }
