@@ -217,7 +217,7 @@ def _creep(friction=0.5):
     from vertex_block_descent import GRAVITY_M_S2, VertexBlockDescent
 
     from slipstitch.cloth import rectangle
-    from slipstitch.protocol import run_protocol
+    from slipstitch.protocol.registry import run_protocol
 
     slope = np.arctan(SLOPE_OF_FRICTION * friction)
     options = {"friction": friction, "slope_deg": float(np.degrees(slope))}

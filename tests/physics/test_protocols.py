@@ -7,7 +7,7 @@ import pytest
 
 from slipstitch import theory
 from slipstitch.errors import BadInput
-from slipstitch.protocol import run_protocol
+from slipstitch.protocol.registry import run_protocol
 from slipstitch.simulate.settings import SimulationSettings
 
 FRICTIONS = (0.1, 0.5, 1.2)

@@ -226,7 +226,7 @@ def chosen_simulation(simulation: SimulationSettings, strip: Mapping[str, Any]):
 
 def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, Any]]:
     """Try the settings of one key with the strip and write the runs, judged by nobody yet."""
-    from slipstitch.protocol import run_protocol
+    from slipstitch.protocol.registry import run_protocol
 
     started = start_clock()
     trials = sweep(key, config.calibrate, config.simulation, run_protocol)
@@ -269,7 +269,7 @@ def calibrate_to_file(
     DemandNotMet
         If a demand is not met.
     """
-    from slipstitch.protocol import run_protocol
+    from slipstitch.protocol.registry import run_protocol
 
     started = start_clock()
     settings, simulation = config.calibrate, config.simulation

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
     import json
 
     from slipstitch.config.load import resolve_config
-    from slipstitch.protocol import run_protocol
+    from slipstitch.protocol.registry import run_protocol
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
     started = start_clock()

@@ -1,10 +1,13 @@
-"""The path of the stage that carries the cloth's clamps (the paper, Sec. 4.1)."""
+"""The cloth and the path of the stage that carries its clamps (the paper, Sec. 4.1)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+SIDE_M = 0.20  # of the square of cloth
+TAB_M = 0.01  # width of the tabs that hold its upper corners
 
 
 @dataclass(frozen=True)

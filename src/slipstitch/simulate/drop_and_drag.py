@@ -23,13 +23,10 @@ from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
 from slipstitch.progress import progress
 from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
-from slipstitch.protocol.stage import StagePath
+from slipstitch.protocol.stage import SIDE_M, TAB_M, StagePath
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
-
-SIDE_M = 0.20
-TAB_M = 0.01  # width of the tabs that hold the corners
 
 
 @dataclass(frozen=True)
