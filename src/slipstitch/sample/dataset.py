@@ -184,13 +184,33 @@ def write_dataset(
         seed=config.seed,
         started=started,
     )
+    write_manifest(rows, out_dir, record)
+    return rows
+
+
+def write_manifest(
+    rows: Sequence[dict[str, Any]], out_dir: str | os.PathLike, record: dict[str, Any]
+) -> None:
+    """Write the rows of all videos, with the digest of the dataset."""
     write_parquet(
-        pa.Table.from_pylist(rows, schema=MANIFEST_SCHEMA),
+        pa.Table.from_pylist(list(rows), schema=MANIFEST_SCHEMA),
         Path(out_dir) / MANIFEST,
         {"dataset_digest": dataset_digest(rows)},
         record,
     )
-    return rows
+
+
+def write_frames(
+    images: Sequence[dict[str, Any]], path: str | os.PathLike, record: dict[str, Any]
+) -> None:
+    """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
+    write_parquet(
+        pa.Table.from_pylist(list(images), schema=_hugging_face(FRAMES_SCHEMA)),
+        path,
+        {},
+        record,
+        compression="none",  # PNG is compressed already
+    )
 
 
 def _write_simulation(
@@ -280,11 +300,5 @@ def _write_simulation(
         seed=config.seed,
         started=started,
     )
-    write_parquet(
-        pa.Table.from_pylist(images, schema=_hugging_face(FRAMES_SCHEMA)),
-        out_dir / file,
-        {},
-        record,
-        compression="none",  # PNG is compressed already
-    )
+    write_frames(images, out_dir / file, record)
     return rows
