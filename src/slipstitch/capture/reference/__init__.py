@@ -1,0 +1,1 @@
+"""Reference friction from slip angles on an inclined plane."""
