@@ -4,7 +4,7 @@ import argparse
 import importlib
 from pathlib import Path
 
-SUMMARY = "bring in what is measured on a real bench: camera calibration"
+SUMMARY = "bring in what is measured on a real bench: camera, films, reference friction"
 EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
     "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"

@@ -1,0 +1,1 @@
+"""Videos of a bench, brought into the form of the dataset."""

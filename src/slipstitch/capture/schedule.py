@@ -1,0 +1,80 @@
+"""Which moments of the protocol a network sees, and through which crop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slipstitch.protocol.stage import SIDE_M, StagePath
+from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose
+from slipstitch.render.catalogue import Viewpoint
+from slipstitch.render.settings import RenderSettings
+from slipstitch.render.shots import viewpoint_pose
+from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.settings import SampleSettings
+from slipstitch.simulate.settings import SimulationSettings
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The frames of a dataset's videos.
+
+    Attributes
+    ----------
+    frame : ndarray (n,) int
+        Numbers in the simulation.
+    frame_rate_hz : float
+        Frame k is at k / this, counted from the start of the stage's motion.
+    fixed : Pose
+        The viewpoint that the networks were trained for.
+    pixels : int
+        Side of an image.
+    follows : bool
+        Whether the crop follows the stage.
+    duration_s : float
+        Of the simulated part of the protocol.
+    path : StagePath
+    """
+
+    frame: np.ndarray
+    frame_rate_hz: float
+    fixed: Pose
+    pixels: int
+    follows: bool
+    duration_s: float
+    path: StagePath = field(default_factory=StagePath)
+
+    @classmethod
+    def of(
+        cls,
+        simulation: SimulationSettings,
+        render: RenderSettings,
+        sample: SampleSettings,
+        viewpoint: str = "calibrated",
+    ) -> "Schedule":
+        """The schedule of the dataset that a configuration makes, in one viewpoint."""
+        return cls(
+            sampled_frames(simulation.frames, sample.frames),
+            simulation.frame_rate_hz,
+            viewpoint_pose(viewpoint, render),
+            render.pixels,
+            render.crop == "follow",
+            (simulation.frames - 1) / simulation.frame_rate_hz,
+        )
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """When the frames are, from the start of the stage's motion."""
+        return self.frame / self.frame_rate_hz
+
+    @property
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation and translation, stage to camera, of the viewpoint."""
+        return pose(self.fixed) if isinstance(self.fixed, Viewpoint) else self.fixed
+
+    def crop(self, time_s: float | Sequence[float]) -> Camera:
+        """The image's camera at a time."""
+        if not self.follows:
+            time_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
+        room = cloth_room(*self.path.position_m(time_s), SIDE_M, SIDE_M)
+        return crop_to(self.fixed, room, self.pixels)

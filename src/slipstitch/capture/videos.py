@@ -1,0 +1,214 @@
+"""From a video of the bench to the frames that a network sees."""
+
+import os
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slipstitch.capture.recording import Recording
+from slipstitch.capture.rectification import rectify, stage_plane
+from slipstitch.capture.schedule import Schedule
+from slipstitch.capture.stage_start import StageStart, find_start
+from slipstitch.errors import BadInput
+from slipstitch.render.camera import AIM_M
+from slipstitch.render.camera_file import LensCamera
+
+# A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
+# than the second number is of another moment.
+_NEAR_S = 0.25
+_LARGEST_GAP_S = 1.0
+_FAR_VIEW_DEG = 5.0
+_LEAST_INSIDE = 0.8
+
+
+@dataclass(frozen=True)
+class StageVideo:
+    """A real video as the networks see it.
+
+    Attributes
+    ----------
+    frames : ndarray (n, pixels, pixels, 3) uint8
+        Red, green, blue.
+    time_s : ndarray (n,)
+        Of each frame, from the start of the stage's motion.
+    stage_x_m : ndarray (n,)
+    start : StageStart
+    frame_interval_s, longest_gap_s : float
+        Median and largest time between frames of the file, while the protocol ran.
+    view_angle_deg : float
+        Between the directions in which the real camera and the calibrated viewpoint stand.
+    inside : ndarray (n,)
+        Share of each image that the real camera saw.
+    notes : list of str
+        What a person should know before trusting the result.
+    """
+
+    frames: np.ndarray
+    time_s: np.ndarray
+    stage_x_m: np.ndarray
+    start: StageStart
+    frame_interval_s: float
+    longest_gap_s: float
+    view_angle_deg: float
+    inside: np.ndarray
+    notes: list[str] = field(default_factory=list)
+
+
+def read_stage_video(
+    path: str | os.PathLike,
+    lens: LensCamera,
+    schedule: Schedule,
+    *,
+    start_s: float | None = None,
+    frame_rate_hz: float | None = None,
+) -> StageVideo:
+    """Decode, synchronise, rectify and crop a video; one of its frames is in memory at a time.
+
+    Parameters
+    ----------
+    path : path
+    lens : LensCamera
+        The camera that took it, at the stage.
+    schedule : Schedule
+        Which moments, through which crop.
+    start_s : float, optional
+        Time in the video at which the stage starts; found in the frames by default.
+    frame_rate_hz : float, optional
+        Of the camera, where the file's times are wrong.
+
+    Raises
+    ------
+    BadInput
+        If the file is no video, of another size than the camera's images, too short, has gaps, or
+        does not show a stage that moves as the protocol says.
+    """
+    recording = Recording(path, frame_rate_hz)
+    _check_size(recording, lens)
+    if start_s is not None:
+        start = StageStart(start_s, False)
+    else:
+        start = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
+        _check_start(path, start)
+    chosen, intervals = _choose(recording, start.time_s + schedule.time_s, start.time_s)
+    frames, inside, time_s = [], [], []
+    for moment_s, image in chosen:
+        at_s = moment_s - start.time_s
+        crop = schedule.crop(max(at_s, 0.0))
+        x_m, _ = schedule.path.position_m(max(at_s, 0.0))
+        picture, share = rectify(image, lens, crop, stage_plane(crop, float(x_m)))
+        frames.append(picture[..., ::-1])
+        inside.append(share)
+        time_s.append(at_s)
+    if min(inside) < _LEAST_INSIDE:
+        worst = int(np.argmin(inside))
+        raise BadInput(
+            f"{path}: {time_s[worst]:.1f} s after the start the camera sees only "
+            f"{100 * inside[worst]:.0f} % of the crop; at least {100 * _LEAST_INSIDE:.0f} % needed"
+        )
+    video = StageVideo(
+        frames=np.stack(frames),
+        time_s=np.array(time_s),
+        stage_x_m=schedule.path.position_m(np.maximum(time_s, 0.0))[0],
+        start=start,
+        frame_interval_s=float(np.median(intervals)),
+        longest_gap_s=float(np.max(intervals)),
+        view_angle_deg=_view_angle_deg(lens, schedule),
+        inside=np.array(inside),
+    )
+    video.notes.extend(_notes(video, schedule))
+    return video
+
+
+def _check_size(recording: Recording, lens: LensCamera) -> None:
+    needed = (lens.camera.pixels, lens.camera.rows or lens.camera.pixels)
+    if recording.size_px == needed:
+        return
+    turned = recording.size_px == needed[::-1]
+    shape = "portrait" if recording.size_px[1] > recording.size_px[0] else "landscape"
+    hint = f" ({shape}: the camera was calibrated the other way round)" if turned else ""
+    raise BadInput(
+        f"{recording.path}: {recording.size_px[0]}x{recording.size_px[1]} pixels{hint}; "
+        f"the camera file is for {needed[0]}x{needed[1]}"
+    )
+
+
+def _check_start(path, start: StageStart | None) -> None:
+    if start is None:
+        raise BadInput(
+            f"{path}: no start of the stage's motion found: the cloth must hang still for 2 s, "
+            "then sink as the protocol says; state the start (start_s) if it is there"
+        )
+    if not start.speed_is_right:
+        raise BadInput(
+            f"{path}: the stage sinks {start.speed:.2f} times as fast as the protocol says; is the "
+            "frame rate wrong? State it (frame_rate_hz)"
+        )
+
+
+def _choose(
+    recording: Recording, wanted_s: np.ndarray, start_s: float
+) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
+    """The frame nearest to each wanted time, and the times between frames from the start on."""
+    chosen: list[tuple[float, np.ndarray]] = []
+    best: tuple[float, np.ndarray] | None = None
+    last_s, intervals = None, []
+    for moment in recording.moments():
+        now_s = moment.time_s
+        if last_s is not None and now_s >= start_s:
+            intervals.append(now_s - last_s)
+        last_s = now_s
+        while len(chosen) < len(wanted_s):
+            target_s = wanted_s[len(chosen)]
+            near_s = np.inf if best is None else abs(best[0] - target_s)
+            if now_s - target_s < near_s:
+                break
+            # From here on frames only get farther away.
+            if near_s >= _LARGEST_GAP_S:
+                raise BadInput(
+                    f"{recording.path}: a frame is needed at {target_s:.2f} s; the nearest usable "
+                    f"one is {near_s:.1f} s away, at most {_LARGEST_GAP_S:g} s is allowed"
+                )
+            chosen.append(best)
+        if len(chosen) == len(wanted_s):
+            break
+        left_s = wanted_s[len(chosen)] - now_s
+        # The nearer the wanted time, the more frames are converted, every one in the end.
+        if left_s < _LARGEST_GAP_S and (best is None or now_s - best[0] >= left_s / 4):
+            image = moment.image()
+            best = best if image is None else (now_s, image)
+    while best and len(chosen) < len(wanted_s) and wanted_s[len(chosen)] - best[0] <= _NEAR_S:
+        chosen.append(best)
+    if len(chosen) < len(wanted_s):
+        raise BadInput(
+            f"{recording.path}: ends after {last_s or 0.0:.1f} s; the stage starts at "
+            f"{start_s:.1f} s and {wanted_s[-1] - start_s:.1f} s from there are needed"
+        )
+    return chosen, np.array(intervals or [0.0])
+
+
+def _view_angle_deg(lens: LensCamera, schedule: Schedule) -> float:
+    directions = []
+    for rotation, translation in (lens.pose, schedule.pose):
+        seen_from = -rotation.T @ translation - np.array(AIM_M)
+        directions.append(seen_from / np.linalg.norm(seen_from))
+    return float(np.degrees(np.arccos(np.clip(directions[0] @ directions[1], -1, 1))))
+
+
+def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
+    notes = []
+    off_s = np.abs(video.time_s - schedule.time_s)
+    if off_s.max() > _NEAR_S:
+        notes.append(
+            f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s away from the "
+            "wanted moment, because frames are missing"
+        )
+    if video.inside.min() < 0.999:
+        notes.append(
+            f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest is black"
+        )
+    if video.view_angle_deg > _FAR_VIEW_DEG:
+        notes.append(
+            f"the camera stands {video.view_angle_deg:.0f} degrees away from the viewpoint that "
+            "was trained for"
+        )
+    return notes
