@@ -1,0 +1,1 @@
+"""Measure: friction read off one video of a bench."""

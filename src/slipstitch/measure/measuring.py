@@ -1,0 +1,158 @@
+"""One video measured: what the instrument says, and what it looked at."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipstitch.capture.schedule import Schedule
+from slipstitch.capture.videos import StageVideo, read_stage_video
+from slipstitch.config import load_config
+from slipstitch.errors import BadInput
+from slipstitch.instrument import Measurement, load_instrument
+from slipstitch.render.camera_file import read_camera_file
+from slipstitch.train.training import set_up_torch
+
+# Within one standard deviation, were the distribution normal.
+_STANDARD_SHARE = 0.6827
+
+
+@dataclass(frozen=True)
+class MeasuredVideo:
+    """A measurement with the frames that it rests on.
+
+    Attributes
+    ----------
+    name : str
+        Of the video file.
+    video : StageVideo
+    measurement : Measurement
+    uncertainty : float
+        Half the width of the middle 68 % of the distribution.
+    instrument : str
+        What identifies the instrument: the digest of its weights, if its card has one.
+    config_path : path
+        The configuration that told which frames to take.
+    """
+
+    name: str
+    video: StageVideo
+    measurement: Measurement
+    uncertainty: float
+    instrument: str
+    config_path: Path
+
+    @property
+    def fabric(self) -> tuple[str, float]:
+        """The likeliest fabric and its probability."""
+        return max(self.measurement.material_probabilities.items(), key=lambda item: item[1])
+
+    def lines(self) -> list[str]:
+        """The result for a terminal."""
+        measured = self.measurement
+        low, high = measured.interval_90
+        fabric, share = self.fabric
+        said = [
+            f"friction {measured.friction_coefficient:.3f} ± {self.uncertainty:.3f}, "
+            f"90 % interval {low:.3f} ... {high:.3f}",
+            f"fabric most like {fabric} ({100 * share:.0f} %)",
+        ]
+        said += [f"note: {note}" for note in self.video.notes]
+        if measured.alarm:
+            said.append(f"ALARM: {measured.alarm_reason}: do not trust these numbers")
+        else:
+            said.append("no alarm")
+        return said
+
+    def numbers(self) -> dict[str, Any]:
+        """The result for a program."""
+        measured, video = self.measurement, self.video
+        return {
+            "video": self.name,
+            "friction_coefficient": measured.friction_coefficient,
+            "uncertainty": self.uncertainty,
+            "interval_90": list(map(float, measured.interval_90)),
+            "distribution": [np.asarray(part).tolist() for part in measured.distribution],
+            "material_probabilities": measured.material_probabilities,
+            "alarm": bool(measured.alarm),
+            "alarm_reason": measured.alarm_reason,
+            "frame_time_s": video.time_s.tolist(),
+            "moments": np.asarray(measured.moments).tolist(),
+            "stage_start_s": video.start.time_s,
+            "stage_start_found": video.start.found,
+            "notes": video.notes,
+            "instrument": self.instrument,
+        }
+
+
+def measure_video(
+    path: str | os.PathLike,
+    camera: str | os.PathLike,
+    model: str | os.PathLike,
+    config: str | os.PathLike | None = None,
+    *,
+    start_s: float | None = None,
+    frame_rate_hz: float | None = None,
+    threads: int = 2,
+) -> MeasuredVideo:
+    """Measure one video.
+
+    Parameters
+    ----------
+    path, camera, model : path
+        The video, the camera file, the instrument's folder.
+    config : path, optional
+        What the instrument was trained with; by default the nearest ``config.json`` above it.
+    start_s, frame_rate_hz : float, optional
+        See `slipstitch.capture.videos.read_stage_video`.
+    threads : int
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, or the video does not show the protocol.
+    """
+    lens = read_camera_file(camera)
+    instrument = load_instrument(Path(model))
+    config_path = _config_of(model, config)
+    settings = load_config(config_path)
+    frames = int(instrument.card["frames"])
+    if frames != settings.sample.frames:
+        raise BadInput(
+            f"{config_path}: sample.frames is {settings.sample.frames}, the instrument in {model} "
+            f"was trained with {frames}; state its configuration (--config)"
+        )
+    schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    video = read_stage_video(path, lens, schedule, start_s=start_s, frame_rate_hz=frame_rate_hz)
+    set_up_torch(threads)
+    measured = instrument.measure(video.frames, np.random.default_rng(0))
+    grid, probability = map(np.asarray, measured.distribution)
+    return MeasuredVideo(
+        Path(path).name,
+        video,
+        measured,
+        _half_width(grid, probability),
+        str(instrument.card.get("weights_sha256") or "unknown"),
+        config_path,
+    )
+
+
+def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
+    if given is not None:
+        return Path(given)
+    folder = Path(model).resolve()
+    for above in (folder, *folder.parents):
+        found = above / "config.json"
+        if found.is_file():
+            return found
+    raise BadInput(f"{model}: no config.json in a folder above it; state it with --config")
+
+
+def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:
+    """Half the width of the middle 68 % of a distribution."""
+    cumulative = np.cumsum(probability) / np.sum(probability)
+    tails = (1 - _STANDARD_SHARE) / 2
+    low, high = np.interp([tails, 1 - tails], cumulative, grid)
+    return float(high - low) / 2

@@ -1,0 +1,105 @@
+"""``slipstitch measure``: one video in, one line and one page out."""
+
+import json
+
+import analytic_stage as stage
+import numpy as np
+import pytest
+
+from slipstitch.command import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.render.camera import pose
+from slipstitch.render.catalogue import VIEWPOINTS
+
+START_S = 3.1
+LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))
+CONFIG = resolve_config(
+    {
+        "simulation": {"frames": 24},
+        "sample": {"frames": 6},
+        "render": {"pixels": 64},
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A video, its camera, and an instrument that knows nothing."""
+    folder = tmp_path_factory.mktemp("measure")
+    seen = stage.Bench(LENS.camera, LENS.distortion)
+    times = np.concatenate([np.arange(0, 6.2, 0.1), np.arange(6.2, 13.2, 0.5)])
+    images = (seen.image(time_s - START_S) for time_s in times)
+    stage.write_video(folder / "video.mp4", images, times)
+    stage.camera_file(LENS, folder / "camera.json")
+    write_config(CONFIG, folder / "results" / "config.json")
+    instrument = untrained_instrument(
+        InstrumentSettings(frames=6, channels=[8, 8, 8], draws=1), ["denim", "felt"], 64
+    )
+    save_instrument(instrument, folder / "results" / "instrument" / "seed0")
+    return folder
+
+
+def measure(bench, *words):
+    files = [str(bench / "video.mp4"), "--camera", str(bench / "camera.json")]
+    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
+    return main(["measure", *files, *model, "--threads", "1", *words])
+
+
+def test_result_numbers_and_page(bench, capsys):
+    page, numbers = bench / "page.html", bench / "numbers.json"
+    assert measure(bench, "--out", str(page), "--json", str(numbers)) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("friction ")
+    assert "90 % interval 0.000 ... 1.500" in said[0]
+    assert said[1].startswith("fabric most like ")
+    assert said[-1].startswith("ALARM: the instrument is not calibrated")
+    told = json.loads(numbers.read_text())
+    assert told["stage_start_s"] == pytest.approx(START_S, abs=0.01)
+    assert np.sum(told["moments"]) == pytest.approx(1, abs=1e-3)
+    assert len(told["frame_time_s"]) == 6
+    content = page.read_text()
+    assert content.count("data:image/png;base64,") == 6
+    assert "Do not trust these numbers" in content
+    assert f"{told['friction_coefficient']:.3f}" in content
+
+
+def test_the_same_video_gives_the_same_numbers(bench, capsys):
+    answers = []
+    for _ in range(2):
+        assert measure(bench) == 0
+        answers.append(capsys.readouterr().out)
+    assert answers[0] == answers[1]
+
+
+def test_a_stated_start(bench, capsys):
+    assert measure(bench, "--start-s", "2.9", "--json", str(bench / "stated.json")) == 0
+    told = json.loads((bench / "stated.json").read_text())
+    assert told["stage_start_s"] == 2.9
+    assert not told["stage_start_found"]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--start-s", "-1"], "--start-s: -1; must be greater than 0"),
+        (["--start-s", "9"], "ends after 12.7 s; the stage starts at 9.0 s"),
+        (["--camera", "no.json"], "no.json: cannot be read"),
+        (["--model", "nowhere"], "nowhere"),
+        (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["--threads", "0"], "--threads must be at least 1"),
+    ],
+)
+def test_bad_input_is_one_line(bench, capsys, words, problem):
+    assert measure(bench, *words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+
+
+def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
+    other = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 12}})
+    write_config(other, tmp_path / "config.json")
+    assert measure(bench, "--config", str(tmp_path / "config.json")) == 2
+    assert "sample.frames is 12, the instrument" in capsys.readouterr().err
