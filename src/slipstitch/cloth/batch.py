@@ -4,8 +4,7 @@ A task is ordinary code around a :class:`slipstitch.cloth.solver.ClothSolver`. E
 but only one thread runs at a time: it runs until its sheet needs the device, then the next one's
 turn comes; when all tasks that still run have asked, the device does what they asked for. So
 the order of everything is fixed, nothing needs a lock, and each task computes what it computes
-alone. (Generators would do without threads, were it not that the demand for forces also comes from
-inside SciPy's GMRES.)
+alone.
 """
 
 from __future__ import annotations

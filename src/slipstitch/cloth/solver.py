@@ -16,7 +16,6 @@ from enum import Enum, auto
 from typing import Literal
 
 import numpy as np
-import scipy.sparse.linalg
 
 from slipstitch.cloth import bending, contact
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
@@ -33,10 +32,10 @@ FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its
 # Tuning of the nonlinear solver; results do not depend on it, cost does.
 SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start
 REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
-EXACT_RATE = 0.3  # ... and less than this, near the solution, the exact tangent
-EXACT_BELOW = 1.0  # relative residual that counts as near
+EXACT_BELOW = 1.0  # relative residual from which the exact tangent is used
 PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
 KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
+LEAST_NEW = 1e-12  # part of a product that no earlier product had: less is rounding
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
 REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
@@ -195,6 +194,8 @@ class ClothSolver:
         self.record = StepRecord()
         self.time_s = 0.0
         self._accurate_step_s = np.inf
+        self._last_step_s = 0.0
+        self._acceleration_m_s2 = np.zeros_like(self.positions_m)
 
         self.ground_curvature_per_m = ground_curvature_per_m
         self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
@@ -354,28 +355,34 @@ class ClothSolver:
     def _krylov(self, product, residual: np.ndarray, products_max: int) -> np.ndarray:
         """Solve K A^-1 y = -r by GMRES, return A^-1 y.
 
+        As flexible GMRES does (Saad 1993) the A^-1 v of the basis are kept and combined: the
+        library's GMRES solves once more with A for the answer, which is a third of the solves.
+
         Parameters
         ----------
         product : callable
             K d from y and d = A^-1 y, all flat.
         """
-        last: list[np.ndarray] = []
-
-        def apply(y):
-            displacement = self._symmetric_solve(y)
-            last[:] = [y.copy(), displacement]
-            return product(y, displacement)
-
-        operator = scipy.sparse.linalg.LinearOperator(
-            (residual.size, residual.size), matvec=apply, dtype=float
-        )
-        y, _ = scipy.sparse.linalg.gmres(
-            operator, -residual.ravel(), rtol=KRYLOV_ACCURACY, restart=products_max, maxiter=1
-        )
-        # SciPy ends with a product at the solution: its A^-1 y is the answer.
-        if not np.array_equal(last[0], y):
-            last[1] = self._symmetric_solve(y)
-        return last[1].reshape(-1, 3)
+        right = -residual.ravel()
+        size = float(np.linalg.norm(right))
+        basis, displacements = [right / size], []
+        hessenberg = np.zeros((products_max + 1, products_max))
+        for count in range(1, products_max + 1):
+            displacements.append(self._symmetric_solve(basis[-1]))
+            vector = product(basis[-1], displacements[-1])
+            for row, earlier in enumerate(basis):
+                hessenberg[row, count - 1] = np.dot(vector, earlier)
+                vector -= hessenberg[row, count - 1] * earlier
+            rest = hessenberg[count, count - 1] = float(np.linalg.norm(vector))
+            parts = hessenberg[: count + 1, :count]
+            wanted = size * np.eye(count + 1)[0]
+            weights = np.linalg.lstsq(parts, wanted, rcond=None)[0]
+            left = float(np.linalg.norm(wanted - parts @ weights))
+            if left <= KRYLOV_ACCURACY * size or rest <= LEAST_NEW * size:
+                break
+            basis.append(vector / rest)
+        correction = sum(w * one for w, one in zip(weights, displacements, strict=True))
+        return correction.reshape(-1, 3)
 
     def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Newton correction with the exact tangent, by a Jacobian-free Krylov method.
@@ -445,7 +452,8 @@ class ClothSolver:
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
         self._damping_ratio.fill_(self.settings.damping_s / step_s)
-        guess = target.copy()
+        # As if the acceleration of the last steps went on: nearer than the target where it does.
+        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
         if prescribed is not None:
             guess[self.fixed] = prescribed[self.fixed]
         x, error = self._solve_apart(guess)
@@ -465,7 +473,12 @@ class ClothSolver:
 
     def _accept(self, x: np.ndarray, step_s: float) -> None:
         """Move the state on to positions that were just evaluated."""
-        self.velocities_m_s = (x - self.positions_m) / step_s
+        velocities_m_s = (x - self.positions_m) / step_s
+        if self._last_step_s:
+            apart_s = 0.5 * (step_s + self._last_step_s)
+            self._acceleration_m_s2 = (velocities_m_s - self.velocities_m_s) / apart_s
+        self._last_step_s = step_s
+        self.velocities_m_s = velocities_m_s
         self.positions_m = x
         self.sheets.ask(Work.ACCEPT, self.member)
         if self._layers is not None:
@@ -516,7 +529,7 @@ class ClothSolver:
         exact = False
         self._products = 0
         for _ in range(settings.newton_iterations_max):
-            if error <= settings.friction_tolerance:
+            if error <= settings.friction_tolerance or not np.isfinite(error):
                 break
             if (
                 not self._tangent.factored
@@ -525,7 +538,7 @@ class ClothSolver:
             ):
                 self._factorise()
                 self._products = 0
-            exact = rate > EXACT_RATE and error < EXACT_BELOW
+            exact = error < EXACT_BELOW
             if exact:
                 correction = self._exact_correction(x, residual)
                 if np.vdot(correction, residual) >= 0:
