@@ -15,6 +15,7 @@ from typing import NoReturn
 
 from slipstitch import __version__
 from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.threads import use_one_thread
 
 # The order in which the verbs are shown; one that is not listed comes last, by name.
 ORDER = (
@@ -123,6 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
         hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(verbs())}"
         print(f"slipstitch: error: there is no verb {verb!r}; {hint}", file=sys.stderr)
         return 2
+    use_one_thread()
     try:
         module = importlib.import_module(f"slipstitch.{verb}.command")
         parsed = _parser(verb, module).parse_args(words[1:])

@@ -1,6 +1,9 @@
 """slipstitch simulate and slipstitch protocol at the command line."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -64,6 +67,23 @@ def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_pat
         read_trajectory(other).metadata["perturbation"]
         != (read_trajectory(trajectory_file).metadata["perturbation"])
     )
+
+
+def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
+    # With 25 vertices a side BLAS splits its sums over two threads, if it is let.
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
+    size = ["--set", "vertices_per_side=25", "--set", "frames=6", "--set", "settle_s=0.2"]
+    places = []
+    for threads in ("1", "2"):
+        out = tmp_path / f"{threads}.parquet"
+        subprocess.run(
+            [sys.executable, "-m", "slipstitch", "simulate", *words, *size, "--out", str(out)],
+            env=os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            check=True,
+            capture_output=True,
+        )
+        places.append(read_trajectory(out).positions_m)
+    np.testing.assert_array_equal(*places)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """One clip simulated, rendered and compared anew, from its record."""
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -48,15 +47,10 @@ class Rebuilt:
     psnr_db: float | None
 
 
-# Sums over several threads round otherwise; the workflow's jobs have one thread each.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
 def _run(*words: str) -> None:
     """Run a verb of Slipstitch; Blender wants a process of its own."""
     answer = subprocess.run(
         [sys.executable, "-m", "slipstitch", *words],
-        env=os.environ | ONE_THREAD,
         capture_output=True,
         text=True,
     )

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
-
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 SUMMARY = "predict a new case with a verdict's null and extended models"
 EXAMPLE = "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv"
