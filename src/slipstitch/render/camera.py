@@ -64,6 +64,12 @@ class Camera:
         rows = None if self.rows is None else round(self.rows * scale)
         return Camera(self.rotation, self.translation_m, matrix, pixels, rows)
 
+    def with_margin(self, margin: int) -> "Camera":
+        """A square image and so many pixels more on every side."""
+        matrix = self.matrix.copy()
+        matrix[:2, 2] += margin
+        return Camera(self.rotation, self.translation_m, matrix, self.pixels + 2 * margin)
+
 
 def pose(viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,), world to camera, of a viewpoint's fixed camera."""

@@ -3,7 +3,7 @@
 The albedo of the point that a ray sees is the texture's; that of other points that light came by is
 taken as the texture's mean nearby (on the cloth) or all over (on the floor). A floor that mirrors
 adds a third kind of point: cloth that is seen in it, whose light of each order comes from the
-shading render and whose texture from `slipstitch.render.reflection`. No Blender is needed.
+shading render and whose texture from `slipstitch.render.mirrored_texture`. No Blender is needed.
 """
 
 from collections.abc import Iterator
@@ -12,10 +12,12 @@ from functools import cache
 
 import cv2
 import numpy as np
+import warp as wp
 
-from slipstitch.render.reflection import MirroredSight, mirrored_albedo
+from slipstitch.render.mirrored_texture import MirroredRays, mirrored_albedo, mirrored_rays
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.render.textures import TEXELS, texture
+from slipstitch.render.warp_arrays import warp_array
 
 # What lit a fold lies about this far away on the cloth.
 _NEIGHBOURHOOD = 0.12
@@ -42,7 +44,7 @@ class Layers:
         Scene, first- and second-order light there, divided by the rays per pixel.
     mirrored : ndarray (2, pixels^2), optional
         First- and second-order light that the floor mirrors.
-    sight : MirroredSight, optional
+    rays : MirroredRays, optional
         What cloth it mirrors.
     """
 
@@ -52,7 +54,7 @@ class Layers:
     uv: np.ndarray
     light: np.ndarray
     mirrored: np.ndarray | None = None
-    sight: MirroredSight | None = None
+    rays: MirroredRays | None = None
 
 
 def join(shading: Shading, sight: Sight) -> Layers:
@@ -72,7 +74,7 @@ def join(shading: Shading, sight: Sight) -> Layers:
         sight.cloth.uv[order],
         light[:, order],
         mirrored,
-        sight.mirrored,
+        None if sight.mirrored is None else mirrored_rays(sight.mirrored),
     )
 
 
@@ -87,16 +89,14 @@ def _texture_blur(rays: int) -> float:
 
 @cache
 def _prepared(name: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A texture's texels (3, M), its neighbourhood means (3, 64^2) and its mean (3,)."""
+    """A texture's texels (M, 3), its neighbourhood means (64^2, 3) and its mean (3,)."""
     full = texture(name)
     coarse = cv2.resize(full, (_COARSE_TEXELS,) * 2, interpolation=cv2.INTER_AREA)
     coarse = cv2.GaussianBlur(
         coarse, (0, 0), _NEIGHBOURHOOD * _COARSE_TEXELS, borderType=cv2.BORDER_REFLECT
     )
     fine = cv2.GaussianBlur(full, (0, 0), blur, borderType=cv2.BORDER_REFLECT)
-    # A plane for each colour: gathering from and summing along planes is twice as fast.
-    planes = (np.ascontiguousarray(image.reshape(-1, 3).T) for image in (fine, coarse))
-    return *planes, full.mean(axis=(0, 1))
+    return fine.reshape(-1, 3), coarse.reshape(-1, 3), full.mean(axis=(0, 1))
 
 
 def _texel(uv: np.ndarray, texels: int) -> np.ndarray:
@@ -111,26 +111,51 @@ def compose(layers: Layers, names: list[str]) -> list[np.ndarray]:
 
 def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
     """The frame with each of these textures, as linear light (pixels, pixels, 3)."""
-    texel, coarse_texel = _texel(layers.uv, TEXELS), _texel(layers.uv, _COARSE_TEXELS)
+    texel = warp_array(_texel(layers.uv, TEXELS), wp.int32)
+    coarse_texel = warp_array(_texel(layers.uv, _COARSE_TEXELS), wp.int32)
+    light = warp_array(layers.light.T, wp.vec3)
+    still = warp_array(layers.still.T, wp.vec3)
+    starts = warp_array(np.searchsorted(layers.pixel, np.arange(layers.pixels**2 + 1)), wp.int32)
     if layers.mirrored is not None:
-        mirrored_texel = _texel(layers.sight.uv, TEXELS)
-    scene, first, second = layers.light
-    pixel, start = np.unique(layers.pixel, return_index=True)
-    by_pixel = np.add.reduceat(scene, start) if len(pixel) else scene
+        mirrored_texel = warp_array(_texel(layers.rays.uv, TEXELS), wp.int32)
     blur = _texture_blur(len(layers.pixel))
     for name in names:
         fine, coarse, mean = _prepared(name, blur)
-        linear = layers.still[1:].T @ np.stack([mean, mean**2]) + layers.still[0][:, None]
-        for colour in range(3 if len(pixel) else 0):
-            value = coarse[colour][coarse_texel]
-            value *= second
-            value += first
-            value *= fine[colour][texel]
-            linear[pixel, colour] += np.add.reduceat(value, start) + by_pixel
+        linear = np.empty((layers.pixels**2, 3), np.float32)
+        lights = [still, wp.vec3(*mean), starts, texel, coarse_texel, light]
+        albedos = [warp_array(albedo, wp.vec3) for albedo in (fine, coarse, linear)]
+        wp.launch(_light_pixel, dim=len(linear), inputs=[*lights, *albedos], device="cpu")
         if layers.mirrored is not None:
-            seen = mirrored_albedo(layers.sight, mirrored_texel, fine).reshape(-1, 3)
+            seen = mirrored_albedo(layers.rays, mirrored_texel, fine).reshape(-1, 3)
             linear += (layers.mirrored[0][:, None] + layers.mirrored[1][:, None] * mean) * seen
         yield linear.reshape(layers.pixels, layers.pixels, 3)
+
+
+@wp.kernel(enable_backward=False)
+def _light_pixel(
+    still: wp.array(dtype=wp.vec3),
+    mean: wp.vec3,
+    starts: wp.array(dtype=wp.int32),
+    texel: wp.array(dtype=wp.int32),
+    coarse_texel: wp.array(dtype=wp.int32),
+    light: wp.array(dtype=wp.vec3),
+    fine: wp.array(dtype=wp.vec3),
+    coarse: wp.array(dtype=wp.vec3),
+    linear: wp.array(dtype=wp.vec3),
+):
+    """Light of one pixel: of what is not cloth, and of the cloth that its rays see."""
+    pixel = wp.tid()
+    total = _series(still[pixel], mean, mean)
+    for ray in range(starts[pixel], starts[pixel + 1]):
+        total += _series(light[ray], fine[texel[ray]], coarse[coarse_texel[ray]])
+    linear[pixel] = total
+
+
+@wp.func
+def _series(orders: wp.vec3, albedo: wp.vec3, nearby: wp.vec3) -> wp.vec3:
+    """Light that met the cloth never, once and twice, the second time at points nearby."""
+    ones = wp.vec3(1.0, 1.0, 1.0)
+    return ones * orders[0] + wp.cw_mul(albedo, ones * orders[1] + nearby * orders[2])
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

@@ -128,9 +128,8 @@ def usable_trajectory(path: str | os.PathLike) -> Trajectory:
 
 def _sight(trajectory: Trajectory, shot: Shot, surroundings: Surroundings) -> Sight:
     positions = trajectory.positions_m[shot.row].astype(np.float64)
-    roughness = surroundings.roughness if surroundings.reflects else None
     mesh = (positions, trajectory.faces, trajectory.uv)
-    return look(*mesh, FLOOR_M, shot.camera, roughness)
+    return look(*mesh, FLOOR_M, shot.camera, surroundings)
 
 
 def render_shadings(

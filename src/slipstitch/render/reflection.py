@@ -1,70 +1,87 @@
-"""The cloth mirrored in the floor: which point of it, how blurred, and its texture there.
+"""The cloth mirrored in the floor: which point of it each ray sees, and how blurred.
 
-Blender renders how much light of each order the floor mirrors towards the camera, with the true
-distribution of slopes; only the texture on that light is put on here. A mirror at z = 0 shows what
-lies at -z, so the mirrored cloth is seen by the same rasteriser. A floor of roughness r has slopes
-of about r^2 either way (GGX): a point that lies d behind the floor along the mirrored ray is
-smeared over 2 r^2 d along the plane of incidence and 2 r^2 d cos(angle of incidence) across it.
+A mirror at z = 0 shows what lies at -z, so the mirrored cloth is seen by the same rasteriser. A
+floor of roughness r has slopes t about either axis of the GGX distribution (Walter et al. 2007),
+with the parameter r^2. A point that lies d behind the floor along the mirrored ray is moved by
+2 t d along the plane of incidence and 2 t d cos(angle of incidence) across it. GGX has long tails:
+a tenth of the light comes from beyond three times its parameter, which makes dark cloth look hazy
+even in a good mirror.
 """
 
+import itertools
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from slipstitch.render.camera import Camera
-from slipstitch.render.visibility import Visibility, visible_cloth
+from slipstitch.render.surroundings import Surroundings
+from slipstitch.render.visibility import Visibility, sees_quad, visible_cloth
 
-# Widths (pixels, standard deviation, upwards in the image) between which is interpolated.
-_WIDTHS = (0.0, 0.7, 1.4, 2.8, 5.6, 11.2, 22.4)
-# What the tails of the slopes make of it, for a Gaussian blur of texture; and how much of that
-# width the mirrored light, which is smoother than the texture, may be smoothed.
-_SPREAD = 0.85
-_LIGHT_SPREAD = 0.15
-_LEAST_LIGHT_BLUR = 2.0
-# Of the guided filter (He, Sun & Tang 2013): its reach in pixels, and its smallest edge, squared.
-_GUIDED_REACH = 6
-_GUIDED_EDGE = 1e-3
+#: GGX, p(t1, t2) = a^2 / pi (a^2 + t1^2 + t2^2)^2, is a mixture of Gaussians whose inverse
+#: variances are exponentially distributed. Five of them: their shares, and widths over a.
+GGX = tuple(
+    (last - first, 1 / math.sqrt(-2 * math.log(1 - (first + last) / 2)))
+    for first, last in itertools.pairwise((0.0, 0.02, 0.07, 0.25, 0.6, 1.0))
+)
+# Mirrored cloth is looked for this many pixels beyond the image too: it blurs into it.
+_MARGIN = 8
+# Cloth lies on the floor if it is no further away.
+_LYING_M = 1e-3
 
 
 @dataclass(frozen=True)
 class MirroredSight:
-    """What the floor mirrors where.
+    """What the floor mirrors where, in the image and a margin around it.
 
     Attributes
     ----------
-    pixel : ndarray (N,) int
-        Pixel of each ray that meets the mirrored cloth on floor that it sees, rising.
+    camera : Camera
+        Of the image without margin.
+    margin : int
+        Pixels on every side.
+    rays : int
+        Along each side of a pixel.
+    seen : ndarray (N,) int
+        Flat numbers of the rays that meet mirrored cloth on floor that they see, rising.
     uv : ndarray (N, 2)
         Where on the cloth.
+    lying : ndarray (N,) bool
+        Whether the cloth lies on the floor there; its underside is dark.
+    bare : ndarray (rays pixels, rays pixels) bool
+        The rays that see the floor.
     width : ndarray (pixels, pixels) float32
-        Upward standard deviation (pixels) of the blur, carried on where nothing is mirrored.
+        The parameter of the blur, upwards in pixels, carried on where nothing is mirrored.
     squeeze : float
-        The sideward one's share of it.
-    coverage : ndarray (cells pixels, cells pixels) float32
-        Share of each cell's light that the mirror takes from the cloth, before its reflectance.
-    cells : int
-        Along each side of a pixel.
+        The blur's sideward width over its upward one.
+    surroundings : Surroundings
+        The floor's look and the lamp's place.
+    floor_z_m : float
     """
 
-    pixel: np.ndarray
+    camera: Camera
+    margin: int
+    rays: int
+    seen: np.ndarray
     uv: np.ndarray
+    lying: np.ndarray
+    bare: np.ndarray
     width: np.ndarray
     squeeze: float
-    coverage: np.ndarray
-    cells: int
+    surroundings: Surroundings
+    floor_z_m: float
 
 
 def mirrored_sight(
     positions_m: np.ndarray,
     faces: np.ndarray,
     vertex_uv: np.ndarray,
-    floor_z_m: float,
-    roughness: float,
-    on_floor: np.ndarray,
+    floor_m: np.ndarray,
+    surroundings: Surroundings,
+    cloth: Visibility,
     camera: Camera,
     rays: int,
-    cells: int,
 ) -> MirroredSight:
     """Find the mirrored cloth.
 
@@ -72,44 +89,49 @@ def mirrored_sight(
     ----------
     positions_m, faces, vertex_uv : ndarray
         The cloth's mesh.
-    floor_z_m : float
-        Height of the mirror.
-    roughness : float
-    on_floor : ndarray (rays pixels, rays pixels) bool
-        The rays that see the floor.
+    floor_m : ndarray (4, 3)
+        Corners of the mirror, all at the same height.
+    surroundings : Surroundings
+    cloth : Visibility
+        What the image's rays see of the cloth itself.
     camera : Camera
         Of the image.
-    rays, cells : int
-        Rays and cells along each side of a pixel.
+    rays : int
+        Along each side of a pixel.
     """
-    fine = camera.at_resolution(camera.pixels * rays)
+    wide, floor_z_m = camera.with_margin(_MARGIN), float(floor_m[0, 2])
+    fine = wide.at_resolution(wide.pixels * rays)
+    bare = sees_quad(floor_m, fine, rays)
+    y, x = np.divmod(cloth.seen, camera.pixels * rays)
+    bare[y + _MARGIN * rays, x + _MARGIN * rays] = False
     below = positions_m.copy()
     below[:, 2] = 2 * floor_z_m - below[:, 2]
     found = visible_cloth(below, faces, vertex_uv, fine, rays)
-    keep = on_floor.ravel()[found.seen]
-    found = Visibility(found.seen[keep], found.uv[keep], found.depth_m[keep])
-    y, x = np.divmod(found.seen, fine.pixels)
+    keep = bare.ravel()[found.seen]
+    seen, depth = found.seen[keep], found.depth_m[keep]
+    y, x = np.divmod(seen, fine.pixels)
     # The ray's direction per metre of depth, upwards: where it meets the floor, and how steeply.
-    ray = np.stack(
-        [(x - fine.matrix[0, 2]) / fine.matrix[0, 0], (y - fine.matrix[1, 2]) / fine.matrix[1, 1]]
+    right = (x - fine.matrix[0, 2]) / fine.matrix[0, 0]
+    down = (y - fine.matrix[1, 2]) / fine.matrix[1, 1]
+    up = camera.rotation[:, 2] @ np.stack([right, down, np.ones_like(right)])
+    floor_depth = (floor_z_m + camera.rotation[:, 2] @ camera.translation_m) / up
+    behind = np.clip(1 - floor_depth / depth, 0, 1)
+    steepness = np.abs(up) / np.sqrt(1 + right**2 + down**2)
+    width = 2 * surroundings.roughness**2 * camera.matrix[1, 1] * behind
+    pixel = (y // rays) * wide.pixels + x // rays
+    return MirroredSight(
+        camera,
+        _MARGIN,
+        rays,
+        seen,
+        found.uv[keep],
+        np.abs(up) * (depth - floor_depth) < _LYING_M,
+        bare,
+        _carried_on(pixel, width, wide.pixels),
+        float(steepness.mean()) if len(seen) else 1.0,
+        surroundings,
+        floor_z_m,
     )
-    up = camera.rotation[:2, 2] @ ray + camera.rotation[2, 2]
-    height = floor_z_m + camera.rotation[:, 2] @ camera.translation_m
-    floor_depth = height / up
-    behind = np.clip(1 - floor_depth / found.depth_m, 0, 1)
-    squeeze = float(np.mean(np.abs(up) / np.sqrt(1 + (ray**2).sum(axis=0)))) if len(x) else 1.0
-    pixel = (y // rays) * camera.pixels + x // rays
-    width = _SPREAD * 2 * roughness**2 * camera.matrix[1, 1] * behind
-    width = _carried_on(pixel, width, camera.pixels)
-    step, side = rays // cells, camera.pixels * cells
-    hits = np.bincount((y // step) * side + x // step, minlength=side**2).reshape(side, side, 1)
-    of_floor = cv2.resize(on_floor.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
-    wide = cv2.resize(width, (side, side), interpolation=cv2.INTER_LINEAR) * cells
-    shares = np.concatenate([hits / step**2, of_floor[..., None]], axis=-1).astype(np.float32)
-    shares = blurred(shares, wide, squeeze)
-    coverage = shares[..., 0] / np.maximum(shares[..., 1], 1e-3)
-    order = np.argsort(pixel, kind="stable")
-    return MirroredSight(pixel[order], found.uv[order], width, squeeze, coverage, cells)
 
 
 def _carried_on(pixel: np.ndarray, values: np.ndarray, side: int) -> np.ndarray:
@@ -121,88 +143,3 @@ def _carried_on(pixel: np.ndarray, values: np.ndarray, side: int) -> np.ndarray:
         weight = cv2.GaussianBlur(share, (0, 0), width)
         np.divide(cv2.GaussianBlur(total, (0, 0), width), weight, out=result, where=weight > 1e-2)
     return result
-
-
-def blurred(image: np.ndarray, width: np.ndarray, squeeze: float) -> np.ndarray:
-    """An image (H, W, C) blurred by a width (H, W) of its own at every pixel."""
-    last = int(np.searchsorted(_WIDTHS, min(float(width.max()), _WIDTHS[-1])))
-    stack = [image] + [
-        cv2.GaussianBlur(image, (0, 0), sigmaX=max(squeeze * one, 0.1), sigmaY=one).reshape(
-            image.shape
-        )
-        for one in _WIDTHS[1 : last + 1]
-    ]
-    level = np.interp(width, _WIDTHS, range(len(_WIDTHS)))
-    low = np.minimum(level.astype(np.int64), max(last - 1, 0))
-    part = (level - low)[..., None].astype(np.float32)
-    result = np.zeros_like(image)
-    for k in range(last + 1):
-        weight = np.where(low == k, 1 - part[..., 0], np.where(low == k - 1, part[..., 0], 0))
-        result += weight[..., None].astype(np.float32) * stack[k]
-    return result
-
-
-def smooth_mirrored_light(light: np.ndarray, where: np.ndarray, sight: MirroredSight) -> np.ndarray:
-    """Light (C, H, W) of the mirrored cloth, smoothed within its mirror image.
-
-    Parameters
-    ----------
-    light : ndarray (C, H, W)
-        At the resolution of the sight's cells.
-    where : ndarray (H, W) bool
-        The pixels that see nothing but floor.
-    sight : MirroredSight
-    """
-    floor = where.astype(np.float32)[..., None]
-    coverage = sight.coverage[..., None]
-    values = np.moveaxis(light, 0, -1).astype(np.float32) * floor
-    size = floor.shape[1::-1]
-    width = cv2.resize(sight.width, size, interpolation=cv2.INTER_LINEAR) * sight.cells
-    width = np.maximum(_LIGHT_SPREAD * width, _LEAST_LIGHT_BLUR)
-    both = np.concatenate([values, floor * coverage], axis=-1)
-    near = blurred(both, width, sight.squeeze)
-    far = cv2.blur(both, (15, 15))
-    whole = np.where(near[..., -1:] > 1e-2, near, far)
-    return np.moveaxis(whole[..., :-1] / np.maximum(whole[..., -1:], 1e-2) * coverage, -1, 0)
-
-
-def smooth_beside(light: np.ndarray, where: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """Light (1, H, W) of a region (H, W), smoothed but for the edges that `coverage` has.
-
-    A guided filter: around each pixel the light is fitted by a linear function of the coverage.
-    """
-    share = where.astype(np.float32)
-    light = light.astype(np.float32) * share
-    guide = np.clip(coverage, 0, 1).astype(np.float32)
-    parts = np.stack([share, light, guide * share, guide * light, guide**2 * share], axis=-1)
-    box = (2 * _GUIDED_REACH + 1,) * 2
-    means = cv2.blur(parts, box)
-    count = np.maximum(means[..., 0], 1e-3)
-    mean, middle, product, square = np.moveaxis(means[..., 1:], -1, 0) / count
-    slope = (product - middle * mean) / (square - middle**2 + _GUIDED_EDGE)
-    fit = cv2.blur(np.stack([slope, mean - slope * middle], axis=-1) * share[..., None], box)
-    slope, offset = np.moveaxis(fit, -1, 0) / count
-    return (slope * guide + offset)[None]
-
-
-def mirrored_albedo(sight: MirroredSight, texel: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Mean albedo (pixels, pixels, 3) of the cloth that each pixel of floor mirrors.
-
-    Parameters
-    ----------
-    sight : MirroredSight
-    texel : ndarray (N,) int
-        Number of each ray's texel.
-    texels : ndarray (3, M)
-    """
-    shape = (*sight.width.shape, 4)
-    image = np.zeros((sight.width.size, 4), np.float32)
-    if len(texel):
-        pixel, start = np.unique(sight.pixel, return_index=True)
-        for colour in range(3):
-            image[pixel, colour] = np.add.reduceat(texels[colour][texel], start)
-        image[pixel, 3] = np.diff(np.append(start, len(texel)))
-    image = blurred(image.reshape(shape), sight.width, sight.squeeze)
-    mean = image[..., :3].sum(axis=(0, 1)) / max(float(image[..., 3].sum()), 1e-6)
-    covered = image[..., 3:] > 1e-2
-    return np.where(covered, image[..., :3] / np.maximum(image[..., 3:], 1e-2), mean)

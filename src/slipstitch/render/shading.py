@@ -25,13 +25,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slipstitch.render.blur import spread
 from slipstitch.render.camera import Camera
-from slipstitch.render.reflection import (
-    MirroredSight,
-    mirrored_sight,
+from slipstitch.render.mirrored_light import (
+    glint_share,
+    mirror_shares,
     smooth_beside,
     smooth_mirrored_light,
 )
+from slipstitch.render.reflection import MirroredSight, mirrored_sight
+from slipstitch.render.surroundings import MATTE, Surroundings
 from slipstitch.render.visibility import Visibility, sees_quad, visible_cloth
 
 #: The shading render has this many times the pixels of the image along each side.
@@ -102,7 +105,7 @@ def look(
     vertex_uv: np.ndarray,
     floor_m: np.ndarray,
     camera: Camera,
-    roughness: float | None = None,
+    surroundings: Surroundings = MATTE,
 ) -> Sight:
     """What the rays of an image see.
 
@@ -114,20 +117,17 @@ def look(
         Corners of the floor.
     camera : Camera
         At the resolution of the image.
-    roughness : float, optional
-        Of a floor that mirrors.
+    surroundings : Surroundings
+        The floor's look and the lamp's place.
     """
     rays = _rays_per_side(camera.pixels)
     fine = camera.at_resolution(camera.pixels * rays)
     cloth = visible_cloth(positions_m, faces, vertex_uv, fine, rays)
     floor = sees_quad(floor_m, fine, rays)
     mirrored = None
-    if roughness is not None:
-        bare = floor.copy()
-        bare.ravel()[cloth.seen] = False
-        mesh = (positions_m, faces, vertex_uv)
-        z, cells = floor_m[0, 2], LIGHT_OVERSAMPLING
-        mirrored = mirrored_sight(*mesh, z, roughness, bare, camera, rays, cells)
+    if surroundings.reflects:
+        mesh = (positions_m, faces, vertex_uv, floor_m)
+        mirrored = mirrored_sight(*mesh, surroundings, cloth, camera, rays)
     return Sight(rays, cloth, floor, mirrored)
 
 
@@ -154,18 +154,9 @@ def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight
     elsewhere = (of_floor < 0.001) & (cover < 0.001)
     cloth_light = _smooth_on_cloth(light, uv, on_cloth)
     if glossy is None:
-        floor_light = sum(map(_spread, light, (on_floor,) * 2, _FLOOR_BLUR))
+        floor_light = sum(map(spread, light, (on_floor,) * 2, _FLOOR_BLUR))
     else:
-        by_cloth = separate(glossy)[1:]
-        coverage = sight.mirrored.coverage
-        mirrored = smooth_mirrored_light(by_cloth, on_floor, sight.mirrored)
-        floor_light = np.concatenate(
-            [
-                _spread(light[0, :1], on_floor, _FLOOR_BLUR[0])
-                + smooth_beside(light[1, 0], on_floor, coverage),
-                _spread(light[:, 1:].sum(axis=0) - by_cloth, on_floor, _CLOTH_LIGHT_BLUR),
-            ]
-        )
+        mirrored, floor_light = _light_of_mirror(light, separate(glossy), on_floor, sight.mirrored)
 
     # What is not cloth, without the rays that meet the cloth.
     other = 1 - floor
@@ -182,6 +173,24 @@ def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight
     return Shading(still, cloth_light, mirrored)
 
 
+def _light_of_mirror(
+    light: np.ndarray, glossy: np.ndarray, on_floor: np.ndarray, sight: MirroredSight
+) -> tuple[np.ndarray, np.ndarray]:
+    """Light (2, H, W) of the mirrored cloth, and all other light (3, H, W) of the floor."""
+    shares = mirror_shares(sight, LIGHT_OVERSAMPLING)
+    camera = sight.camera.at_resolution(sight.camera.pixels * LIGHT_OVERSAMPLING)
+    scene, by_cloth = glossy[0], glossy[1:]
+    mirrored = smooth_mirrored_light(by_cloth, on_floor, shares, sight.squeeze)
+    # What the floor scatters has the edges of shadows in it, and so has the lamp's glint; what it
+    # mirrors of the dome has those of the mirrored cloth.
+    dome = scene - light[0, 0] * glint_share(sight.surroundings, sight.floor_z_m, camera)
+    still = spread(light[0, :1], on_floor, _FLOOR_BLUR[0])
+    still += spread(light[1, :1] - dome, on_floor, _FLOOR_BLUR[1])
+    still += smooth_beside(dome, on_floor, shares.cloth)
+    thrown = spread(light[:, 1:].sum(axis=0) - by_cloth, on_floor, _CLOTH_LIGHT_BLUR)
+    return mirrored, np.concatenate([still, thrown])
+
+
 def _rays_per_side(pixels: int) -> int:
     """Rays along each side of a pixel: small images show more of the texture in each."""
     return 8 if pixels <= 80 else 4
@@ -192,25 +201,9 @@ def _shrink(image: np.ndarray, step: int) -> np.ndarray:
     return cv2.resize(image, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
 
 
-def _spread(light: np.ndarray, where: np.ndarray, blur: float) -> np.ndarray:
-    """Light (3, H, W) smoothed within a region and carried a little way out of it."""
-    share = where.astype(np.float32)
-    values = np.moveaxis(light, 0, -1).astype(np.float32) * share[..., None]
-    result = np.zeros_like(values)
-    # First far, then near, so that every pixel around the region gets a value.
-    for smooth in (
-        lambda image: cv2.blur(image, (15, 15)),
-        lambda image: cv2.GaussianBlur(image, (7, 7), blur),
-    ):
-        total = smooth(share)[..., None]
-        smoothed = smooth(values).reshape(values.shape)
-        np.divide(smoothed, total, out=result, where=total > 1e-3)
-    return np.moveaxis(result, -1, 0)
-
-
 def _smooth_on_cloth(light: np.ndarray, uv: np.ndarray, on_cloth: np.ndarray) -> np.ndarray:
     """Light (2, 3, H, W) smoothed over pixels close both in the image and on the cloth, added."""
-    result = sum(map(_spread, light, (on_cloth,) * 2, _CLOTH_BLUR))
+    result = sum(map(spread, light, (on_cloth,) * 2, _CLOTH_BLUR))
     rows, columns = np.flatnonzero(on_cloth.any(axis=1)), np.flatnonzero(on_cloth.any(axis=0))
     if not len(rows):
         return result

@@ -7,8 +7,10 @@ rays that only ask what is where are answered here, at a tenth of the cost.
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from slipstitch.render.camera import Camera
+from slipstitch.render.warp_arrays import warp_array
 
 # A camera's rays come in tiles of 4 or 8 a side, within which no two share a row or a column.
 _SHUFFLE = {4: np.array([1, 3, 0, 2]), 8: np.array([1, 4, 7, 2, 5, 0, 3, 6])}
@@ -73,41 +75,68 @@ def visible_cloth(
     local = positions_m @ camera.rotation.T + camera.translation_m
     nearness = 1 / local[:, 2]
     image = (local @ camera.matrix.T)[:, :2] * nearness[:, None]
-    corners = image[faces]
-    # A ray lies within half a pixel of its pixel's centre.
-    low = np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, side).astype(np.int64)
-    high = np.clip(np.floor(corners.max(axis=1) + 0.5), -1, side - 1).astype(np.int64)
-    columns, rows = np.maximum(high - low + 1, 0).T
-    count = columns * rows
-    # One entry for every pixel of every triangle's bounding box.
-    triangle = np.repeat(np.arange(len(faces)), count)
-    within = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
-    y, x = np.divmod(within, columns[triangle])
-    x += low[triangle, 0]
-    y += low[triangle, 1]
-    # Barycentric coordinates are affine in the pixel.
-    origin, a, b = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    scale = np.divide(1, area, out=np.full_like(area, np.nan), where=np.abs(area) > 1e-12)
-    place_x, place_y = ray_places(x, y, tile)
-    dx, dy = place_x - origin[triangle, 0], place_y - origin[triangle, 1]
-    second = dx * (b[:, 1] * scale)[triangle] - dy * (b[:, 0] * scale)[triangle]
-    third = dy * (a[:, 0] * scale)[triangle] - dx * (a[:, 1] * scale)[triangle]
-    inside = (second >= 0) & (third >= 0) & (second + third <= 1)
-    triangle, x, y = triangle[inside], x[inside], y[inside]
-    weights = np.stack([1 - second[inside] - third[inside], second[inside], third[inside]], axis=1)
-    weights *= nearness[faces[triangle]]
-    near = weights.sum(axis=1)
-    pixel = y * side + x
-    nearest = np.zeros(side * side)
-    np.maximum.at(nearest, pixel, near)
-    front = np.flatnonzero(near == nearest[pixel])
-    seen, first = np.unique(pixel[front], return_index=True)
-    front = front[first]
-    blend = weights[front] / near[front, None]
-    return Visibility(
-        seen, np.einsum("nk,nkd->nd", blend, uv[faces[triangle[front]]]), 1 / near[front]
-    )
+    nearest = np.zeros((side, side))
+    place = np.empty((side, side, 2))
+    inputs = [
+        warp_array(image, wp.vec2d),
+        warp_array(nearness, wp.float64),
+        warp_array(uv, wp.vec2d),
+        warp_array(faces, wp.vec3i),
+        warp_array(_SHUFFLE[tile], wp.int32),
+        warp_array(nearest, wp.float64),
+        warp_array(place, wp.vec2d),
+    ]
+    wp.launch(_draw_triangle, dim=len(faces), inputs=inputs, device="cpu")
+    seen = np.flatnonzero(nearest)
+    return Visibility(seen, place.reshape(-1, 2)[seen], 1 / nearest.ravel()[seen])
+
+
+@wp.kernel(enable_backward=False)
+def _draw_triangle(
+    image: wp.array(dtype=wp.vec2d),
+    nearness: wp.array(dtype=wp.float64),
+    uv: wp.array(dtype=wp.vec2d),
+    faces: wp.array(dtype=wp.vec3i),
+    shuffle: wp.array(dtype=wp.int32),
+    nearest: wp.array(dtype=wp.float64, ndim=2),
+    place: wp.array(dtype=wp.vec2d, ndim=2),
+):
+    """Draw one triangle into the depth buffer; on a CPU one runs after the other."""
+    nodes = faces[wp.tid()]
+    p = image[nodes[0]]
+    a = image[nodes[1]] - p
+    b = image[nodes[2]] - p
+    area = a[0] * b[1] - a[1] * b[0]
+    if wp.abs(area) < wp.float64(1e-12):
+        return
+    zero, one, half = wp.float64(0.0), wp.float64(1.0), wp.float64(0.5)
+    low = p + wp.vec2d(wp.min(zero, wp.min(a[0], b[0])), wp.min(zero, wp.min(a[1], b[1])))
+    high = p + wp.vec2d(wp.max(zero, wp.max(a[0], b[0])), wp.max(zero, wp.max(a[1], b[1])))
+    side, tile = nearest.shape[0], shuffle.shape[0]
+    # A ray lies within half a pixel of its pixel's centre; clamped first, as far places are no
+    # integers.
+    end = wp.float64(side)
+    left = wp.int32(wp.ceil(wp.clamp(low[0] - half, zero, end)))
+    right = wp.int32(wp.floor(wp.clamp(high[0] + half, -one, end - one)))
+    top = wp.int32(wp.ceil(wp.clamp(low[1] - half, zero, end)))
+    bottom = wp.int32(wp.floor(wp.clamp(high[1] + half, -one, end - one)))
+    size = wp.float64(tile)
+    for y in range(top, bottom + 1):
+        for x in range(left, right + 1):
+            # As in `ray_places`.
+            dx = wp.float64(x) + (wp.float64(shuffle[y % tile]) + half) / size - half - p[0]
+            dy = wp.float64(y) + (wp.float64(shuffle[x % tile]) + half) / size - half - p[1]
+            second = (dx * b[1] - dy * b[0]) / area
+            third = (dy * a[0] - dx * a[1]) / area
+            first = one - second - third
+            if first >= zero and second >= zero and third >= zero:
+                w0 = first * nearness[nodes[0]]
+                w1 = second * nearness[nodes[1]]
+                w2 = third * nearness[nodes[2]]
+                near = w0 + w1 + w2
+                if near > nearest[y, x]:
+                    nearest[y, x] = near
+                    place[y, x] = (w0 * uv[nodes[0]] + w1 * uv[nodes[1]] + w2 * uv[nodes[2]]) / near
 
 
 def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:
