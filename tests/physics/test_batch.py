@@ -14,6 +14,7 @@ from slipstitch.cloth import (
     bending,
     contact,
     elasticity,
+    near_pairs,
     rectangle,
     run_together,
     self_contact,
@@ -159,7 +160,7 @@ def test_every_kernel_compiles_for_a_gpu(tmp_path):
     name = contact.__name__
     for extended in (False, True):
         contact.contact_kernels(extended)
-    modules = [one.__name__ for one in (elasticity, bending, self_contact, contact)]
+    modules = [one.__name__ for one in (elasticity, bending, near_pairs, self_contact, contact)]
     sources = {}
     for module in (*modules, f"{name}_coulomb", f"{name}_extended"):
         # Not with strip_hash: it would stay on, and kernels of other versions be loaded.

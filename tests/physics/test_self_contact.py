@@ -105,13 +105,15 @@ def _potential(layers, x):
     at = wp.zeros(1, dtype=wp.vec2d)
     gap = wp.zeros(1, dtype=wp.float64)
     total = 0.0
-    for number, (nodes, kind) in enumerate(zip(layers.nodes, layers._kinds.numpy(), strict=True)):
+    for number, (nodes, kind) in enumerate(
+        zip(layers.nodes, layers.pairs.kinds.numpy(), strict=True)
+    ):
         arrays = [
             wp.array(x, dtype=wp.vec3d),
             wp.array(nodes[None], dtype=wp.vec4i),
         ]
         wp.launch(_closest, dim=1, inputs=[int(kind), *arrays, at, gap])
-        d, d0 = gap.numpy()[0], layers._thicknesses.numpy()[number]
+        d, d0 = gap.numpy()[0], layers.pairs.thicknesses.numpy()[number]
         if d < d0:
             total += layers.stiffness_N_m * d0 * (d0 * math.log(d0 / d) - (d0 - d))
     return total

@@ -15,26 +15,22 @@ that motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.near_pairs import NearPairs
 from slipstitch.cloth.proximity import (
     EDGE_EDGE,
-    VERTEX_TRIANGLE,
     Corners,
     between,
     clear_part,
     closest,
     corners_of,
     distance,
-    largest_approach,
     slide,
     weights,
 )
-from slipstitch.errors import NotConverged
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,7 +39,17 @@ ONE = wp.constant(wp.float64(1.0))
 # Squared sine of the angle between edges under which their force fades (about 1.8 degrees).
 PARALLEL = wp.constant(wp.float64(1e-3))
 
-PAIRS_MAX = 2_000_000  # nearer than the thickness and a margin: more is an error
+
+@wp.struct
+class Pairs:
+    """The pairs that are near, what they remember, and the law between them."""
+
+    nodes: wp.array(dtype=wp.vec4i)
+    kinds: wp.array(dtype=wp.int32)
+    anchors: wp.array(dtype=wp.vec2d)  # the material points that met
+    thicknesses: wp.array(dtype=wp.float64)
+    stiffness: wp.float64  # normal and tangential
+    friction: wp.float64
 
 
 @wp.struct
@@ -90,24 +96,18 @@ def stretched(kind: int, p: Corners, pair: Meeting, anchor: wp.vec2d) -> wp.vec3
 @wp.kernel
 def self_contact_force(
     x: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
-    anchors: wp.array(dtype=wp.vec2d),
-    thicknesses: wp.array(dtype=wp.float64),
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.float64,
+    pairs: Pairs,
     minus_force: wp.array(dtype=wp.vec3d),
 ):
     i = wp.tid()
-    n = nodes[i]
+    n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = meet(kinds[i], p, thicknesses[i], normal_stiffness)
+    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     if pair.force == ZERO:
         return
-    q = tangential_stiffness * stretched(kinds[i], p, pair, anchors[i])
+    q = pairs.stiffness * stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
     size = wp.length(q)
-    limit = friction * pair.force
+    limit = pairs.friction * pair.force
     if size > limit:
         q = q * (limit / size)
     push = q - pair.force * pair.normal
@@ -118,13 +118,7 @@ def self_contact_force(
 @wp.kernel
 def self_contact_stiffness(
     x: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
-    anchors: wp.array(dtype=wp.vec2d),
-    thicknesses: wp.array(dtype=wp.float64),
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.float64,
+    pairs: Pairs,
     free: wp.array(dtype=wp.vec3d),
     place: wp.array(dtype=wp.int32, ndim=2),
     column_length: wp.array(dtype=wp.int32, ndim=2),
@@ -137,17 +131,17 @@ def self_contact_stiffness(
     column's entries start and how long the first column of its nodes is.
     """
     i = wp.tid()
-    n = nodes[i]
+    n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = meet(kinds[i], p, thicknesses[i], normal_stiffness)
+    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     if pair.force == ZERO:
         return
-    d = stretched(kinds[i], p, pair, anchors[i])
+    d = stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
     size = wp.length(d)
     along = wp.identity(n=3, dtype=wp.float64) - wp.outer(pair.normal, pair.normal)
-    limit = friction * pair.force
-    if size * tangential_stiffness <= limit:
-        along = along * tangential_stiffness
+    limit = pairs.friction * pair.force
+    if size * pairs.stiffness <= limit:
+        along = along * pairs.stiffness
     else:
         along = (along - wp.outer(d, d) / (size * size)) * (limit / size)
     stiffness = along + pair.stiffness * wp.outer(pair.normal, pair.normal)
@@ -175,28 +169,22 @@ def self_contact_stiffness(
 @wp.kernel
 def move_self_anchors(
     x: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
-    anchors: wp.array(dtype=wp.vec2d),
-    thicknesses: wp.array(dtype=wp.float64),
-    normal_stiffness: wp.float64,
-    tangential_stiffness: wp.float64,
-    friction: wp.float64,
+    pairs: Pairs,
     touching: wp.array(dtype=wp.int32),
 ):
     """After an accepted step: slipping pairs drag their memory along, open ones forget."""
     i = wp.tid()
-    p = corners_of(x, nodes[i])
-    pair = meet(kinds[i], p, thicknesses[i], normal_stiffness)
+    p = corners_of(x, pairs.nodes[i])
+    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     touching[i] = 0
     if pair.force == ZERO:
-        anchors[i] = pair.at
+        pairs.anchors[i] = pair.at
         return
     touching[i] = 1
-    size = wp.length(stretched(kinds[i], p, pair, anchors[i]))
-    reach = friction * pair.force / tangential_stiffness
+    size = wp.length(stretched(pairs.kinds[i], p, pair, pairs.anchors[i]))
+    reach = pairs.friction * pair.force / pairs.stiffness
     if size > reach:
-        anchors[i] = pair.at + (anchors[i] - pair.at) * (reach / size)
+        pairs.anchors[i] = pair.at + (pairs.anchors[i] - pair.at) * (reach / size)
 
 
 @wp.kernel
@@ -236,73 +224,6 @@ def clear_parts(
     part[i] = clear_part(kinds[i], corners_of(x, nodes[i]), corners_of(move, nodes[i]))
 
 
-@wp.kernel
-def swept_boxes(
-    x: wp.array(dtype=wp.vec3d),
-    move: wp.array(dtype=wp.vec3d),
-    elements: wp.array(dtype=wp.int32, ndim=2),
-    inflation: wp.float64,
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-):
-    """Boxes around elements on their whole way."""
-    i = wp.tid()
-    low = x[elements[i, 0]]
-    high = low
-    for k in range(elements.shape[1]):
-        p = x[elements[i, k]]
-        q = p + move[elements[i, k]]
-        low = wp.min(low, wp.min(p, q))
-        high = wp.max(high, wp.max(p, q))
-    out = wp.vec3d(inflation, inflation, inflation)
-    lower[i] = wp.vec3(low - out)
-    upper[i] = wp.vec3(high + out)
-
-
-@wp.func
-def shares_node(n: wp.vec4i, kind: int) -> bool:
-    if kind == VERTEX_TRIANGLE:
-        return n[0] == n[1] or n[0] == n[2] or n[0] == n[3]
-    return n[0] == n[2] or n[0] == n[3] or n[1] == n[2] or n[1] == n[3]
-
-
-@wp.kernel
-def near_pairs(
-    bvh: wp.uint64,
-    kind: int,
-    x: wp.array(dtype=wp.vec3d),
-    move: wp.array(dtype=wp.vec3d),
-    first: wp.array(dtype=wp.int32, ndim=2),
-    second: wp.array(dtype=wp.int32, ndim=2),
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-    reach: wp.float64,
-    count: wp.array(dtype=wp.int32),
-    found: wp.array(dtype=wp.vec2i),
-):
-    """List the pairs that come nearer than reach anywhere on their way.
-
-    Counts past the end of ``found`` without writing there.
-    """
-    i = wp.tid()
-    query = wp.bvh_query_aabb(bvh, lower[i], upper[i])
-    j = wp.int32(0)
-    while wp.bvh_query_next(query, j):
-        n = wp.vec4i()
-        apart = True
-        if kind == VERTEX_TRIANGLE:
-            n = wp.vec4i(first[i, 0], second[j, 0], second[j, 1], second[j, 2])
-        else:
-            n = wp.vec4i(first[i, 0], first[i, 1], second[j, 0], second[j, 1])
-            apart = j > i
-        if apart and not shares_node(n, kind):
-            bound = reach + largest_approach(kind, corners_of(move, n))
-            if distance(kind, corners_of(x, n)) < bound:
-                at = wp.atomic_add(count, 0, 1)
-                if at < found.shape[0]:
-                    found[at] = wp.vec2i(i, j)
-
-
 class SelfContact:
     """Contact of one sheet with itself.
 
@@ -320,7 +241,7 @@ class SelfContact:
     Raises
     ------
     NotConverged
-        More than ``PAIRS_MAX`` pairs are near (from :meth:`cover`).
+        More than ``near_pairs.PAIRS_MAX`` pairs are near (from :meth:`cover`).
     """
 
     def __init__(
@@ -338,27 +259,11 @@ class SelfContact:
         self.friction = friction
         self.device = device
         V = mesh.vertex_count
-
-        def table(values):
-            return wp.array(np.ascontiguousarray(values, dtype=np.int32), device=device)
-
         rest = np.column_stack([mesh.rest_uv_m, np.zeros(V)])
         self._rest = wp.array(rest, dtype=wp.vec3d, device=device)
-        self._vertices = table(np.arange(V)[:, None])
-        self._faces = table(mesh.faces)
-        self._faces_host, self._edges_host = mesh.faces, edges_of(mesh.faces)
-        self._edges = table(self._edges_host)
         self._move = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._x = wp.zeros(V, dtype=wp.vec3d, device=device)
-        self._boxes = {
-            "vertices": _Boxes(self._vertices, device),
-            "faces": _Boxes(self._faces, device),
-            "edges": _Boxes(self._edges, device),
-            "near edges": _Boxes(self._edges, device),
-        }
-        self._trees: dict[str, wp.Bvh] = {}
-        self._found = wp.zeros(4096, dtype=wp.vec2i, device=device)
-        self._count = wp.zeros(1, dtype=wp.int32, device=device)
+        self._near = NearPairs(mesh.faces, V, device)
         self._reference: tuple[np.ndarray, np.ndarray] | None = None
         self.generation = 0  # counts changes of the list
         self._keys = np.zeros(0, dtype=np.int64)
@@ -383,17 +288,7 @@ class SelfContact:
         """List every pair that comes nearer than thickness + margin on a straight motion."""
         self._x.assign(start)
         self._move.assign(end - start)
-        reach = self.thickness_m + self.margin_m
-        for name, box in self._boxes.items():
-            box.enclose(self._x, self._move, reach if name in ("vertices", "near edges") else 0.0)
-        keys = np.concatenate(
-            [
-                self._search(VERTEX_TRIANGLE, self._vertices, "vertices", self._faces, "faces"),
-                self._search(EDGE_EDGE, self._edges, "near edges", self._edges, "edges")
-                + self._vertices.shape[0] * self._faces.shape[0],
-            ]
-        )
-        keys.sort()
+        keys = self._near.search(self._x, self._move, self.thickness_m + self.margin_m)
         self._reference = (start.copy(), end.copy())
         if np.array_equal(keys, self._keys):
             return
@@ -401,75 +296,32 @@ class SelfContact:
         if len(self._keys) and len(keys):
             place = np.searchsorted(keys, self._keys).clip(max=len(keys) - 1)
             kept = keys[place] == self._keys
-            anchors[place[kept]] = self.anchors.numpy()[kept]
+            anchors[place[kept]] = self.pairs.anchors.numpy()[kept]
         self._set_pairs(keys, anchors)
 
-    def _search(self, kind, first, first_boxes, second, second_boxes) -> np.ndarray:
-        boxes = self._boxes[second_boxes]
-        if second_boxes not in self._trees:
-            self._trees[second_boxes] = wp.Bvh(boxes.lower, boxes.upper)
-        else:
-            self._trees[second_boxes].refit()
-        query = self._boxes[first_boxes]
-        while True:
-            self._count.zero_()
-            wp.launch(
-                near_pairs,
-                dim=first.shape[0],
-                inputs=[
-                    self._trees[second_boxes].id,
-                    kind,
-                    self._x,
-                    self._move,
-                    first,
-                    second,
-                    query.lower,
-                    query.upper,
-                    self.thickness_m + self.margin_m,
-                    self._count,
-                    self._found,
-                ],
-                device=self.device,
-            )
-            count = int(self._count.numpy()[0])
-            if count > PAIRS_MAX:
-                raise NotConverged(
-                    f"self-contact: {count} pairs nearer than "
-                    f"{1e3 * (self.thickness_m + self.margin_m):g} mm, at most {PAIRS_MAX}"
-                )
-            if count <= self._found.shape[0]:
-                pairs = self._found.numpy()[:count].astype(np.int64)
-                return pairs[:, 0] * second.shape[0] + pairs[:, 1]
-            self._found = wp.zeros(2 * count, dtype=wp.vec2i, device=self.device)
-
     def _set_pairs(self, keys: np.ndarray, anchors: np.ndarray) -> None:
-        faces, edges = self._faces_host, self._edges_host
-        boundary = self._vertices.shape[0] * len(faces)
-        split = int(np.searchsorted(keys, boundary))
-        vertex, face = np.divmod(keys[:split], len(faces))
-        one, other = np.divmod(keys[split:] - boundary, len(edges))
-        self.nodes = np.concatenate(
-            [np.column_stack([vertex, faces[face]]), np.column_stack([edges[one], edges[other]])]
-        ).astype(np.int32)
-        kinds = np.full(len(keys), EDGE_EDGE, dtype=np.int32)
-        kinds[:split] = VERTEX_TRIANGLE
         self._keys = keys
         self.generation += 1
-        self._nodes = wp.array(self.nodes, dtype=wp.vec4i, device=self.device)
-        self._kinds = wp.array(kinds, dtype=wp.int32, device=self.device)
-        self.anchors = wp.array(anchors, dtype=wp.vec2d, device=self.device)
+        self.nodes, kinds = self._near.nodes_and_kinds(keys)
+        pairs = self.pairs = Pairs()
+        pairs.stiffness, pairs.friction = self.stiffness_N_m, self.friction
+        pairs.nodes = wp.array(self.nodes, dtype=wp.vec4i, device=self.device)
+        pairs.kinds = wp.array(kinds, dtype=wp.int32, device=self.device)
+        pairs.anchors = wp.array(anchors, dtype=wp.vec2d, device=self.device)
+        pairs.thicknesses = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
         self._touching = wp.zeros(len(keys), dtype=wp.int32, device=self.device)
         self._part = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
-        self._thicknesses = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
         if not len(keys):
             return
-        pairs = [self._nodes, self._kinds]
-        self._launch(pair_thickness, [self._rest, *pairs, self.thickness_m, self._thicknesses])
+        self._launch(
+            pair_thickness,
+            [self._rest, pairs.nodes, pairs.kinds, self.thickness_m, pairs.thicknesses],
+        )
         fresh = np.isnan(anchors[:, 0])
         if fresh.any():
             here = wp.zeros(len(keys), dtype=wp.vec2d, device=self.device)
-            self._launch(closest_points, [self._x, *pairs, here])
-            self.anchors.assign(np.where(fresh[:, None], here.numpy(), anchors))
+            self._launch(closest_points, [self._x, pairs.nodes, pairs.kinds, here])
+            pairs.anchors.assign(np.where(fresh[:, None], here.numpy(), anchors))
 
     def _launch(self, kernel, inputs: list) -> None:
         """Launch a kernel over the listed pairs."""
@@ -484,65 +336,25 @@ class SelfContact:
             return 1.0
         self._x.assign(x)
         self._move.assign(move)
-        self._launch(clear_parts, [self._x, self._move, self._nodes, self._kinds, self._part])
+        self._launch(
+            clear_parts, [self._x, self._move, self.pairs.nodes, self.pairs.kinds, self._part]
+        )
         return float(self._part.numpy().min())
 
     # -- forces ---------------------------------------------------------------------------
 
-    def _pairs_and_law(self) -> list:
-        stiffness = [self.stiffness_N_m, self.stiffness_N_m]
-        return [
-            *[self._nodes, self._kinds, self.anchors],
-            *[self._thicknesses, *stiffness, self.friction],
-        ]
-
     def add_forces(self, x: wp.array, minus_force: wp.array) -> None:
         """Add minus the contact's forces at positions x, in N."""
-        self._launch(self_contact_force, [x, *self._pairs_and_law(), minus_force])
+        self._launch(self_contact_force, [x, self.pairs, minus_force])
 
     def add_stiffness(self, x, free, place, column_length, values) -> None:
         """Add the contact's stiffness to the entries of the tangent, in N/m."""
         self._launch(
             self_contact_stiffness,
-            [x, *self._pairs_and_law(), free, place, column_length, values],
+            [x, self.pairs, free, place, column_length, values],
         )
 
     def move_anchors(self, x: wp.array) -> int:
         """Update the memory after an accepted step; number of pairs that touch."""
-        self._launch(move_self_anchors, [x, *self._pairs_and_law(), self._touching])
+        self._launch(move_self_anchors, [x, self.pairs, self._touching])
         return int(self._touching.numpy().sum())
-
-
-@dataclass
-class _Boxes:
-    """Bounding boxes of elements, in single precision as Warp's trees have them."""
-
-    elements: wp.array
-    device: str
-
-    def __post_init__(self):
-        count = self.elements.shape[0]
-        self.lower = wp.zeros(count, dtype=wp.vec3, device=self.device)
-        self.upper = wp.zeros(count, dtype=wp.vec3, device=self.device)
-
-    def enclose(self, x: wp.array, move: wp.array, inflation_m: float) -> None:
-        rounding_m = 1e-6  # of single precision, at metres
-        wp.launch(
-            swept_boxes,
-            dim=self.elements.shape[0],
-            inputs=[
-                x,
-                move,
-                self.elements,
-                inflation_m + rounding_m,
-                self.lower,
-                self.upper,
-            ],
-            device=self.device,
-        )
-
-
-def edges_of(faces: np.ndarray) -> np.ndarray:
-    """Edges of a triangle mesh, each once, shape (E, 2)."""
-    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.unique(ends, axis=0).astype(np.int32)

@@ -19,6 +19,7 @@ import numpy as np
 
 from slipstitch.cloth import bending, contact
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
+from slipstitch.cloth.krylov import flexible_gmres
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.cloth.sheets import Sheets, Work
@@ -35,7 +36,6 @@ REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
 EXACT_BELOW = 1.0  # relative residual from which the exact tangent is used
 PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
 KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
-LEAST_NEW = 1e-12  # part of a product that no earlier product had: less is rounding
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
 REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
@@ -353,35 +353,10 @@ class ClothSolver:
         return self._krylov(product, residual, 20)
 
     def _krylov(self, product, residual: np.ndarray, products_max: int) -> np.ndarray:
-        """Solve K A^-1 y = -r by GMRES, return A^-1 y.
-
-        As flexible GMRES does (Saad 1993) the A^-1 v of the basis are kept and combined: the
-        library's GMRES solves once more with A for the answer, which is a third of the solves.
-
-        Parameters
-        ----------
-        product : callable
-            K d from y and d = A^-1 y, all flat.
-        """
-        right = -residual.ravel()
-        size = float(np.linalg.norm(right))
-        basis, displacements = [right / size], []
-        hessenberg = np.zeros((products_max + 1, products_max))
-        for count in range(1, products_max + 1):
-            displacements.append(self._symmetric_solve(basis[-1]))
-            vector = product(basis[-1], displacements[-1])
-            for row, earlier in enumerate(basis):
-                hessenberg[row, count - 1] = np.dot(vector, earlier)
-                vector -= hessenberg[row, count - 1] * earlier
-            rest = hessenberg[count, count - 1] = float(np.linalg.norm(vector))
-            parts = hessenberg[: count + 1, :count]
-            wanted = size * np.eye(count + 1)[0]
-            weights = np.linalg.lstsq(parts, wanted, rcond=None)[0]
-            left = float(np.linalg.norm(wanted - parts @ weights))
-            if left <= KRYLOV_ACCURACY * size or rest <= LEAST_NEW * size:
-                break
-            basis.append(vector / rest)
-        correction = sum(w * one for w, one in zip(weights, displacements, strict=True))
+        """Correction d of K d = -r, where product(y, d) is K d for d = A^-1 y."""
+        correction = flexible_gmres(
+            self._symmetric_solve, product, -residual.ravel(), KRYLOV_ACCURACY, products_max
+        )
         return correction.reshape(-1, 3)
 
     def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
