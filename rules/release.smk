@@ -12,6 +12,7 @@ rule release_folder:
         rules.simulate.input,
         rules.render.input[: len(SIMULATIONS) * len(VIEWPOINTS)],
         rules.sample.input,
+        "results/render/verification.json",
         grid="results/grid.parquet",
     output:
         # Write-protected: a release that was handed out is removed by hand or not at all.

@@ -187,7 +187,13 @@ def test_reencoded_images_alter_the_file_but_no_clip(release):
 
 @pytest.mark.parametrize(
     ("column", "value"),
-    [("friction", 0.6), ("material", "ivory-rib-knit"), ("split_by_simulation", "validation")],
+    [
+        ("friction", 0.6),
+        ("material", "ivory-rib-knit"),
+        ("split_by_simulation", "validation"),
+        ("floor", "polyester-mirror"),
+        ("floor_roughness", 0.123),
+    ],
 )
 def test_edited_label_is_found_however_well_the_sums_are_mended(release, column, value):
     manifest = release / "manifest.parquet"
@@ -296,6 +302,21 @@ FORGERIES = {
         lambda one: one["metadata"]["viewpoint"].update(name="frontal"),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
+    "another floor": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["metadata"]["surroundings"].update(floor="polyester-mirror"),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another lamp": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["metadata"]["surroundings"].update(lamp_position_m=[0.8, -0.5, 1.0]),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another exposure": (
+        "render/m05_f01_r00_v00.parquet",
+        lambda one: one["metadata"]["augmentation"]["t00"].update(exposure_stops=0.0),
+        {CLIP},
+    ),
     "no viewpoint": (
         "render/m05_f01_r00_v00.parquet",
         lambda one: one["metadata"].pop("viewpoint"),
@@ -335,6 +356,14 @@ def test_forged_record_breaks_the_chain_of_its_clips_behind_new_sums(release, na
 def test_forged_calibration_breaks_every_clip(release):
     path = release / "records/calibrate/calibration.json"
     path.write_text(path.read_text().replace("true", "false", 1))
+    reseal(release)
+    (clips,) = found(release, Kind.BROKEN).values()
+    assert len(clips) == 144
+
+
+def test_forged_verification_breaks_every_clip(release):
+    path = release / "records/render/verification.json"
+    path.write_text(path.read_text().replace("39.87", "49.87"))
     reseal(release)
     (clips,) = found(release, Kind.BROKEN).values()
     assert len(clips) == 144

@@ -228,6 +228,13 @@ def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
     assert pixels_digest(pixels) == row["pixels_sha256"]
 
 
+def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
+    card = (release / "README.md").read_text()
+    assert "| matte | 1 | 43.2 dB | 43.2 dB | 38 dB | 0.990 |" in card
+    assert "| mirrors | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
+    assert "verification.json" in (release / "SHA256SUMS").read_text()
+
+
 def test_crate_knows_every_job_and_what_it_was_made_from(release):
     from rocrate.rocrate import ROCrate
 
@@ -237,11 +244,19 @@ def test_crate_knows_every_job_and_what_it_was_made_from(release):
     assert "https://w3id.org/ro/wfrun/workflow/0.5" in profiles
     actions = {entity.id: entity for entity in crate.get_by_type("CreateAction")}
     runs = 2 * 4 * 2
-    assert sum("/render/" in name for name in actions) == runs * 3
+    assert sum("/render/m" in name for name in actions) == runs * 3
     assert sum("/simulate/" in name for name in actions) == runs
     render = actions["#job/results/render/m05_f01_r00_v00.parquet"]
     assert [one.id for one in render["object"]] == ["#results/simulate/m05_f01_r00.parquet"]
     assert render["instrument"]["name"] == "slipstitch render"
+    steps = {one.id: one for one in crate.mainEntity["step"]}
+    (engine,) = crate.get_by_type("OrganizeAction")
+    assert engine["result"].id == "#run"
+    started = {one["object"].id: one for one in engine["object"]}
+    assert started.keys() == actions.keys() - {"#run"}
+    for name, control in started.items():
+        step = steps[control["instrument"].id]
+        assert step["workExample"].id == actions[name]["instrument"].id
     for entity in crate.get_by_type("File"):
         if entity.id != "ro-crate-metadata.json":
             data = (release / entity.id).read_bytes()

@@ -6,7 +6,7 @@ seeds, perturbations, stage positions, splits) is computed anew; no edit of the 
 that agree, short of editing the configuration and every record with it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,14 @@ from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest
 from slipstitch.release.assembly import RELEASE_RECORD
-from slipstitch.release.chain import Artefact, carried_file, is_carried, is_ours, record_file
+from slipstitch.release.chain import (
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    is_carried,
+    is_ours,
+    record_file,
+)
 from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import config_changes, current_digest
 from slipstitch.release.manifest import MANIFEST, sampled_rows
@@ -63,7 +70,7 @@ def check_chain(contents: Contents, shards: Mapping[str, Shard]) -> tuple[list[F
                 "seeds, perturbations, stage positions, labels and splits were computed with code "
                 f"that has changed since ({', '.join(stale)})"
             )
-        findings += _recomputed(chain, shards, "sample" not in stale)
+        findings += _recomputed(chain, shards, stale)
     return findings, notes
 
 
@@ -79,7 +86,8 @@ def _links(chain: Chain) -> Iterator[Finding]:
     """Records that are missing, or about other files than what was made from them says."""
     folder = chain.contents.folder
     starts = {path for row in chain.contents.rows for path in chain.behind(row)}
-    for path in sorted({SAMPLED_MANIFEST} | starts):
+    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(chain.artefacts))
+    for path in sorted(starts):
         artefact = chain.artefacts.get(path)
         where, clips = record_file(path), chain.clips(path)
         if artefact is None:
@@ -103,7 +111,7 @@ def _links(chain: Chain) -> Iterator[Finding]:
         if f"results/sample/{row['sampled_file']}" not in listed:
             what = f"the manifest was not made from {row['sampled_file']}"
             yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
-    for path in sorted(set(chain.artefacts) - starts - {SAMPLED_MANIFEST}):
+    for path in sorted(set(chain.artefacts) - starts):
         yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
 
 
@@ -154,8 +162,10 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
             yield Finding(Kind.BROKEN, name, "SHA256SUMS names it, records/release.json does not")
 
 
-def _recomputed(chain: Chain, shards: Mapping[str, Shard], sides_too: bool) -> Iterator[Finding]:
-    """What follows from configuration and seed, computed anew."""
+def _recomputed(
+    chain: Chain, shards: Mapping[str, Shard], stale: Collection[str]
+) -> Iterator[Finding]:
+    """What follows from configuration and seed, computed anew by code that has not changed."""
     contents, config = chain.contents, chain.contents.config
     grid = {one.id: one for one in simulations(config)}
     frames = sampled_frames(config.simulation.frames, config.sample.frames)
@@ -181,10 +191,12 @@ def _recomputed(chain: Chain, shards: Mapping[str, Shard], sides_too: bool) -> I
         if problem:
             yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
         yield from _rendering(chain, row)
+        if "render" not in stale:
+            yield from _drawn(chain, row)
     missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
     if missing:
         yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
-    if sides_too:
+    if "sample" not in stale:
         yield from _sides(contents)
 
 
@@ -252,6 +264,37 @@ def _rendering(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
     if not chain.of_stage(row, "render") or not chain.of_stage(row, "simulate"):
         what = f"{row['video']}: no rendering or no simulation stands behind it"
         yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+
+
+def _drawn(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """Floor, lamp and camera of a clip against what the seed draws."""
+    from slipstitch.render.augmentation import draw_augmentation
+    from slipstitch.render.surroundings import draw_surroundings
+
+    settings, seed = chain.contents.config.render, chain.contents.config.seed
+    drawn = draw_surroundings(settings, seed, row["simulation"])
+    labels = {
+        "floor": drawn.floor,
+        "floor_reflectance": drawn.reflectance,
+        "floor_roughness": drawn.roughness,
+    }
+    for name, value in labels.items():
+        if row.get(name) != value:
+            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+    words = (row["simulation"], row["texture"], row["viewpoint"])
+    camera = draw_augmentation(settings.augmentation, seed, *words).record()
+    bench = drawn.record() | {"lamp_position_m": list(drawn.lamp_position_m)}
+    for record in chain.of_stage(row, "render"):
+        recorded = record.metadata.get("augmentation") or {}
+        found = {
+            "floor or lamp": (record.metadata.get("surroundings"), bench),
+            f"camera of {row['texture_id']}": (recorded.get(row["texture_id"]), camera),
+        }
+        for what, (stated, expected) in found.items():
+            if stated != expected:
+                what = f"the {what} is not what the seed draws"
+                yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
 
 
 def _sides(contents: Contents) -> Iterator[Finding]:

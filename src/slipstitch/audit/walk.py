@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from slipstitch.audit.contents import Contents
-from slipstitch.release.chain import RECORD_SUFFIX, RECORDS, Artefact, carried_file
+from slipstitch.release.chain import RECORD_SUFFIX, RECORDS, VERIFICATION, Artefact, carried_file
 from slipstitch.release.manifest import MANIFEST
 
 SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
@@ -62,8 +62,8 @@ class Chain:
         return {path: tuple(clips) for path, clips in found.items()}
 
     def clips(self, path: str) -> tuple[str, ...]:
-        """Clips that were made from the artefact; the sampled manifest concerns all."""
-        if path == SAMPLED_MANIFEST:
+        """Clips that were made from the artefact; manifest and verification concern all."""
+        if path in (SAMPLED_MANIFEST, VERIFICATION):
             return tuple(self.contents.clips)
         return self.clips_after.get(path, ())
 

@@ -57,7 +57,9 @@ COSTS = {
     "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
     "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
     "direct_pixel_s": Cost(
-        2.5e-4, "CPU s a pixel at 256 samples", "about 1 M camera samples a second and core"
+        2.5e-4,
+        "CPU s a pixel at 256 samples; four times as many where the floor mirrors",
+        "about 1 M camera samples a second and core",
     ),
     "image_bytes": Cost(
         1.15,
@@ -137,13 +139,17 @@ def _strip_cpu_s(config: Config) -> float:
     return _cost("strip_s") * pushes * sum(max(1.0, 0.02 / step) for step in steps)
 
 
+def _mirrors(config: Config) -> float:
+    """Share of the floors that mirror."""
+    floors = config.render.floors
+    return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
+
+
 def _render_cpu_s(config: Config) -> float:
     images = _frames_rendered(config)
     # Half of it does not depend on the image's size: 0.07 s at 64 px.
     size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
-    mirrors = sum(FLOORS[name].reflectance[1] > 0 for name in config.render.floors)
-    mirrors = mirrors / len(config.render.floors)
-    size *= 1 + mirrors * (_cost("mirror_factor") - 1)
+    size *= 1 + _mirrors(config) * (_cost("mirror_factor") - 1)
     return _cost("render_start_s") + images * _cost("render_frame_s") * size
 
 
@@ -154,9 +160,10 @@ def _compose_cpu_s(config: Config) -> float:
     return _cost("compose_start_s") + images * each
 
 
-def _verify_cpu_s(config: Config) -> float:
+def verification_cpu_s(config: Config) -> float:
     """The images that are rendered directly."""
-    one = _cost("render_start_s") + _cost("direct_pixel_s") * config.render.pixels**2
+    pixel = _cost("direct_pixel_s") * (1 + 3 * _mirrors(config))
+    one = _cost("render_start_s") + pixel * config.render.pixels**2
     return config.render.verified_images * one
 
 
@@ -206,7 +213,7 @@ def estimate(config: Config) -> list[StageEstimate]:
             "render",
             runs * (views + 2) + 1,
             runs * (views * _render_cpu_s(config) + _compose_cpu_s(config) + _cost("preview_s"))
-            + _verify_cpu_s(config),
+            + verification_cpu_s(config),
             images * _frames_rendered(config) * _image_bytes(config)
             + runs * views * _frames_rendered(config) * _pack_bytes(config)
             + runs * _cost("preview_bytes"),
@@ -264,7 +271,7 @@ def job_cpu_s(kind: str, config: Config) -> float:
     if kind == "compose":
         return _compose_cpu_s(config)
     if kind == "verify":
-        return _verify_cpu_s(config)
+        return verification_cpu_s(config)
     stages = [*estimate(config), estimate_release(config)]
     whole = next(one for one in stages if one.stage == kind)
     return whole.cpu_s / whole.jobs

@@ -20,6 +20,7 @@ from slipstitch.provenance import atomic_path, file_digest, provenance_record, s
 from slipstitch.release.card import write_card
 from slipstitch.release.chain import (
     RECORDS,
+    VERIFICATION,
     Artefact,
     carried_file,
     collect,
@@ -34,6 +35,7 @@ from slipstitch.release.manifest import MANIFEST, read_sampled, released_rows, w
 from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
 from slipstitch.release.splits import parts, parts_of_splits, split_columns
+from slipstitch.render.catalogue import FLOORS
 
 CONFIG = f"{RECORDS}/config.json"
 GRID = f"{RECORDS}/grid.parquet"
@@ -167,7 +169,10 @@ def write_release(
     project = check_project(project)
     sample = results / "sample"
     sampled = read_sampled(sample / MANIFEST)
-    artefacts = collect([f"results/sample/{MANIFEST}"], results.parent, _outside(config))
+    made = [f"results/sample/{MANIFEST}"]
+    if (results.parent / VERIFICATION).is_file():
+        made.append(VERIFICATION)
+    artefacts = collect(made, results.parent, _outside(config))
     check_current(artefacts, config)
     _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
     try:
@@ -213,6 +218,7 @@ def _fill(
         list(features_of(pq.read_schema(folder / rows[0]["shard"]))),
         config=config,
         calibration=_calibration(folder, artefacts),
+        verification=_verification(folder),
         pictures=pictures,
         code=_commits(artefacts),
         example=videos[0],
@@ -277,6 +283,29 @@ def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[s
                 if kept is None or check["error"] > kept["error"]:
                     worst[check["name"]] = {**check, "unit": unit}
     return list(worst.values())
+
+
+def _verification(folder: Path) -> list[dict[str, Any]]:
+    """How near composed images are to direct renders: floors that do not mirror, and that do."""
+    path = folder / carried_file(VERIFICATION)
+    if not path.is_file():
+        return []
+    comparisons = json.loads(path.read_text(encoding="utf-8"))["comparisons"]
+    kinds = {"matte": [], "mirrors": []}
+    for one in comparisons:
+        kinds["matte" if FLOORS[one["floor"]].reflectance[1] == 0 else "mirrors"].append(one)
+    return [
+        {
+            "floor": kind,
+            "images": len(ones),
+            "least_psnr_db": ones[0]["least_psnr_db"],
+            "lowest_psnr_db": min(one["psnr_db"] for one in ones),
+            "mean_psnr_db": sum(one["psnr_db"] for one in ones) / len(ones),
+            "lowest_ssim": min(one["ssim"] for one in ones),
+        }
+        for kind, ones in kinds.items()
+        if ones
+    ]
 
 
 def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:

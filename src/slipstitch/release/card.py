@@ -106,7 +106,8 @@ def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_column
     frame_columns : sequence of str
         Columns of the shards.
     **more
-        What else the template shows: ``config, calibration, pictures, code, example``.
+        What else the template shows: ``config, calibration, verification, pictures, code,
+        example``.
     """
     default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
     images = sum(row["frames"] for row in rows)

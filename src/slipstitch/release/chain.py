@@ -15,6 +15,8 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest, read_metadata, read_provenance
 
 RECORDS = "records"
+#: Written beside the dataset: a sample of its images against direct renders.
+VERIFICATION = "results/render/verification.json"
 RECORD_SUFFIX = ".record.json"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")

@@ -1,10 +1,12 @@
 """RO-Crate: the release as a research object, every job behind it as an action.
 
-Follows Process, Workflow Run Crate 0.5 and Workflow RO-Crate 1.0: the Snakefile is the main
-entity, the run of the whole workflow is one ``CreateAction``, every job another one. Files between
-the jobs are not in the release: they appear as contextual entities with their digests, described by
-the records that the release carries. The steps of Provenance Run Crate (``HowToStep``,
-``ControlAction``) are left out: Snakemake keeps no record of them.
+Follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the Snakefile is
+the main entity, the run of the whole workflow is one ``CreateAction``, every job another one. Each
+stage is a step of the workflow (``HowToStep``), each job was started for its step by Snakemake
+(``ControlAction``, ``OrganizeAction``). Files between the jobs are not in the release: they appear
+as contextual entities with their digests, described by the records that the release carries. Left
+out is what no record holds: when each job began, and parameters one by one (``FormalParameter``);
+the configuration stands for these.
 """
 
 import json
@@ -26,8 +28,10 @@ FILE = "ro-crate-metadata.json"
 PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
+    "https://w3id.org/ro/wfrun/provenance/0.5": "Provenance Run Crate",
     "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
 }
+_ENGINE = "https://snakemake.github.io"
 _CONTEXT = "https://w3id.org/ro/terms/workflow-run/context"
 _TYPES = {".parquet": "application/vnd.apache.parquet", ".cff": "text/yaml", ".smk": "text/plain"}
 
@@ -60,7 +64,11 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
         dest_path=SNAKEFILE,
         main=True,
         lang="snakemake",
-        properties={"name": "Slipstitch workflow", "sha256": file_digest(folder / SNAKEFILE)},
+        properties={
+            "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"],
+            "name": "Slipstitch workflow",
+            "sha256": file_digest(folder / SNAKEFILE),
+        },
     )
     root["conformsTo"] = [
         crate.add(
@@ -112,10 +120,47 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
         result=[entities["manifest.parquet"], *_shards(entities)],
         properties={"name": "The run of the workflow that made this release"},
     )
-    root["mentions"] = [whole, *actions]
+    root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
     (folder / FILE).write_text(
         json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
+
+
+def _organised(crate: ROCrate, main, whole, actions: list):
+    """Snakemake's part: the workflow's steps, and each job as the execution of one."""
+    main["hasPart"] = list(
+        {action["instrument"].id: action["instrument"] for action in actions}.values()
+    )
+    steps = {}
+    for tool in main["hasPart"]:
+        properties = {
+            "@type": "HowToStep",
+            "name": tool["name"],
+            "position": str(len(steps) + 1),
+            "workExample": tool,
+        }
+        identity = f"{SNAKEFILE}#{tool.id.removeprefix('#')}"
+        steps[tool.id] = crate.add(ContextEntity(crate, identity, properties))
+    main["step"] = list(steps.values())
+    controls = []
+    for action in actions:
+        properties = {
+            "@type": "ControlAction",
+            "name": f"start of {action.id.removeprefix('#job/')}",
+            "instrument": steps[action["instrument"].id],
+            "object": action,
+        }
+        identity = action.id.replace("#job/", "#control/")
+        controls.append(crate.add(ContextEntity(crate, identity, properties)))
+    engine = {"@type": "SoftwareApplication", "name": "Snakemake", "url": _ENGINE}
+    properties = {
+        "@type": "OrganizeAction",
+        "name": "Run of Snakemake",
+        "instrument": crate.add(ContextEntity(crate, _ENGINE, engine)),
+        "object": controls,
+        "result": whole,
+    }
+    return crate.add(ContextEntity(crate, "#organize", properties))
 
 
 def _shards(entities: Mapping[str, Any]) -> list:

@@ -26,8 +26,9 @@ from slipstitch.render.shards import SCHEMA, cameras
 from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture
 
-#: Paths a pixel of the direct renders.
-SAMPLES = 256
+#: Paths a pixel of the direct renders, by whether the floor mirrors: on rough metal two renders of
+#: 256 paths agree to an SSIM of 0.96 only, less than is demanded of a composed image.
+SAMPLES = {False: 256, True: 1024}
 #: What a composed image must reach, by whether its floor mirrors.
 LEAST_PSNR_DB = {False: 38.0, True: 36.0}
 LEAST_SSIM = 0.97
@@ -115,7 +116,8 @@ def compare(
     scene.wear(texture(name))
     # Another seed than the shading render's: the two share no noise.
     positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
-    direct = scene.render(positions, shot.camera, samples=SAMPLES, seed=seed).radiance.sum(axis=0)
+    samples = SAMPLES[pack.surroundings.reflects]
+    direct = scene.render(positions, shot.camera, samples=samples, seed=seed).radiance.sum(axis=0)
     composed, reference = (encode_srgb(camera.light(image)) for image in (light, direct))
     video = f"{job.simulation}_{stored['texture']}_{view['id']}"
     image = decode_image(stored["image"]["bytes"], f"{shard}: {video} frame {shot.frame}")
