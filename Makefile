@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
-	benchmark-estimate convergence criticise-measured clean
+	benchmark-composition benchmark-estimate benchmark-render convergence criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -21,6 +21,8 @@ help:
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
 	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'
+	@echo 'make benchmark-composition  composed against direct images, every floor and viewpoint'
+	@echo 'make benchmark-render  what images cost, at 112 and 224 pixels'
 	@echo 'make benchmark-estimate  the cost of paper.yaml against a measured part of it'
 	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
@@ -61,6 +63,14 @@ benchmark-audit: setup
 
 benchmark-batch: setup
 	$(SINGLE) $(BIN)/python benchmarks/batch.py
+
+benchmark-composition: setup
+	mkdir -p results/benchmarks
+	$(SINGLE) $(BIN)/python benchmarks/composition.py --results results/benchmarks/composition.jsonl
+
+benchmark-render: setup
+	$(SINGLE) $(BIN)/python benchmarks/render.py
+	$(SINGLE) $(BIN)/python benchmarks/render.py --pixels 224 --images 480
 
 benchmark-estimate: setup
 	$(SINGLE) $(BIN)/python benchmarks/estimate.py

@@ -26,7 +26,7 @@ from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shots import shots
 from slipstitch.render.surroundings import draw_surroundings, generator
 from slipstitch.render.textures import texture
-from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, SAMPLES, psnr_db, ssim
+from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
 
 ROOT = Path(__file__).parents[1]
 SIMULATIONS = ("m03_f04_r00", "m08_f11_r00")
@@ -60,7 +60,7 @@ def compare(path: Path, floor: str, viewpoint: str, pixels: int, images: int) ->
     for name, composed in zip(names, compose(join(shading, sight), names), strict=True):
         scene.wear(texture(name))
         positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
-        direct = scene.render(positions, shot.camera, samples=SAMPLES, seed=seed)
+        direct = scene.render(positions, shot.camera, samples=256, seed=seed)
         reference = encode_srgb(direct.radiance.sum(axis=0))
         rows.append(
             {
