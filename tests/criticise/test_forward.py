@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from hidden_effects.elastica import hanging_cloth, pushed_strip
 
-from slipstitch.criticise.forward.drop_drag import lifted_part, sliding_state, sticking_path
+from slipstitch.criticise.forward.drop_drag import (
+    lifted_part,
+    rest_state,
+    sliding_state,
+    sticking_path,
+)
 from slipstitch.criticise.forward.incline import slip_angle_rad
 from slipstitch.criticise.forward.strip import areal_contact, foot, slip_strain
 from slipstitch.friction_law import Contact, FrictionLaw
@@ -44,12 +49,23 @@ def test_heavy_strip_agrees_with_shooting():
     assert foot(weight, ratio)[1] == pytest.approx(load, rel=1e-5)
 
 
-def test_lifted_cloth_agrees_with_collocation():
+@pytest.mark.parametrize("tilt_deg, error", [(0.0, 2e-5), (-2.0, 1e-4), (4.0, 1e-4)])
+def test_lifted_cloth_agrees_with_collocation(tilt_deg, error):
     stiffness = np.array([1e-3, 5e-3, 0.03, 0.2, 0.6])
     tension = np.array([0.4, 2.0, 0.05, 1.0, 0.0])
-    exact = hanging_cloth(stiffness, tension)
-    for found, expected in zip(lifted_part(stiffness, tension), exact, strict=True):
-        assert found == pytest.approx(expected, abs=2e-5)
+    lean = np.tan(np.radians(tilt_deg))
+    exact = hanging_cloth(stiffness, tension, lean)
+    for found, expected in zip(lifted_part(stiffness, tension, lean), exact, strict=True):
+        assert found == pytest.approx(expected, abs=error)
+
+
+def test_limp_cloth_hangs_plumb_over_a_tilted_floor():
+    tilt, length, height = np.radians(3.0), 0.2, 0.1
+    distance, contact = rest_state(
+        np.array([2.0]), np.array([1e-13]), np.array([length]), np.array([height]), tilt
+    )
+    assert contact[0] == pytest.approx(length - height / np.cos(tilt), rel=1e-3)
+    assert distance[0] == pytest.approx(contact[0] - height * np.tan(tilt), rel=1e-3)
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])

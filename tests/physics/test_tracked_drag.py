@@ -56,3 +56,21 @@ def test_an_extended_law_gives_what_the_analytic_protocol_says(mechanisms):
     # The load's power differs a little: the law sees local pressures here, their mean there.
     assert lag_mm == pytest.approx(1e3 * (distance - rest_state(*fabric)[0])[0], abs=0.25)
     assert contact_mm == pytest.approx(1e3 * contact[0], abs=0.6)
+
+
+@pytest.mark.parametrize("tilt_deg", [-3.0, 3.0])
+def test_on_a_tilted_floor_gravity_leans_on_the_lifted_cloth_too(tilt_deg):
+    tilt = np.radians(tilt_deg)
+    lag_mm, contact_mm, _ = steady(FrictionLaw(0.45), 0.10, tilt_downhill_rad=tilt)
+    fabric = [np.array([v]) for v in (WEIGHT_N_M2, SHEET.bending_Nm, SHEET.length_m, 0.10)]
+    moving = Contact(normal_force_N=np.nan, speed_m_s=0.02)
+    distance, contact = sliding_state(FrictionLaw(0.45), *fabric, moving, False, tilt)
+    assert contact_mm == pytest.approx(1e3 * contact[0], abs=0.6)
+    # The simulation starts from the shape on level ground, leaned: 0.1 and 0.65 mm further back
+    # than that without tension.
+    lag = 1e3 * (distance - rest_state(*fabric, tilt)[0])[0]
+    assert lag_mm == pytest.approx(lag, abs=0.75)
+    level = 1e3 * (
+        sliding_state(FrictionLaw(0.45), *fabric, moving, False)[0] - rest_state(*fabric)[0]
+    )
+    assert np.sign(lag_mm - level[0]) == np.sign(tilt_deg)

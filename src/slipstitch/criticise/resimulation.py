@@ -18,10 +18,6 @@ from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_
 MODELS = ("null", "extended")
 QUANTITIES = ("te_x_mm", "contact_len_mm")
 DEFAULT_ROWS, DEFAULT_STEP_S = 161, 0.04
-TILTED = (
-    "the criticism lets a tilted floor act on the cloth that lies on it; the simulator tilts the "
-    "hanging cloth as well, which changes the lag by as much: a tilt does not carry over"
-)
 # A covariate of a run table -> the field of a run, its factor to SI, the mechanism that needs it.
 ASKED_FOR = {
     "orientation_deg": ("orientation_rad", np.pi / 180),
@@ -93,7 +89,6 @@ def resimulate(
         "case": case.name,
         "verdict": verdict["verdict"],
         "causes": verdict["models"]["extended"]["causes"],
-        "caution": TILTED if "tilt" in verdict["models"]["extended"]["causes"] else "",
         "rows": rows,
         "step_s": step_s,
         "simulations": {name: len(found) for name, found in done.items()},

@@ -75,6 +75,14 @@ class FrictionLaw:
                     f"{', '.join(sorted(names))}; given: {', '.join(sorted(values)) or 'none'}"
                 )
 
+    @property
+    def differs_at_rest(self) -> bool:
+        """Does any mechanism tell friction at rest from friction in motion?"""
+        return any(
+            CONTACT_MECHANISMS[name].factors(True) != CONTACT_MECHANISMS[name].factors(False)
+            for name in self.mechanisms
+        )
+
     def force_limit(self, contact: Contact, static: bool) -> np.ndarray:
         """Friction force at which the contact slips (static) or with which it slides (kinetic).
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from hidden_effects.elastica import hanging_cloth, pushed_strip
+from hidden_effects.slider_bench import spring_slider
 
 G = 9.80665
 LIBRARY = (
@@ -342,31 +343,29 @@ def _drop_drag(rng, world, noise, options, switch):
     table["speed_mm_s"] = rng.choice(speeds, n)
     table["u_pos_mm"] = noise["u_pos"]
     nominal = world.nominal
-    weight = world.rho * G
+    downhill = world.downhill(table["stage_azimuth_deg"].to_numpy())
+    weight, lean = world.rho * G * np.cos(downhill), np.tan(downhill)
     bending = nominal["B_Nm"] * (1 + world.get("bending_error"))
     scale, lag = world.get("camera_scale", default=1.0), world.get("time_lag")
     h = table["height_mm"].to_numpy() * 1e-3
     beta, length = bending / (weight * h**3), nominal["cloth_length_m"] / h
 
     def excess(mid, static):
-        lifted, _, point = hanging_cloth(beta, mid)
+        lifted, _, point = hanging_cloth(beta, mid, lean)
         c = np.maximum(length - lifted, 1e-4)
         normal = (c + point) * weight * h
-        limit = np.array(
-            [
-                world.friction(
-                    normal[i],
-                    c[i] * h[i],
-                    row,
-                    row["orientation_deg"],
-                    static,
-                    row["dwell_s"],
-                    row["speed_mm_s"],
-                )
-                for i, row in table.iterrows()
-            ]
+        limit = np.asarray(
+            world.friction(
+                normal,
+                c * h,
+                table,
+                table["orientation_deg"].to_numpy(),
+                static,
+                table["dwell_s"].to_numpy(),
+                table["speed_mm_s"].to_numpy(),
+            )
         )
-        limit = limit - normal * np.sin(world.downhill(table["stage_azimuth_deg"]))
+        limit = limit - c * h * weight * lean
         return mid - limit / (weight * h)
 
     def steady(static):
@@ -390,7 +389,9 @@ def _drop_drag(rng, world, noise, options, switch):
     eta_static = np.maximum(steady(True), eta_moving)
     fractions = np.linspace(0, 1, 28) ** 2
     grid = np.maximum(eta_static, eta_moving)[:, None] * fractions
-    lifted, extent, _ = hanging_cloth(np.repeat(beta[:, None], 28, 1), grid)
+    lifted, extent, _ = hanging_cloth(
+        np.repeat(beta[:, None], 28, 1), grid, np.repeat(lean[:, None], 28, 1)
+    )
     flat = length[:, None] - lifted
     distance = (flat + extent) * h[:, None] * 1e3
     flat = flat * h[:, None] * 1e3
@@ -428,7 +429,14 @@ def _drop_drag(rng, world, noise, options, switch):
     return {"drop_drag_runs": table, "drop_drag": pd.concat(frames, ignore_index=True)}
 
 
+def _spring_slider(rng, world, noise, options, switch):
+    common = _common(rng, "e", rng.integers(6, 9), rng.integers(4, 6), noise, options)
+    return spring_slider(rng, world, noise, common, switch)
+
+
 BUILDERS = {"incline": _incline, "strip": _strip, "drag": _drag, "drop_drag": _drop_drag}
+# Only when planted: the rates of the benchmark are of protocols (a) to (d).
+PLANTED_ONLY = {"spring_slider": _spring_slider}
 COVARIATE_OF = {
     "ageing": "dwell_s",
     "anisotropy": "orientation_deg",
@@ -532,10 +540,11 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         switch = 0.0
         noise = noise | {"specimen": 0.0, "run": 0.0}
     tables = {}
-    for i, name in enumerate(names):
+    builders = BUILDERS | PLANTED_ONLY
+    for i, name in enumerate(builders):
         if name in protocols:
             own = np.random.default_rng([seed, 11, i, draw])
-            tables |= BUILDERS[name](own, world, noise, options, switch)
+            tables |= builders[name](own, world, noise, options, switch)
     truth = {
         "seed": seed,
         "kind": kind,
@@ -562,7 +571,7 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         "case": f"seed{seed}",
         "nominal": {k: v for k, v in nominal.items() if k != "reversal_dwell_s"},
         "reversal_dwell_s": nominal["reversal_dwell_s"],
-        "protocols": [name for name in names if name in protocols],
+        "protocols": [name for name in builders if name in protocols],
     }
     (folder / "meta.json").write_text(json.dumps(meta))
     return truth

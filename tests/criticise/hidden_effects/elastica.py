@@ -89,16 +89,17 @@ def _chebyshev(n):
     return s, -2 * matrix, weights / 2
 
 
-def hanging_cloth(stiffness, tension, nodes=44):
+def hanging_cloth(stiffness, tension, lean=0.0, nodes=44):
     """Lifted part of a cloth at height 1: Chebyshev collocation, one Newton over all cases.
 
-    Returns length, horizontal extent and touchdown point load, for arrays of B/(w h^3) and
-    H/(w h).
+    Returns length, extent along the floor and touchdown point load, for arrays of B/(w h^3), of
+    H/(w h) and of the weight along the drag over that normal to the floor, w.
     """
-    stiffness, tension = np.broadcast_arrays(
-        np.atleast_1d(np.asarray(stiffness, float)), np.atleast_1d(np.asarray(tension, float))
+    stiffness, tension, lean = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(one, float)) for one in (stiffness, tension, lean))
     )
-    shape, stiffness, tension = stiffness.shape, stiffness.ravel(), tension.ravel()
+    shape = stiffness.shape
+    stiffness, tension, lean = stiffness.ravel(), tension.ravel(), lean.ravel()
     s, d, w = _chebyshev(nodes)
     d2 = d @ d
     n, m = len(stiffness), nodes + 1
@@ -111,7 +112,8 @@ def hanging_cloth(stiffness, tension, nodes=44):
     for _ in range(60):
         arc = s * length[:, None]
         sin, cos = np.sin(angle), np.cos(angle)
-        force = tension[:, None] * sin - (arc - point[:, None]) * cos
+        along = tension[:, None] - lean[:, None] * arc
+        force = along * sin - (arc - point[:, None]) * cos
         scale = (stiffness / length**2)[:, None]
         residual = np.empty((n, m + 2))
         jacobian = np.zeros((n, m + 2, m + 2))
@@ -119,8 +121,8 @@ def hanging_cloth(stiffness, tension, nodes=44):
         residual[:, :m] = scale * bend - force
         jacobian[:, :m, :m] = scale[:, :, None] * d2
         i = np.arange(m)
-        jacobian[:, i, i] -= tension[:, None] * cos + (arc - point[:, None]) * sin
-        jacobian[:, :m, m] = -2 * scale / length[:, None] * bend + s * cos
+        jacobian[:, i, i] -= along * cos + (arc - point[:, None]) * sin
+        jacobian[:, :m, m] = -2 * scale / length[:, None] * bend + s * (cos + lean[:, None] * sin)
         jacobian[:, :m, m + 1] = -cos
         for row, line in ((0, np.eye(m)[0]), (m - 1, d[-1]), (m, d[0])):
             residual[:, row] = angle @ line

@@ -98,16 +98,33 @@ DROP_DRAG = (
     _number("contact_len_mm", -1e5, 1e5),
 )
 
+SPRING_SLIDER_RUNS = (
+    *_COMMON,
+    _number("stage_azimuth_deg", *_ANGLE, True),
+    _number("area_cm2", 1e-3, 1e5, True),
+    _number("added_mass_g", 0, 1e5),
+    _number("spring_N_m", 1e-3, 1e7),
+    _number("speed_mm_s", 1e-6, 1e4),
+    _number("u_force_mN", 1e-6, 1e5),
+)
+SPRING_SLIDER = (
+    _text("run_id", may_be_empty=False),
+    _number("t_s", -1e7, 1e7),
+    _number("force_mN", -1e7, 1e7),
+)
+
 # protocol -> its tables: the one with a row a run, and that with its traces, if any
 PROTOCOL_TABLES: dict[str, dict[str, tuple[Column, ...]]] = {
     "incline": {"incline": INCLINE},
     "strip": {"strip": STRIP},
     "drag": {"drag_runs": DRAG_RUNS, "drag": DRAG},
     "drop_drag": {"drop_drag_runs": DROP_DRAG_RUNS, "drop_drag": DROP_DRAG},
+    "spring_slider": {"spring_slider_runs": SPRING_SLIDER_RUNS, "spring_slider": SPRING_SLIDER},
 }
 NOMINAL_KEYS: dict[str, tuple[str, ...]] = {
     "incline": ("rho_kg_m2",),
     "strip": ("rho_kg_m2", "B_strip_Nm", "ply_exponent", "thickness_m"),
     "drag": ("rho_kg_m2", "k_tether_N_m"),
     "drop_drag": ("rho_kg_m2", "B_Nm", "cloth_length_m"),
+    "spring_slider": (),
 }

@@ -98,7 +98,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
 
 
 def _protocol_name(text) -> str:
-    short = {"a": "incline", "b": "strip", "c": "drag", "d": "drop_drag"}
+    short = {"a": "incline", "b": "strip", "c": "drag", "d": "drop_drag", "e": "spring_slider"}
     text = str(text).strip().lower().replace("-", "_")
     return short.get(text.strip("()"), text)
 
@@ -178,7 +178,7 @@ def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool
         check = _text_column if column.text else _number_column
         table[column.name] = check(path, column, values, lines, measured)
     result = pd.DataFrame(table)
-    if "stroke" not in table and "phase" not in table:
+    if "specimen_id" in table:  # one row a trial or run
         again = result["run_id"].duplicated()
         if again.any():
             row = lines[int(np.argmax(again.to_numpy()))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -12,12 +12,14 @@ from slipstitch.criticise.features.block import Block
 from slipstitch.criticise.features.drag import drag_block
 from slipstitch.criticise.features.drop_drag import drop_drag_block
 from slipstitch.criticise.features.incline import incline_block
+from slipstitch.criticise.features.spring_slider import spring_slider_block
 from slipstitch.criticise.features.strip import strip_block
 from slipstitch.criticise.forward.bench import Bench
 from slipstitch.criticise.mechanism import BENCH_MECHANISMS, MECHANISMS
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw, Parameter
 
+REMEMBERED = 64  # predictions of a block
 INSTRUMENT_QUANTITIES = ("relaxed_mN", "stiffness", "lost_motion_mm", "edge_slope")
 # What a mechanism must have had recorded, and on which features it would act.
 COVARIATE_OF = {
@@ -56,13 +58,14 @@ class Measurements:
     specimen: np.ndarray
     protocol: np.ndarray
     lower_bound: np.ndarray
+    remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def null_parameters(self) -> tuple[Parameter, ...]:
         """Logarithms of the friction coefficients that the case's protocols have."""
         names = {block.protocol for block in self.blocks}
         found = []
-        if names & {"incline", "drag", "drop_drag"}:
+        if names - {"strip"}:
             found.append(Parameter("mu_face", "1", np.log(0.3), 0.05, np.log(0.005), np.log(8.0)))
         if "strip" in names:
             found.append(Parameter("mu_edge", "1", np.log(0.25), 0.05, np.log(0.01), np.log(3.0)))
@@ -84,7 +87,19 @@ class Measurements:
         bench = Bench(**changes)
         face = FrictionLaw(float(np.exp(values.get("mu_face", -1.2))), mechanisms)
         edge = FrictionLaw(float(np.exp(values.get("mu_edge", -1.2))), mechanisms)
-        return np.concatenate([block.predict(face, edge, bench) for block in self.blocks])
+        return np.concatenate([self._block(i, face, edge, bench) for i in range(len(self.blocks))])
+
+    def _block(self, i: int, face: FrictionLaw, edge: FrictionLaw, bench: Bench) -> np.ndarray:
+        """One block's prediction; derivatives ask for the same one again and again."""
+        block = self.blocks[i]
+        law = face if block.LAW == "face" else edge
+        mechanisms = tuple((name, *values.values()) for name, values in law.mechanisms.items())
+        key = (i, law.coefficient, mechanisms, *(getattr(bench, name) for name in block.READS))
+        if key not in self.remembered:
+            if len(self.remembered) >= REMEMBERED:
+                self.remembered.pop(next(iter(self.remembered)))
+            self.remembered[key] = block.predict(face, edge, bench)
+        return self.remembered[key]
 
     def unrecorded(self, cause: str) -> np.ndarray:
         """(n,) True where the cause may act but what drives it was not recorded."""
@@ -135,6 +150,9 @@ def assemble(case: Case, measured: bool = True) -> Measurements:
     if "drop_drag_runs" in tables:
         frames = tables.get("drop_drag") if measured else None
         blocks.append(drop_drag_block(tables["drop_drag_runs"], frames, nominal))
+    if "spring_slider_runs" in tables:
+        traces = tables.get("spring_slider") if measured else None
+        blocks.append(spring_slider_block(tables["spring_slider_runs"], traces, nominal))
     kept = [block for block in blocks if block is not None]
     if not kept:
         raise BadInput(f"{case.name}: no run has a usable trace; at least one slip is needed")

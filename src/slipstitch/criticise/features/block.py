@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,10 @@ class Block:
     covariates of :data:`COVARIATES` (NaN or '' where not recorded or not meaningful). In
     ``orientation_deg`` and ``azimuth_deg`` is the direction of the slide itself.
     """
+
+    # What a prediction depends on: the face's law or the edge's, and fields of the bench.
+    LAW: ClassVar[str] = "face"
+    READS: ClassVar[tuple[str, ...]] = tuple(field.name for field in fields(Bench))
 
     protocol: str
     rows: pd.DataFrame

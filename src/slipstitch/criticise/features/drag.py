@@ -32,6 +32,15 @@ DEPARTURE_NOISES = 4.0
 class DragBlock(Block):
     """Drag features; contacts at rest and in motion per row."""
 
+    READS = (
+        "mass_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "backlash_m",
+        "force_offset_N",
+        "force_gain",
+    )
+
     at_rest: Contact
     in_motion: Contact
     areal_mass_kg_m2: float

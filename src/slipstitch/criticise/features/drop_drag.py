@@ -21,6 +21,15 @@ USUAL_STEADY_STAGE_MM = 200.0
 class DropDragBlock(Block):
     """Drop-and-drag features; the geometry is per run, ``run`` maps a feature to its run."""
 
+    READS = (
+        "mass_error",
+        "bending_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "camera_scale",
+        "time_lag_s",
+    )
+
     run: np.ndarray
     at_rest: Contact
     in_motion: Contact
@@ -44,9 +53,11 @@ class DropDragBlock(Block):
         length = np.full(n, self.cloth_length_m)
         tilt = downhill_rad(bench, self.azimuth_deg)
         fabric = (weight, bending, length, self.height_m)
-        rest_distance, _ = rest_state(*fabric)
+        rest_distance, _ = rest_state(*fabric, tilt)
         distance, contact = sliding_state(face, *fabric, self.in_motion, False, tilt)
-        slip_distance, _ = sliding_state(face, *fabric, self.at_rest, True, tilt)
+        slip_distance = distance
+        if face.differs_at_rest:
+            slip_distance, _ = sliding_state(face, *fabric, self.at_rest, True, tilt)
         lag = 1e3 * (distance - rest_distance)
         slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
         scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
@@ -71,10 +82,17 @@ class DropDragBlock(Block):
             result[here] = value[self.run[here]]
         here = np.flatnonzero(quantity == "stuck_contact_mm")
         if len(here):
-            heights, which = np.unique(self.height_m, return_inverse=True)
-            key = (bench.mass_error, bench.bending_error)
+            set_up, which = np.unique(
+                np.column_stack([self.height_m, tilt.round(12)]), axis=0, return_inverse=True
+            )
+            key = (
+                bench.mass_error,
+                bench.bending_error,
+                bench.tilt_along_rad,
+                bench.tilt_across_rad,
+            )
             if self.path is None or self.path[0] != key:
-                path = sticking_path(weight[0], bending[0], self.cloth_length_m, heights)
+                path = sticking_path(weight[0], bending[0], self.cloth_length_m, *set_up.T)
                 self.path = (key, path)
             advance, flat = self.path[1]
             for i in here:

@@ -19,6 +19,8 @@ USUAL_AREA_M2 = 0.01
 class InclineBlock(Block):
     """Slip angles; ``contact`` and masses per row."""
 
+    READS = ("mass_error", "tilt_along_rad", "tilt_across_rad")
+
     contact: Contact
     areal_mass_kg_m2: float
     area_m2: np.ndarray

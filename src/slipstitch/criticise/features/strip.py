@@ -17,6 +17,9 @@ from slipstitch.friction_law import Contact
 class StripBlock(Block):
     """Slip strains; the strip's stiffness, weight and edge per row."""
 
+    LAW = "edge"
+    READS = ("mass_error", "bending_error", "tilt_along_rad", "tilt_across_rad", "camera_scale")
+
     contact: Contact
     areal_mass_kg_m2: np.ndarray
     bending_Nm: np.ndarray

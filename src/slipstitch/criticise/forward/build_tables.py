@@ -1,7 +1,7 @@
 """Tabulate the two elastica problems that the forward models interpolate in.
 
-Run ``python -m slipstitch.criticise.forward.build_tables`` to make the JSON tables anew (a
-minute); a test compares them with closed forms and published values.
+Run ``python -m slipstitch.criticise.forward.build_tables`` to make the JSON tables anew (a few
+minutes); a test compares them with closed forms and published values.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
 
 HERE = Path(__file__).parent
 FOOT_ANGLES = np.concatenate([[0.02, 0.05], np.linspace(0.1, np.pi / 2, 30)])
@@ -19,6 +20,8 @@ STRIP_LOADS = np.concatenate(
 )
 STIFFNESS_ROOTS = np.linspace(0.0, 1.2, 37)
 TENSION_ROOTS = np.linspace(0.0, 3.2, 33)
+# Tangents of the floor's slope along the drag; the tables are quadratic between them.
+LEANS = (-0.08, 0.0, 0.08)
 
 
 def strip_row(gamma: float, guess=None):
@@ -68,21 +71,44 @@ def strip_row(gamma: float, guess=None):
     return np.array(rows), first
 
 
-def lifted_row(stiffness_root: float):
+def limp_row(lean: float):
+    """:func:`lifted_row` without bending, by its integrals in closed form."""
+    a = 1.0 + lean**2
+    rows = []
+    for tension in TENSION_ROOTS**2:
+        if tension == 0.0:  # it hangs plumb
+            rows.append((np.sqrt(a), -lean, 0.0))
+            continue
+
+        def inverse(length, tension=tension):
+            """Integral of 1 / T from the touchdown, T^2 = s^2 + (eta - lean s)^2."""
+            reach = np.arcsinh((a * length - tension * lean) / tension)
+            return (reach + np.arcsinh(lean)) / np.sqrt(a)
+
+        def height(length, tension=tension, inverse=inverse):
+            pull = np.hypot(length, tension - lean * length)
+            return (pull - tension) / a + tension * lean / a * inverse(length)
+
+        length = brentq(lambda one: height(one) - 1.0, 0.5, 40.0, xtol=1e-13)
+        rows.append((length, tension * inverse(length) - lean, 0.0))
+    return np.array(rows)
+
+
+def lifted_row(stiffness_root: float, lean: float = 0.0):
     """Lifted part of a cloth held at height 1 under a series of tensions.
 
-    beta theta'' = eta sin theta - (s - r0) cos theta from the touchdown (theta = theta' = 0) to
-    the hinged clamp (theta' = 0, height 1); forces in w h.
+    beta theta'' = (eta - lean s) sin theta - (s - r0) cos theta from the touchdown
+    (theta = theta' = 0) to the hinged clamp (theta' = 0, height 1); forces in w h, w being the
+    weight normal to the floor and ``lean`` that along the drag over w.
 
     Returns
     -------
     numpy.ndarray
-        (tensions, 3): length, horizontal extent, point load r0 at the touchdown.
+        (tensions, 3): length, extent along the floor, point load r0 at the touchdown.
     """
     eta = TENSION_ROOTS**2
     if stiffness_root == 0.0:
-        extent = np.where(eta > 0, eta * np.arccosh(1 + 1 / np.maximum(eta, 1e-300)), 0.0)
-        return np.stack([np.sqrt(1 + 2 * eta), extent, np.zeros_like(eta)], axis=1)
+        return limp_row(lean)
     beta = stiffness_root**3
     rows = []
     solution = None
@@ -99,7 +125,8 @@ def lifted_row(stiffness_root: float):
             state, unknown = solution.sol(s), solution.p
 
         def equations(s, y, p, tension=tension):
-            turn = tension * np.sin(y[0]) - (s * p[0] - p[1]) * np.cos(y[0])
+            along = tension - lean * s * p[0]
+            turn = along * np.sin(y[0]) - (s * p[0] - p[1]) * np.cos(y[0])
             return np.vstack([y[1], turn * p[0] ** 2 / beta, p[0] * np.sin(y[0])])
 
         def conditions(a, b, p):
@@ -108,7 +135,8 @@ def lifted_row(stiffness_root: float):
         solution = solve_bvp(equations, conditions, s, state, p=unknown, tol=1e-5, max_nodes=20000)
         if not solution.success:
             raise RuntimeError(
-                f"cloth table: no solution at {stiffness_root=} {tension=}: {solution.message}"
+                f"cloth table: no solution at {stiffness_root=} {tension=} {lean=}: "
+                f"{solution.message}"
             )
         length, load = solution.p
         fine = np.linspace(0, 1, 4001)
@@ -132,13 +160,14 @@ def main() -> None:
         "load": strip[:, :, 2].round(7).tolist(),
     }
     (HERE / "strip_table.json").write_text(json.dumps(table))
-    lifted = np.array([lifted_row(root) for root in STIFFNESS_ROOTS])
+    lifted = np.array([[lifted_row(root, lean) for root in STIFFNESS_ROOTS] for lean in LEANS])
     table = {
+        "lean": list(LEANS),
         "stiffness_root": STIFFNESS_ROOTS.tolist(),
         "tension_root": TENSION_ROOTS.tolist(),
-        "length": lifted[:, :, 0].round(8).tolist(),
-        "extent": lifted[:, :, 1].round(8).tolist(),
-        "point_load": lifted[:, :, 2].round(8).tolist(),
+        "length": lifted[..., 0].round(8).tolist(),
+        "extent": lifted[..., 1].round(8).tolist(),
+        "point_load": lifted[..., 2].round(8).tolist(),
     }
     (HERE / "lifted_cloth_table.json").write_text(json.dumps(table))
 

@@ -8,9 +8,13 @@ form, so there is no time step. With extension e of the spring, m e'' + k e = F_
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from slipstitch.friction_law import Contact, FrictionLaw
+
+USUAL_REST_S = 10.0  # before the first slip, where it was not recorded
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,58 @@ def swing(slider: Slider, excess_N: np.ndarray | float) -> np.ndarray | float:
     Inertia alone makes drops that grow with the speed, at no change of friction.
     """
     return np.hypot(excess_N, slider.inertial_force)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Steady stick-slip on an even track, each (n,); half drops in N, stick time in s."""
+
+    level_N: np.ndarray
+    swing_N: np.ndarray
+    first_swing_N: np.ndarray
+    stick_s: np.ndarray
+
+
+def steady_cycle(
+    slider: Slider, law: FrictionLaw, rest: Contact, motion: Contact, iterations: int = 60
+) -> Cycle:
+    """The cycle that a slider which starts from rest, its spring relaxed, settles in.
+
+    The first slip comes after the rest of ``rest`` and the time in which the spring loads. Each
+    slip ends as far below the kinetic friction as it began above it (:func:`run`), so the next
+    stick lasts 2 (F_s - F_k) / (k V); static friction may grow meanwhile.
+    """
+    loading = slider.spring_N_m * slider.speed_m_s
+    kinetic = law.force_limit(motion, static=False)
+    resting = np.asarray(rest.dwell_s, float)
+    first = law.force_limit(rest, static=True)
+    for _ in range(3):  # the loading adds little to the rest, and its logarithm less
+        first = law.force_limit(replace(rest, dwell_s=resting + first / loading), static=True)
+    first_excess = np.maximum(first - kinetic, 0.0)
+    start = replace(rest, dwell_s=np.where(np.isnan(resting), USUAL_REST_S, resting))
+    excess = np.maximum(law.force_limit(start, static=True) - kinetic, 0.0)
+    for _ in range(iterations):
+        stick = 2.0 * excess / loading
+        limit = law.force_limit(replace(rest, dwell_s=stick), static=True)
+        update = np.maximum(limit - kinetic, 0.0)
+        change = np.max(np.abs(update - excess), initial=0.0)
+        excess = update
+        if change < 1e-9 * np.max(kinetic, initial=1e-12):
+            break
+    return Cycle(kinetic, swing(slider, excess), swing(slider, first_excess), 2 * excess / loading)
+
+
+def steady_force(slider: Slider, level_N: float, swing_N: float, time_s: np.ndarray) -> np.ndarray:
+    """Spring force of steady stick-slip at times (n,), beginning with a stick."""
+    k, v = slider.spring_N_m, slider.speed_m_s
+    omega = np.sqrt(k / slider.mass_kg)
+    excess = np.sqrt(max(swing_N**2 - slider.inertial_force**2, 0.0))
+    stick = 2 * excess / (k * v)
+    slip = (2 * np.pi - 2 * np.arctan2(excess / k, v / omega)) / omega
+    phase = np.mod(time_s, stick + slip)
+    angle = omega * np.maximum(phase - stick, 0.0)
+    slipping = excess * np.cos(angle) + k * v / omega * np.sin(angle)
+    return level_N + np.where(phase < stick, k * v * phase - excess, slipping)
 
 
 def run(

@@ -13,6 +13,7 @@ from slipstitch.criticise.features import Measurements
 from slipstitch.criticise.features.drag import drag_block
 from slipstitch.criticise.features.drop_drag import drop_drag_block
 from slipstitch.criticise.features.incline import incline_block
+from slipstitch.criticise.features.spring_slider import spring_slider_block
 from slipstitch.criticise.features.strip import strip_block
 from slipstitch.criticise.inference.analysis import Analysis, Candidate
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
@@ -24,6 +25,7 @@ BUILDERS = {
     "strip": strip_block,
     "drag": lambda table, nominal, measured: drag_block(table, None, nominal),
     "drop_drag": lambda table, nominal, measured: drop_drag_block(table, None, nominal),
+    "spring_slider": lambda table, nominal, measured: spring_slider_block(table, None, nominal),
 }
 COMMON = {
     "clock_min": 30.0,
@@ -62,6 +64,14 @@ SETTINGS = {
         "speed_mm_s": 10.0,
         "u_pos_mm": 0.3,
     },
+    "spring_slider": {
+        "stage_azimuth_deg": 0.0,
+        "area_cm2": 50.0,
+        "added_mass_g": 50.0,
+        "spring_N_m": 200.0,
+        "speed_mm_s": 1.0,
+        "u_force_mN": 0.5,
+    },
 }
 VARIED = (
     ("incline", "added_mass_g", (0, 5, 20, 50, 200)),
@@ -81,6 +91,8 @@ VARIED = (
     ("drag", "repeat_index", (0, 1, 2, 4, 8, 16)),
     ("drop_drag", "height_mm", (70, 100, 130)),
     ("drop_drag", "speed_mm_s", (3, 10, 30)),
+    ("spring_slider", "speed_mm_s", (0.03, 0.3, 3)),
+    ("spring_slider", "added_mass_g", (20, 50, 150)),
 )
 # Direct checks of bench and fabric: what to do, the parameters it reads, how well.
 DIRECT = (

@@ -17,14 +17,21 @@ use_one_thread()
 
 def main() -> int:
     """Write criticism_measured.md, its pictures and the numbers as JSON."""
+    from slipstitch.criticise.measured.paper_case import write_paper_case
     from slipstitch.criticise.measured.write_up import write_up
     from slipstitch.errors import SlipstitchError
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("data/measured"))
     parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument(
+        "--case", type=Path, help="only write the paper traces as a spring-slider case there"
+    )
     arguments = parser.parse_args()
     try:
+        if arguments.case:
+            write_paper_case(arguments.data / "paper_on_paper_stick_slip", arguments.case)
+            return 0
         numbers = write_up(arguments.data, arguments.out)
     except SlipstitchError as error:
         print(f"criticise-measured: error: {error}", file=sys.stderr)

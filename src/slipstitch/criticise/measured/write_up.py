@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from slipstitch import __version__
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import Analysis, analyse
 from slipstitch.criticise.inference.generic import LABELS
 from slipstitch.criticise.measured import pushes as push_data
 from slipstitch.criticise.measured import stick_slip
+from slipstitch.criticise.measured.paper_case import write_paper_case
 from slipstitch.criticise.report.pictures import EXTENDED_COLOUR, FAINT, INK, NULL_COLOUR
+from slipstitch.criticise.verdict import sentence, verdict_of
 
 SEED = 1
 # What each step of the ladder repairs.
@@ -54,16 +60,26 @@ def write_up(data: Path, out: Path) -> dict:
         _drop_picture(answers[0], pictures / "paper_drops.svg")
         _ladder_picture(ladder, pictures / "paper_gain.svg")
         _board_picture(boards, pictures / "board_place.svg")
-    text = _page(answers, ladder, boards, cells, table)
+    as_case = paper_verdict(data / "paper_on_paper_stick_slip")
+    text = _page(answers, ladder, boards, cells, table, as_case)
     (out / "criticism_measured.md").write_text(text, encoding="utf-8")
     return {
         "verdicts": {
             **{a.question: a.verdict for a in answers},
+            "paper as a case": as_case["verdict"],
             **{f"board '{s}'": a.verdict for s, a in boards.items()},
         },
         "answers": [a.numbers for a in answers],
         "ladder": ladder,
     }
+
+
+def paper_verdict(data: Path) -> dict:
+    """What ``slipstitch criticise`` says of the paper traces as a spring-slider case."""
+    with TemporaryDirectory() as folder:
+        write_paper_case(data, Path(folder))
+        case = read_case(folder)
+    return verdict_of(case, analyse(assemble(case), seed=SEED), SEED, __version__)
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -186,7 +202,18 @@ def _interval(middle: float, low: float, high: float) -> str:
     return f"{middle:+.2f} [{low:+.2f}, {high:+.2f}]"
 
 
-def _page(answers, ladder, boards, cells, table) -> str:
+def _case_words(verdict: dict) -> str:
+    gain, excess = verdict["gain"], verdict["parameters"].get("static_kinetic")
+    low, high = gain["ci95"]
+    words = f"{sentence(verdict)} Gain on left-out runs: {gain['estimate']:.2f} [{low:.2f}, "
+    words += f"{high:.2f}] in log score a reading, {gain['n_groups']} runs."
+    if excess:
+        low, high = excess["ci95"]
+        words += f" Static excess {excess['estimate']:.3f} [{low:.3f}, {high:.3f}]."
+    return words
+
+
+def _page(answers, ladder, boards, cells, table, as_case) -> str:
     steps = "\n".join(
         f"| {m['model']} | {m['log_score']:.2f} | "
         + (
@@ -250,6 +277,12 @@ In closed form, a slip under constant kinetic friction swings the spring by
 static excess is taken from the slow runs, where the last term vanishes; the fast runs are then
 predicted. The forecast exceeds the drops of the stiffest springs at the highest speed: damping,
 which the model has not, takes some of the swing.
+
+**As a case.** The same traces are a case of the spring-slider protocol
+([measurements.md](measurements.md)): `python -m slipstitch.criticise.measured --case FOLDER` writes
+it, `slipstitch criticise FOLDER` reads it, each run its own specimen. Inertia is in that protocol's
+null. The verdict: *{as_case["verdict"]}.* {_case_words(as_case)} A fall of friction with speed
+and a static excess both make a slider stick; the runs, one a cell, do not tell them apart.
 
 **What these data cannot decide:** load (never varied), so neither a power of the load nor adhesion;
 wear and specimen (one run each); whether the level depends on speed or stiffness (one run a cell).

@@ -33,7 +33,6 @@ def before_and_after(again: Resimulation) -> str:
     return f"""<h2>The drop-and-drag runs, simulated again</h2>
 <p>The measured runs in the cloth simulator, once with plain Coulomb friction and once with the
 verdict's model; every parameter is the verdict's, none was fitted to these simulations.</p>
-{f"<p>Caution: {summary['caution']}.</p>" if summary["caution"] else ""}
 <figure>{picture}<figcaption>Three of the runs: how far the trailing edge lags behind the stage, and
 the length on the floor. Points: measured.</figcaption></figure>
 <table><tr><th>error (mm, root mean square)</th><th>plain Coulomb</th><th>extended</th>

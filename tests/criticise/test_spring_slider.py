@@ -1,0 +1,148 @@
+"""(e) A slider pulled by a spring: closed form, event solver and time steps agree; effects show."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from hidden_effects.bench import make_case
+
+from slipstitch.command import main
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.features import assemble
+from slipstitch.criticise.forward.spring_slider import Slider, run, steady_cycle, steady_force
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.verdict import parameters_with_intervals
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import Contact, FrictionLaw
+
+SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)
+LOAD_N = 0.6
+LAWS = {
+    "static excess": FrictionLaw(0.4, {"static_kinetic": {"static_kinetic": 0.2}}),
+    "ageing": FrictionLaw(
+        0.4, {"static_kinetic": {"static_kinetic": 0.1}, "ageing": {"ageing": 0.08}}
+    ),
+    "none": FrictionLaw(0.4),
+}
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("slider")
+    make_case(
+        3, "single", folder, plant=({"static_kinetic": {"static_kinetic": 0.15}}, ["spring_slider"])
+    )
+    return folder
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_the_steady_cycle_is_that_of_the_event_solver(law):
+    contact = Contact(LOAD_N, dwell_s=30.0, speed_m_s=SLIDER.speed_m_s)
+    cycle = steady_cycle(SLIDER, law, contact, contact)
+    kinetic = float(law.force_limit(contact, static=False))
+    events = run(
+        SLIDER,
+        lambda place, stick: float(law.force_limit(Contact(LOAD_N, dwell_s=stick), static=True)),
+        lambda place: kinetic,
+        0.0,
+        0.02,
+    )
+    half = 0.5 * (events.peak_N[-1] - events.trough_N[-1])
+    assert cycle.swing_N == pytest.approx(half, rel=1e-6)
+    assert cycle.stick_s == pytest.approx(events.stick_s[-1], abs=1e-6)
+    assert cycle.first_swing_N >= cycle.swing_N - 1e-12
+
+
+def test_without_a_static_excess_inertia_alone_swings_the_force():
+    contact = Contact(LOAD_N, dwell_s=30.0, speed_m_s=SLIDER.speed_m_s)
+    cycle = steady_cycle(SLIDER, LAWS["none"], contact, contact)
+    assert cycle.swing_N == pytest.approx(SLIDER.speed_m_s * np.sqrt(200.0 * 0.06))
+    assert cycle.stick_s == 0.0
+
+
+def test_the_steady_trace_swings_as_far_as_it_says_and_loads_at_the_springs_rate():
+    time = np.linspace(0, 3, 60_001)
+    force = steady_force(SLIDER, 0.24, 0.05, time)
+    assert force.max() == pytest.approx(0.29, abs=1e-5)
+    assert force.min() == pytest.approx(0.19, abs=1e-5)
+    assert np.diff(force)[0] / time[1] == pytest.approx(200.0 * 0.002)
+    assert np.abs(np.diff(force)).max() < 0.002
+
+
+def test_traces_integrated_in_time_steps_have_the_features_of_the_closed_form(tmp_path):
+    planted = {"static_kinetic": {"static_kinetic": 0.2}}
+    truth = make_case(1, "single", tmp_path, noise_free=True, plant=(planted, ["spring_slider"]))
+    measured = assemble(read_case(tmp_path))
+    values = {"mu_face": np.log(truth["mu_face"]), "static_kinetic": 0.2}
+    expected = measured.predict(values, ("static_kinetic",))
+    assert set(measured.rows["quantity"]) == {
+        "slider_level_mN",
+        "slider_swing_mN",
+        "slider_first_swing_mN",
+    }
+    assert measured.y == pytest.approx(expected, rel=6e-3)
+
+
+@pytest.mark.parametrize(
+    "seed, name, size", [(3, "static_kinetic", 0.15), (4, "ageing", 0.06)], ids=lambda x: str(x)
+)
+def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
+    make_case(seed, "single", tmp_path, plant=({name: {name: size}}, ["spring_slider"]))
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=200)
+    assert (analysis.verdict, analysis.causes) == ("cause", (name,))
+    low, high = parameters_with_intervals(analysis, analysis.chosen.fitted)[name]["ci95"]
+    slack = 0.75 * (high - low)
+    assert low - slack <= size <= high + slack
+
+
+def test_drops_that_inertia_makes_are_no_effect(tmp_path):
+    make_case(2, "null", tmp_path, plant=({}, ["spring_slider"]))
+    assert analyse(assemble(read_case(tmp_path)), replicates=200).verdict == "none"
+
+
+def test_the_verbs_take_the_protocol(case, tmp_path):
+    verdict, out = tmp_path / "verdict.json", tmp_path / "predictions.csv"
+    assert not main(["criticise", str(case), "--out", str(verdict)])
+    assert json.loads(verdict.read_text())["causes"] == ["static_kinetic"]
+    assert not main(["predict", str(verdict), str(case), "--out", str(out)])
+    found = pd.read_csv(out)
+    assert set(found["quantity"]) == {"slider_level_mN", "slider_swing_mN"}
+    assert np.isfinite(found[["null_mean", "null_sd", "ext_mean", "ext_sd"]]).all(axis=None)
+
+
+def edited(case, tmp_path, table, edit):
+    for path in case.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    found = pd.read_csv(tmp_path / table, dtype=str, keep_default_na=False)
+    edit(found).to_csv(tmp_path / table, index=False)
+    return tmp_path
+
+
+def cell(row, column, value):
+    def edit(table):
+        table.loc[row, column] = value
+        return table
+
+    return edit
+
+
+BAD = [
+    ("spring_slider_runs.csv", cell(2, "spring_N_m", "soft"), ["row 4", "spring_N_m", "soft"]),
+    ("spring_slider_runs.csv", cell(0, "speed_mm_s", ""), ["row 2", "speed_mm_s", "empty"]),
+    ("spring_slider_runs.csv", cell(1, "run_id", "e000"), ["row 3", "run_id", "e000"]),
+    ("spring_slider_runs.csv", lambda t: t.drop(columns="u_force_mN"), ["u_force_mN", "missing"]),
+    ("spring_slider.csv", cell(5, "force_mN", "nan"), ["row 7", "force_mN", "leave the cell"]),
+    ("spring_slider.csv", cell(0, "run_id", "e999"), ["row 2", "e999", "spring_slider_runs"]),
+    ("spring_slider.csv", lambda t: t[t["run_id"] != "e000"], ["e000", "no rows"]),
+]
+
+
+@pytest.mark.parametrize("table, edit, words", BAD)
+def test_bad_tables_are_refused_in_one_line(case, tmp_path, table, edit, words):
+    with pytest.raises(BadInput) as caught:
+        read_case(edited(case, tmp_path, table, edit))
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in (table, *words):
+        assert word in message
