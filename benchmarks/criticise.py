@@ -42,7 +42,7 @@ KINDS = (
 
 
 def strength(folder, bare_folder, measured, truth):
-    """Noncentrality against the best null, and against the best wrong single mechanism.
+    """Noncentrality against the best null, and of a single cause against the best wrong one.
 
     From the noise-free twin of the case less its twin without the effect (what extraction does to
     both drops out), with the true scatter and the noisy case's uncertainties.
@@ -97,14 +97,14 @@ def strength(folder, bare_folder, measured, truth):
     wrong = [
         candidate(clean, state, (name,), null, {}).fitted.chi2
         for name in MECHANISMS
-        if name not in names
+        if truth["kind"] == "single" and name not in names
     ]
     each = []
     if len(names) == 2:
         for name in inside:
             alone = candidate(clean, state, (name,), null, {}).fitted.chi2
             each.append(alone)
-    return null.chi2, min(wrong), each
+    return null.chi2, min(wrong, default=0.0), each
 
 
 def fresh_gain(case_folder, verdict):
@@ -164,10 +164,11 @@ def one_case(seed, with_fresh):
             "global_p": verdict["null"]["global_p"],
             "ranking": verdict["ranking"][:4],
             "excluded": len(verdict["excluded_rows"]),
+            "scatter": verdict["scatter"],
             "cpu_s": round(cpu, 2),
             "rows": len(measured.y),
         }
-        if truth["effects"]:
+        if truth["effects"] and kind != "unrecorded":  # all strengths count there
             make_case(seed, kind, root / "clean", noise_free=True)
             make_case(seed, kind, root / "bare", noise_free=True, effect_free=True)
             record["lambda"], record["sep"], record["each"] = strength(

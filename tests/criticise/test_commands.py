@@ -74,7 +74,8 @@ def test_prediction_of_fresh_specimens_is_calibrated_and_gains(written):
 def test_the_page_says_the_verdict_first(written):
     page = (written / "page.html").read_text()
     assert "<h1" in page and "warp differs" in page
-    assert page.count("<svg") >= 3
+    assert page.count("<svg") >= 4
+    assert "along everything recorded" in page
 
 
 def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):

@@ -29,11 +29,14 @@ from slipstitch.criticise.mechanism import MECHANISMS
 START_SCATTER = Scatter(0.05, 0.03, 1.2)
 MECHANISM_SHARE, GENERIC_SHARE = 0.6, 0.4
 SIGNIFICANCE = 0.04
-LEFTOVER_SIGNIFICANCE = 0.02
+LEFTOVER_SIGNIFICANCE = 0.01
 PAIR_SIGNIFICANCE = 0.01
 TIE_BIC = 6.0
 CHANCE_GAIN = 20.0
 MODERATE = 60.0
+# Stated uncertainties may be 1.5 times too small; readings of one run that disagree by more than
+# this hold an effect that differs within runs.
+LARGEST_INSTRUMENT_FACTOR = 1.8
 OUTLIER_T = 4.2
 SUSPECT_T = 2.6
 OUTLIER_SHARE = 0.08
@@ -452,6 +455,15 @@ def analyse(
         return result("unknown", chosen=None, state=null_state, left=outcome, why=why)
     if chosen_p < LEFTOVER_SIGNIFICANCE:
         why = "structure is left that no one or two mechanisms remove"
+        return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
+    noisy = {p: s.kappa for p, s in left_state.scatters.items()}
+    noisy = {p: kappa for p, kappa in noisy.items() if kappa > LARGEST_INSTRUMENT_FACTOR}
+    if noisy:
+        protocol = max(noisy, key=noisy.get)
+        why = (
+            f"readings of one run of {protocol} disagree by {noisy[protocol]:.1f} times their "
+            "stated uncertainty: something differs within runs"
+        )
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     doubles = [(c, measurements.unrecorded_double(c)) for c in chosen.causes]
     doubles = [(c, double) for c, double in doubles if double]

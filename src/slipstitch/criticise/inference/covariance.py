@@ -15,6 +15,8 @@ from scipy.optimize import minimize
 
 # Prior of the understatement of the instrument's uncertainty: 1 to 1.5, log-normal.
 KAPPA_MEDIAN, KAPPA_LOG_SD, KAPPA_LIMITS = 1.2, 0.18, (0.9, 2.5)
+KAPPA_STARTS = (1.0, 1.5)
+KAPPA_LOG_LIMITS = tuple(np.log(KAPPA_LIMITS))
 SIGMA_LIMITS = (1e-4, 0.6)
 
 
@@ -134,9 +136,12 @@ def estimate_scatter(
         except np.linalg.LinAlgError:
             return 1e12
         outside = np.sum(np.maximum(np.abs(z[:2] - np.log(0.03)) - 5.5, 0))
+        outside += max(z[2] - KAPPA_LOG_LIMITS[1], KAPPA_LOG_LIMITS[0] - z[2], 0.0)
         return -value - scatter_prior(scatter) + 10 * outside
 
-    first = np.log([start.specimen, start.run, start.kappa])
+    # Not from a limit: beyond it the likelihood is flat, and the search would stay there.
+    kappa = np.clip(start.kappa, *KAPPA_STARTS)
+    first = np.log([start.specimen, start.run, kappa])
     simplex = np.vstack([first, first + np.diag([0.5, 0.5, 0.15])])
     found = minimize(
         cost,

@@ -8,6 +8,7 @@ import matplotlib
 
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.report.covariates import covariate_picture
 from slipstitch.criticise.report.pictures import (
     prediction_picture,
     ranking_picture,
@@ -48,6 +49,7 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
             prediction_picture(analysis, extended),
             ranking_picture(verdict),
         )
+        everything = covariate_picture(analysis)
     captions = (
         _residual_caption(verdict, extended is not None),
         "All features: the filled shapes should match the line. "
@@ -73,10 +75,22 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
 {before_and_after(again) if again else ""}
 {_parameters(verdict)}
 {_next(verdict)}
+{_everything(everything)}
 {_tests(verdict)}
 {_notes(verdict)}
 </body></html>
 """
+
+
+def _everything(picture: str) -> str:
+    if not picture:
+        return ""
+    return (
+        "<h2>What plain Coulomb friction leaves over, along everything recorded</h2>"
+        f"<figure>{picture}<figcaption>Dark line: the strongest shape that was tested along a "
+        "covariate; p: how often a shape as strong, anywhere, comes without a cause."
+        "</figcaption></figure>"
+    )
 
 
 def _second_sentence(verdict: dict) -> str:

@@ -32,6 +32,22 @@ NAMES = {
     "first_motion_mm": "first motion",
     "stuck_contact_mm": "contact, stuck",
     "edge_at_turn_mm": "edge at the turn",
+    "slider_level_mN": "level",
+    "slider_swing_mN": "half drop",
+    "slider_first_swing_mN": "half of the first drop",
+}
+
+UNITS = {
+    "load_ratio": "p/p₀",
+    "dwell_s": "s",
+    "speed_mm_s": "mm/s",
+    "pos_x_mm": "mm",
+    "clock_min": "min",
+    "rh_pct": "%",
+    "orientation_deg": "°",
+    "azimuth_deg": "°",
+    "length_mm": "mm",
+    "height_mm": "mm",
 }
 
 
@@ -89,13 +105,15 @@ def standardised_residuals(analysis: Analysis, fitted: Fit) -> np.ndarray:
     return (m.y - fitted.prediction) / np.sqrt(variance)
 
 
-def _series(axes, x, y, colour, label, seed=0):
+def series(axes, x, y, colour, label, seed=0):
+    """Points, with means and their standard errors over levels or eighths of a covariate."""
     jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, len(x))
     span = np.ptp(x) or 1.0
     axes.plot(x + jitter * span, y, "o", ms=3, color=colour, alpha=0.35, mew=0)
     edges = np.unique(np.quantile(x, np.linspace(0, 1, 9)))
-    if len(np.unique(np.round(x, 6))) <= 12:
-        groups = [(v, y[np.isclose(x, v)]) for v in np.unique(np.round(x, 6))]
+    levels, level = np.unique(np.round(x, 6), return_inverse=True)
+    if len(levels) <= 12:
+        groups = [(v, y[level == i]) for i, v in enumerate(levels)]
     else:
         which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
         groups = [(x[which == i].mean(), y[which == i]) for i in np.unique(which)]
@@ -149,21 +167,11 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
             good &= np.isfinite(values) & (values > 0 if covariate in LOGARITHMIC else True)
             x = np.log10(values[good]) if covariate in LOGARITHMIC else values[good]
             if len(x):
-                _series(axes, x, residual[good], colour, label)
+                series(axes, x, residual[good], colour, label)
         if extended is None and analysis.verdict == "unknown":
-            _pattern(axes, analysis, covariate)
+            pattern(axes, analysis, covariate, analysis.left_over or analysis.null_outcome)
         log = "log₁₀ " if covariate in LOGARITHMIC else ""
-        units = {
-            "load_ratio": "p/p₀",
-            "dwell_s": "s",
-            "speed_mm_s": "mm/s",
-            "pos_x_mm": "mm",
-            "clock_min": "min",
-            "rh_pct": "%",
-            "orientation_deg": "°",
-            "azimuth_deg": "°",
-        }
-        unit = f" ({units[covariate]})" if covariate in units else ""
+        unit = f" ({UNITS[covariate]})" if covariate in UNITS else ""
         axes.set_xlabel(f"{log}{LABELS[covariate]}{unit}", color=INK)
         axes.set_ylabel("measured − model (% of friction)", color=INK)
     axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
@@ -171,9 +179,8 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
     return svg(figure)
 
 
-def _pattern(axes, analysis, covariate):
-    """The shape that the strongest test found, drawn through the residuals."""
-    outcome = analysis.left_over or analysis.null_outcome
+def pattern(axes, analysis, covariate, outcome):
+    """The shape that the strongest test along a covariate found, drawn through the residuals."""
     best = max(
         (
             i
