@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
-	benchmark-composition benchmark-estimate benchmark-render convergence criticise-measured clean
+	benchmark-composition benchmark-estimate benchmark-render captures convergence criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -18,6 +18,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
+	@echo 'make captures   films ingested and scored; surrogates by default (about 1 CPU h)'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
 	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'
@@ -53,6 +54,9 @@ benchmark: setup
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
+
+captures: setup
+	$(BIN)/snakemake --cores $(CORES) captures
 
 convergence: setup
 	$(BIN)/snakemake --cores $(CORES) convergence

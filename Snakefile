@@ -25,6 +25,7 @@ include: "rules/evaluate.smk"
 include: "rules/report.smk"
 include: "rules/release.smk"
 include: "rules/criticise.smk"
+include: "rules/captures.smk"
 include: "rules/status.smk"
 
 
@@ -40,6 +41,7 @@ localrules:
     report,
     release,
     criticise,
+    captures,
 
 
 # Before a run and in a dry run, but not again in the processes of its jobs.

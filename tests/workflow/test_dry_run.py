@@ -129,3 +129,26 @@ def test_measured_cases_are_a_target_of_their_own(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "criticise")
     assert answer.returncode == 0, answer.stderr
     assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 1, "total": 2}
+
+
+def test_surrogate_captures_are_a_target_of_their_own(workflow):
+    """Four pairs, five films each; then their references, their dataset, and the networks."""
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "captures")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert counts["surrogate_film"] == 4 * 5
+    assert {"surrogate_bench", "captures_reference", "captures_ingest"} <= set(counts)
+    assert counts["captures_evaluate"] == 1
+    assert not {"report_page", "evaluate_all"} & set(counts)
+
+
+def test_real_captures_need_no_surrogates(workflow):
+    table = workflow.folder / "bench" / "captures.csv"
+    table.parent.mkdir(exist_ok=True)
+    table.write_text("")
+    overrides = ("--config", f"captures={{table: {table}}}")
+    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "captures")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert counts["captures_ingest"] == 1
+    assert not {"surrogate_film", "surrogate_bench", "captures_reference"} & set(counts)

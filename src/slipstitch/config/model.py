@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from slipstitch.calibrate.settings import CalibrateSettings
+from slipstitch.capture.settings import CaptureSettings
 from slipstitch.convergence.settings import ConvergenceSettings
 from slipstitch.criticise.settings import CriticiseSettings
 from slipstitch.evaluate.settings import EvaluateSettings
@@ -76,6 +77,7 @@ class Config(BaseModel):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
+    captures: CaptureSettings = Field(default_factory=CaptureSettings)
 
     @model_validator(mode="after")
     def _sections_agree(self) -> "Config":

@@ -1,0 +1,154 @@
+"""Films of a bench, or surrogates for them, through the trained networks; not part of `all`."""
+
+CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
+SLIP_ANGLES = CONFIG.captures.angles or (
+    None if CONFIG.captures.table else "results/captures/bench/slip_angles.csv"
+)
+FILMS = [] if CONFIG.captures.table else CONFIG.captures.surrogate_ids()
+
+
+wildcard_constraints:
+    film=r"c\d\d_r\d\d",
+
+
+rule captures:
+    input:
+        "results/captures/index.html",
+
+
+rule surrogate_bench:
+    output:
+        "results/captures/bench/camera.json",
+        "results/captures/bench/captures.csv",
+        "results/captures/bench/slip_angles.csv",
+    log:
+        "results/logs/captures/bench.log",
+    benchmark:
+        "results/benchmarks/captures/bench.tsv"
+    threads: 1
+    resources:
+        mem_mb=1024,
+        runtime=15,
+    params:
+        settings=settings("seed", "captures"),
+        view=CONFIG.render.camera,
+        code=code_digest("capture"),
+        config=CONFIG_FILE,
+    message:
+        "Set up the surrogate bench"
+    shell:
+        "slipstitch capture surrogate --config {params.config}"
+        " --bench results/captures/bench > {log} 2>&1"
+
+
+rule surrogate_film:
+    output:
+        "results/captures/bench/{film}.mp4",
+    log:
+        "results/logs/captures/{film}.log",
+    benchmark:
+        "results/benchmarks/captures/{film}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("render"),
+        runtime=120,
+    params:
+        settings=settings("seed", "simulation", "captures"),
+        render=(CONFIG.render.camera, CONFIG.render.samples),
+        code=code_digest("capture"),
+        config=CONFIG_FILE,
+    message:
+        "Simulate and film {wildcards.film}, a surrogate"
+    shell:
+        "slipstitch capture surrogate --config {params.config} --film {wildcards.film}"
+        " --out {output} > {log} 2>&1"
+
+
+if SLIP_ANGLES:
+
+    rule captures_reference:
+        input:
+            SLIP_ANGLES,
+        output:
+            table="results/captures/reference.csv",
+            details="results/captures/reference.json",
+            picture=report(
+                "results/captures/reference.svg",
+                caption="../workflow/report/captures.rst",
+                category="Captures",
+            ),
+        log:
+            "results/logs/captures/reference.log",
+        benchmark:
+            "results/benchmarks/captures/reference.tsv"
+        threads: 1
+        resources:
+            mem_mb=1024,
+            runtime=15,
+        params:
+            code=code_digest("capture"),
+        message:
+            "Friction from slip angles"
+        shell:
+            "slipstitch capture reference {input} --out {output.table} --json {output.details}"
+            " --picture {output.picture} > {log} 2>&1"
+
+
+rule captures_ingest:
+    input:
+        table=CAPTURES_TABLE,
+        films=expand("results/captures/bench/{film}.mp4", film=FILMS),
+        reference="results/captures/reference.csv" if SLIP_ANGLES else [],
+    output:
+        "results/captures/dataset/manifest.parquet",
+        "results/captures/dataset/captures.parquet",
+    log:
+        "results/logs/captures/ingest.log",
+    benchmark:
+        "results/benchmarks/captures/ingest.tsv"
+    threads: 1
+    resources:
+        mem_mb=2048,
+        runtime=60,
+    params:
+        settings=settings("simulation", "render", "sample"),
+        code=code_digest("capture"),
+        config=CONFIG_FILE,
+        reference="--reference results/captures/reference.csv" if SLIP_ANGLES else "",
+    message:
+        "Ingest the captures"
+    shell:
+        "slipstitch capture ingest {input.table} --config {params.config} {params.reference}"
+        " --out-dir results/captures/dataset > {log} 2>&1"
+
+
+rule captures_evaluate:
+    input:
+        dataset=rules.captures_ingest.output,
+        networks=rules.train.input,
+    output:
+        metrics="results/captures/metrics.json",
+        predictions="results/captures/predictions.parquet",
+        page=report(
+            "results/captures/index.html",
+            caption="../workflow/report/captures.rst",
+            category="Captures",
+        ),
+    log:
+        "results/logs/captures/evaluate.log",
+    benchmark:
+        "results/benchmarks/captures/evaluate.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("evaluate"),
+        runtime=30,
+    params:
+        settings=settings("evaluate"),
+        code=code_digest("evaluate"),
+        config=CONFIG_FILE,
+    message:
+        "Evaluate the networks on the captures"
+    shell:
+        "slipstitch evaluate --captures --config {params.config}"
+        " --dataset results/captures/dataset --models results/train --out {output.metrics}"
+        " --predictions {output.predictions} --page {output.page} > {log} 2>&1"

@@ -1,0 +1,1 @@
+"""Surrogate captures: simulations made unlike the training data, to stand for a real bench."""

@@ -1,0 +1,215 @@
+"""The surrogate bench: its camera, its inclined plane, what differs from film to film.
+
+Nothing of it is known to the networks, and only what a real bench would write down is handed on: a
+calibrated camera with its errors, slip angles, a table of films.
+"""
+
+import csv
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slipstitch.capture.settings import CaptureSettings, PairSettings
+from slipstitch.config import Config
+from slipstitch.config.grid import simulation_seed
+from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.render.camera import Camera, Pose, pose, turned
+from slipstitch.render.camera_file import LensCamera, write_camera_file
+from slipstitch.render.catalogue import FLOORS, Viewpoint
+from slipstitch.render.shots import viewpoint_pose
+from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, generator
+from slipstitch.simulate.settings import SimulationSettings
+
+# The whole travel fits into the film's width with this focal length (in widths).
+_FOCAL_WIDTHS = 1.72
+_PLACES, _REPEATS = 4, 2
+_ORIENTATIONS = {"warp": 0.01, "weft": -0.01}
+_ANGLE_SCATTER = 0.02
+
+
+@dataclass(frozen=True)
+class Film:
+    """One surrogate capture.
+
+    Attributes
+    ----------
+    id : str
+    pair : PairSettings
+    repeat : int
+    friction : float
+        Where the fabric lay this time.
+    seed : int
+        Of the clamps and the fabric.
+    """
+
+    id: str
+    pair: PairSettings
+    repeat: int
+    friction: float
+    seed: int
+
+
+def films(config: Config) -> list[Film]:
+    """All films that the configuration asks for, in the order of their ids."""
+    settings = config.captures
+    made = []
+    for name in settings.surrogate_ids():
+        pair = settings.pairs[int(name[1:3])]
+        repeat = int(name[-2:])
+        rng = generator(config.seed, "surrogate", pair.material, pair.substrate, str(repeat))
+        friction = pair.friction * float(np.exp(settings.friction_sd_rel * rng.standard_normal()))
+        seed = simulation_seed(config.seed + 1, f"surrogate {name}", friction, repeat)
+        made.append(Film(name, pair, repeat, friction, seed))
+    return made
+
+
+def surrogate_simulation(config: Config) -> SimulationSettings:
+    """How films are simulated: as the training data, but for what makes them unlike."""
+    settings, training = config.captures, config.simulation
+    duration_s = (training.frames - 1) / training.frame_rate_hz
+    factor = settings.bench_variation
+    return training.model_copy(
+        update={
+            "vertices_per_side": settings.vertices_per_side,
+            "time_step_s": settings.time_step_s,
+            "frame_rate_hz": settings.frame_rate_hz,
+            "frames": int(np.ceil(duration_s * settings.frame_rate_hz)) + 2,
+            "yaw_sd_deg": factor * training.yaw_sd_deg,
+            "height_sd_m": min(factor * training.height_sd_m, 0.005),
+            "fabric_sd_rel": min(factor * training.fabric_sd_rel, 0.3),
+        }
+    )
+
+
+def film_size(settings: CaptureSettings) -> tuple[int, int]:
+    """Width and height; the codec needs even numbers."""
+    return settings.width_px // 2 * 2, settings.width_px * 3 // 8 * 2
+
+
+def true_camera(config: Config) -> LensCamera:
+    """The camera that films, as it is."""
+    settings = config.captures
+    fixed: Pose = viewpoint_pose("calibrated", config.render)
+    place = pose(fixed) if isinstance(fixed, Viewpoint) else fixed
+    place = turned(*place, settings.camera_turn_deg)
+    width, height = film_size(settings)
+    focal = _FOCAL_WIDTHS * width
+    matrix = np.array([[focal, 0, 0.49 * width], [0, 1.006 * focal, 0.51 * height], [0, 0, 1.0]])
+    k1 = settings.lens_k1
+    distortion = np.array([k1, -0.4 * k1, 0.0008, -0.0006, 0.0])
+    return LensCamera(Camera(*place, matrix, width, height), distortion)
+
+
+def calibrated_camera(config: Config) -> LensCamera:
+    """The same camera as a calibration would find it, with a calibration's errors."""
+    true = true_camera(config)
+    rng = generator(config.seed, "surrogate", "calibration")
+    error_m = config.captures.camera_error_m
+    camera = true.camera
+    eye = -camera.rotation.T @ camera.translation_m + error_m * rng.standard_normal(3)
+    # An error of the place comes with one of the direction, which keeps the board where it was.
+    tilt, _ = cv2.Rodrigues(error_m / 1.4 * rng.standard_normal(3))
+    rotation = tilt @ camera.rotation
+    matrix = camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= 1 + 0.5 * error_m * rng.standard_normal()
+    found = replace(camera, rotation=rotation, translation_m=-rotation @ eye, matrix=matrix)
+    return LensCamera(found, true.distortion * (1 + 2 * error_m * rng.standard_normal(5)))
+
+
+def surroundings(config: Config, pair: PairSettings) -> Surroundings:
+    """Floor and lamp of a pair, drawn from what such floors look like."""
+    rng = generator(config.seed, "surrogate", pair.material, pair.substrate)
+    floor = FLOORS[pair.substrate]
+    drawn = [
+        float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
+    ]
+    lamp = tuple(np.array(LAMP_POSITION_M) + rng.uniform(-0.15, 0.15, 3))
+    return Surroundings(pair.substrate, *drawn, lamp_position_m=lamp)
+
+
+def slip_angles(config: Config) -> list[dict]:
+    """What an inclined plane with an error of its own measures of each pair."""
+    error_deg = config.captures.incline_error_deg
+    rows = []
+    for pair in config.captures.pairs:
+        rng = generator(config.seed, "surrogate", "incline", pair.material, pair.substrate)
+        bias_deg = rng.uniform(-error_deg, error_deg)
+        for place in range(_PLACES):
+            local = pair.friction * np.exp(config.captures.friction_sd_rel * rng.standard_normal())
+            for orientation, share in _ORIENTATIONS.items():
+                for repeat in range(1, _REPEATS + 1):
+                    friction = local * (1 + share + _ANGLE_SCATTER * rng.standard_normal())
+                    angle = np.degrees(np.arctan(friction)) + bias_deg
+                    rows.append(
+                        {
+                            "material": pair.material,
+                            "substrate": pair.substrate,
+                            "position": f"place {place + 1}",
+                            "orientation": orientation,
+                            "repeat": repeat,
+                            "angle_deg": f"{angle:.2f}",
+                            "bench_error_deg": f"{error_deg:g}",
+                        }
+                    )
+    return rows
+
+
+def captures_rows(config: Config) -> list[dict]:
+    """The captures table; friction is left to the reference measurement."""
+    return [
+        {
+            "video": f"{film.id}.mp4",
+            "material": film.pair.material,
+            "substrate": film.pair.substrate,
+            "repeat": film.repeat,
+            "mu_ref": "",
+            "mu_ref_error": "",
+            "reflective": "yes" if FLOORS[film.pair.substrate].reflectance[1] > 0 else "no",
+            "camera": "camera.json",
+            "surrogate": "yes",
+        }
+        for film in films(config)
+    ]
+
+
+def write_bench(config: Config, folder: str | os.PathLike) -> None:
+    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the films come later."""
+    started = start_clock()
+    folder = Path(folder)
+    lens = calibrated_camera(config)
+    camera = lens.camera
+    names = ("k1", "k2", "p1", "p2", "k3")
+    write_camera_file(
+        folder / "camera.json",
+        {
+            "image_size_px": [camera.pixels, camera.rows],
+            "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
+            "principal_point_px": camera.matrix[:2, 2].tolist(),
+            "distortion": dict(zip(names, lens.distortion, strict=True)),
+            "rotation": camera.rotation.tolist(),
+            "translation_m": camera.translation_m.tolist(),
+            "surrogate": True,
+        },
+    )
+    for name, rows in (
+        ("slip_angles.csv", slip_angles(config)),
+        ("captures.csv", captures_rows(config)),
+    ):
+        with (
+            atomic_path(folder / name) as temporary,
+            open(temporary, "w", newline="", encoding="utf-8") as stream,
+        ):
+            writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    record = provenance_record(
+        "capture",
+        config=config.model_dump(mode="json", include={"seed", "captures"}),
+        seed=config.seed,
+        started=started,
+    )
+    for name in ("camera.json", "slip_angles.csv", "captures.csv"):
+        write_sidecar(folder / name, record)

@@ -1,0 +1,159 @@
+"""Surrogate captures: made unlike the training data, and always called what they are."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from slipstitch.capture.ingest.captures_table import read_captures
+from slipstitch.capture.ingest.dataset import read_known
+from slipstitch.capture.reference.angles import read_angles
+from slipstitch.capture.reference.estimate import estimate
+from slipstitch.capture.surrogate.bench import (
+    calibrated_camera,
+    films,
+    surrogate_simulation,
+    true_camera,
+    write_bench,
+)
+from slipstitch.command import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import read_sidecar
+from slipstitch.render.camera_file import read_camera_file
+from slipstitch.train.videos import read_videos
+
+CONFIG = resolve_config({"simulation": {"frames": 92}})
+
+
+def test_friction_lies_off_the_grid_and_differs_from_film_to_film():
+    made = films(CONFIG)
+    assert len(made) == 4 * 5
+    friction = np.array([film.friction for film in made])
+    assert len(set(friction)) == len({film.seed for film in made}) == 20
+    assert np.abs(friction[:, None] - np.array(CONFIG.grid.frictions)).min() > 1e-3
+    spread = np.std(np.log(friction.reshape(4, 5)), axis=1)
+    assert 0.005 < spread.mean() < 0.06
+    assert made == films(CONFIG)
+
+
+def test_films_are_simulated_more_finely_over_the_same_time():
+    own, training = surrogate_simulation(CONFIG), CONFIG.simulation
+    assert own.vertices_per_side > training.vertices_per_side
+    assert own.time_step_s < training.time_step_s
+    assert own.yaw_sd_deg > training.yaw_sd_deg
+    end_s = (training.frames - 1) / training.frame_rate_hz
+    assert (own.frames - 1) / own.frame_rate_hz >= end_s
+
+
+def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    read = read_camera_file(tmp_path / "camera.json")
+    found, true = calibrated_camera(CONFIG), true_camera(CONFIG)
+    assert np.allclose(read.camera.matrix, found.camera.matrix)
+    points = np.array([[x, y, z] for x in (0, 0.3) for y in (-0.1, 0.1) for z in (0, 0.15)])
+    off_px = np.linalg.norm(found.project(points) - true.project(points), axis=1)
+    assert 0.05 < off_px.max() < 3
+
+
+def test_the_inclined_plane_measures_the_pairs_friction(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    for pair, angles in zip(
+        CONFIG.captures.pairs, read_angles(tmp_path / "slip_angles.csv"), strict=True
+    ):
+        found = estimate(angles)
+        assert abs(found.mu - pair.friction) < 2 * found.error
+        assert found.error < 0.15 * pair.friction
+
+
+def test_the_table_calls_every_film_a_surrogate(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    for k, film in enumerate(films(CONFIG)):
+        (tmp_path / f"{film.id}.mp4").write_bytes(bytes([k]))
+    (tmp_path / "reference.csv").write_text(
+        "material,substrate,mu,error\n"
+        + "".join(f"{one.material},{one.substrate},0.4,0.02\n" for one in CONFIG.captures.pairs)
+    )
+    captures = read_captures(tmp_path / "captures.csv", tmp_path / "reference.csv")
+    assert [one.id for one in captures] == [film.id for film in films(CONFIG)]
+    assert all(one.surrogate for one in captures)
+    assert {one.substrate: one.reflective for one in captures} == {
+        "matte": False,
+        "aluminium": True,
+        "ceramic": True,
+        "smooth-glass": True,
+    }
+    rows = list(csv.DictReader((tmp_path / "captures.csv").open()))
+    rows[0]["surrogate"] = "no"
+    with (tmp_path / "mixed.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    with pytest.raises(BadInput, match="surrogate and real captures do not go into one table"):
+        read_captures(tmp_path / "mixed.csv", tmp_path / "reference.csv")
+
+
+@pytest.mark.parametrize(
+    ("section", "problem"),
+    [
+        ({"pairs": [{"material": "silk", "substrate": "matte", "friction": 0.3}]}, "no material"),
+        (
+            {"pairs": [{"material": "gray-interlock", "substrate": "ice", "friction": 0.3}]},
+            "no floor 'ice'",
+        ),
+        (
+            {"pairs": [{"material": "gray-interlock", "substrate": "matte", "friction": 0.3}] * 2},
+            "a fabric is named twice on the same substrate",
+        ),
+    ],
+)
+def test_impossible_pairs_are_refused(section, problem):
+    with pytest.raises(BadInput, match=problem):
+        resolve_config({"captures": section})
+
+
+def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys):
+    """Simulated, rendered, distorted, compressed; then found, rectified and cropped."""
+    config = resolve_config(
+        {
+            "simulation": {"frames": 9, "self_contact": False},
+            "sample": {"frames": 3},
+            "render": {"pixels": 32},
+            "captures": {
+                "pairs": [
+                    {"material": "royal-target", "substrate": "matte", "friction": 0.45},
+                ],
+                "repeats": 1,
+                "vertices_per_side": 9,
+                "time_step_s": 0.084,
+                "width_px": 128,
+            },
+        }
+    )
+    write_config(config, tmp_path / "config.json")
+    words = ["--config", str(tmp_path / "config.json")]
+    assert main(["capture", "surrogate", *words, "--bench", str(tmp_path)]) == 0
+    film = tmp_path / "c00_r01.mp4"
+    assert main(["capture", "surrogate", *words, "--film", film.stem, "--out", str(film)]) == 0
+    assert read_sidecar(film)["surrogate"] is True
+    assert b"surrogate capture" in film.read_bytes()
+    angles, reference = tmp_path / "slip_angles.csv", tmp_path / "reference.csv"
+    assert main(["capture", "reference", str(angles), "--out", str(reference)]) == 0
+    table = [str(tmp_path / "captures.csv"), "--reference", str(reference)]
+    assert main(["capture", "ingest", *table, *words, "--out-dir", str(tmp_path / "set")]) == 0
+    (known,) = read_known(tmp_path / "set")
+    assert known["surrogate"] and known["start_found"]
+    assert known["start_s"] == pytest.approx(40 / 12, abs=0.04)
+    videos = read_videos(tmp_path / "set")
+    assert videos.pixels.shape == (1, 3, 32, 32, 3)
+    assert videos.pixels.std() > 20
+    assert "1 videos of 1 pairs" in capsys.readouterr().out
+
+
+def test_an_unknown_film_is_one_line(tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["--config", str(tmp_path / "config.json"), "--film", "c09_r01", "--out", "x.mp4"]
+    assert main(["capture", "surrogate", *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "no surrogate capture 'c09_r01'" in said
