@@ -20,13 +20,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="YAML or JSON configuration",
     )
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
-    parser.add_argument("--models", required=True, help="folder {split}/{network}/seed{seed}/")
+    parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--out", required=True, help="metrics.json")
     parser.add_argument("--predictions", required=True, help="predictions.parquet")
     parser.add_argument(
         "--details", help="chance, seeds, viewpoints, confusion; details.json beside --out"
     )
     parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+    captures = parser.add_argument_group("on captures, real or surrogate")
+    captures.add_argument(
+        "--captures",
+        action="store_true",
+        help="the dataset is what `slipstitch capture ingest` wrote",
+    )
+    captures.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
+    captures.add_argument("--page", help="tables and plots (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -40,6 +48,14 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.threads < 1:
         raise BadInput("--threads must be at least 1")
     config = load_config(*arguments.config)
+    if arguments.captures:
+        _captures(config, arguments)
+        return
+    if not arguments.models:
+        raise BadInput("--models: needed, unless --captures comes with --instruments")
+    for name in ("instruments", "page"):
+        if getattr(arguments, name):
+            raise BadInput(f"--{name} goes with --captures")
     metrics = write_evaluation(
         config.evaluate,
         arguments.dataset,
@@ -63,6 +79,39 @@ def run(arguments: argparse.Namespace) -> None:
                 _percent(row["material_top2"]),
             ]
             print(f"{split:<16} {model:<17} {row['n']:>5} {' '.join(cells)}")
+
+
+def _captures(config, arguments: argparse.Namespace) -> None:
+    """Evaluate on captures; print a line a model and subset."""
+    from slipstitch.errors import BadInput
+    from slipstitch.evaluate.captures import write_captures_evaluation
+
+    if not (arguments.models or arguments.instruments):
+        raise BadInput("--captures needs --models or --instruments, or both")
+    metrics = write_captures_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        arguments.models,
+        arguments.instruments,
+        arguments.out,
+        arguments.predictions,
+        arguments.page,
+        arguments.threads,
+    )
+    print(
+        f"{'captures':<22} {'model':<38} {'n':>4} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end=""
+    )
+    print(f" {'medians':>8} {'equal':>7}")
+    for subset, of_model in metrics.items():
+        for model, row in of_model.items():
+            cells = [
+                _percent(row["friction_lt_0.1"]),
+                _percent(row["friction_lt_0.2"]),
+                f"{_number(row['mean_absolute_error']):>8}",
+                f"{_number(row['median_error']):>8}",
+                _percent(row["equal_predictions"]),
+            ]
+            print(f"{subset:<22} {model:<38} {row['n']:>4} {' '.join(cells)}")
 
 
 def _percent(share: float | None) -> str:

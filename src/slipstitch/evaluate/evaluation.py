@@ -174,7 +174,9 @@ def find_models(
     return models
 
 
-def _shares(models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int) -> np.ndarray:
+def predicted_shares(
+    models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int
+) -> np.ndarray:
     """Probabilities of a model on videos; a conditional one gets its material network's answer."""
     split, network, seed = key
     model = models[key]
@@ -271,7 +273,7 @@ def evaluate(
         by_network = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
-                shares = _shares(models, key, part, settings.batch_size)
+                shares = predicted_shares(models, key, part, settings.batch_size)
                 by_network[key[1]][key[2]] = shares
                 predictions += _rows(part, test, key, models[key], shares)
         if not by_network:
