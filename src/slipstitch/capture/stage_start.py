@@ -26,6 +26,8 @@ _ABOVE_M, _BELOW_M = 0.008, 0.060
 # How far it is looked for: up and down, and to the sides (the bench is not perfectly aligned).
 _UP_M, _DOWN_M, _ASIDE_M = 0.006, 0.030, 0.004
 _FINEST_M = 0.0004
+# A parabola tells fractions of a pixel only where the match is smooth over several.
+_OVERSAMPLING = 3
 # Frames are compared with those this much earlier, at this rate at most.
 _LAG_S = 2.5
 _TEMPLATE_S = 0.5
@@ -76,7 +78,7 @@ class _Strip:
         height = path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
         sinking = np.linalg.norm(np.diff(lens.project(clamps), axis=0))
-        self.pixel_m = max(0.01 / max(sinking, 1.0), _FINEST_M)
+        self.pixel_m = max(0.01 / max(sinking, 1.0) / _OVERSAMPLING, _FINEST_M)
         top, bottom = height + _ABOVE_M + _UP_M, height - _BELOW_M - _DOWN_M
         rows = round((top - bottom) / self.pixel_m)
         half = round((_HALF_WIDTH_M + _ASIDE_M) / self.pixel_m)
