@@ -99,7 +99,7 @@ def test_bad_input_is_one_line(bench, capsys, words, problem):
 
 
 def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
-    other = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 12}})
+    other = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 4}})
     write_config(other, tmp_path / "config.json")
     assert measure(bench, "--config", str(tmp_path / "config.json")) == 2
-    assert "sample.frames is 12, the instrument" in capsys.readouterr().err
+    assert "sample.frames is 4, the instrument" in capsys.readouterr().err

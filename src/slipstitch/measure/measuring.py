@@ -1,7 +1,7 @@
 """One video measured: what the instrument says, and what it looked at."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Measurement, load_instrument
 from slipstitch.render.camera_file import read_camera_file
+from slipstitch.sample.frames import sampled_frames
 from slipstitch.train.training import set_up_torch
 
 # Within one standard deviation, were the distribution normal.
@@ -118,13 +119,15 @@ def measure_video(
     instrument = load_instrument(Path(model))
     config_path = _config_of(model, config)
     settings = load_config(config_path)
-    frames = int(instrument.card["frames"])
-    if frames != settings.sample.frames:
+    frames, sampled = int(instrument.card["frames"]), settings.sample.frames
+    if frames > sampled:
         raise BadInput(
-            f"{config_path}: sample.frames is {settings.sample.frames}, the instrument in {model} "
-            f"was trained with {frames}; state its configuration (--config)"
+            f"{config_path}: sample.frames is {sampled}, the instrument in {model} was trained "
+            f"with {frames}; state its configuration (--config)"
         )
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
+    schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
     video = read_stage_video(path, lens, schedule, start_s=start_s, frame_rate_hz=frame_rate_hz)
     set_up_torch(threads)
     measured = instrument.measure(video.frames, np.random.default_rng(0))

@@ -1,0 +1,104 @@
+"""How long `slipstitch measure` takes for a film of the whole protocol, 131 s.
+
+    python benchmarks/measure.py [--width 1280] [--rate 25]
+
+The film is drawn by formula (tests/media/analytic_stage.py), enlarged, made noisy so that it weighs
+as much as a camera's, and compressed by H.264; the instrument has the default size and random
+weights, which take as long as trained ones.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "media"))
+
+import analytic_stage as stage
+import cv2
+import numpy as np
+
+from slipstitch.config import resolve_config, write_config
+from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.render.camera import pose
+from slipstitch.render.catalogue import VIEWPOINTS
+
+REST_S = 4.0
+DRAWN_WIDTH = 320
+# Drawn anew this often once the start has been seen; frames between repeat the last drawing.
+LATER_HZ = 3.0
+
+
+def film(path: Path, width: int, rate_hz: float) -> int:
+    """A film of the protocol; its number of frames."""
+    height = width * 9 // 16 // 2 * 2
+    small = (DRAWN_WIDTH, DRAWN_WIDTH * height // width)
+    lens = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(width, height))
+    stage.camera_file(lens, path.with_name("camera.json"))
+    drawn = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=small)
+    scale = small[0] / width
+    drawn.camera.matrix[:] = lens.camera.matrix
+    drawn.camera.matrix[:2] *= scale
+    drawn.camera.matrix[:2, 2] += (scale - 1) / 2
+    bench = stage.Bench(drawn.camera, drawn.distortion)
+    times = np.arange(0, REST_S + stage.PATH.duration_s + 1, 1 / rate_hz)
+    rng = np.random.default_rng(0)
+    grain = rng.normal(0, 2.5, (2 * height, 2 * width, 1)).astype(np.float32)
+
+    def frames():
+        last_s, image = -1.0, None
+        for time_s in times:
+            now_s = time_s - REST_S
+            if image is None or now_s - last_s >= (0 if now_s < 4 else 1 / LATER_HZ):
+                image = cv2.resize(bench.image(now_s), (width, height)).astype(np.float32)
+                last_s = now_s
+            y, x = rng.integers(0, height), rng.integers(0, width)
+            noisy = image + grain[y : y + height, x : x + width]
+            yield np.clip(noisy, 0, 255).astype(np.uint8)
+
+    stage.write_video(path, frames(), times, crf="23", preset="veryfast")
+    return len(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--width", type=int, default=1280)
+    parser.add_argument("--rate", type=float, default=25.0)
+    parser.add_argument("--pixels", type=int, default=112)
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        count = film(folder / "film.mp4", chosen.width, chosen.rate)
+        size = (folder / "film.mp4").stat().st_size
+        config = resolve_config({"render": {"pixels": chosen.pixels}})
+        write_config(config, folder / "config.json")
+        instrument = untrained_instrument(
+            InstrumentSettings(), list(config.grid.materials), chosen.pixels
+        )
+        save_instrument(instrument, folder / "instrument")
+        words = ["film.mp4", "--camera", "camera.json", "--model", "instrument"]
+        words += ["--out", "page.html", "--threads", "2"]
+        before, started = os.times(), time.perf_counter()
+        answer = subprocess.run(
+            [sys.executable, "-m", "slipstitch", "measure", *words],
+            cwd=folder,
+            check=True,
+            text=True,
+            stdout=subprocess.PIPE,
+        )
+        wall_s, after = time.perf_counter() - started, os.times()
+        cpu_s = after.children_user + after.children_system
+        cpu_s -= before.children_user + before.children_system
+        print(answer.stdout.strip())
+        print(
+            f"{count} frames of {chosen.width} pixels width, {size / 1e6:.0f} MB: "
+            f"{wall_s:.1f} s, {cpu_s:.1f} CPU s (load {os.getloadavg()[0]:.1f})"
+        )
+
+
+if __name__ == "__main__":
+    main()
