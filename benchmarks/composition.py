@@ -20,7 +20,8 @@ import numpy as np
 
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.catalogue import FLOORS, TEXTURES
-from slipstitch.render.composition import compose, encode_srgb, join
+from slipstitch.render.composition import compose, join
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.packing import render_shadings, usable_trajectory
 from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shots import shots

@@ -20,9 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/media"))
 import synthetic_cloth
 
 from slipstitch.render import blender
+from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, read_pack, usable_trajectory, write_pack
 from slipstitch.render.settings import RenderSettings
-from slipstitch.render.shards import composed_images, encode_png, render_shard
+from slipstitch.render.shards import composed_images, render_shard
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 
 TEXTURES = ["stripes", "checks", "tartan", "dots", "houndstooth", "floral", "denim", "linen"]

@@ -5,7 +5,7 @@ import pytest
 
 from slipstitch.render.augmentation import Augmentation, draw_augmentation
 from slipstitch.render.catalogue import FLOORS
-from slipstitch.render.composition import encode_srgb
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.settings import AugmentationSettings, RenderSettings
 from slipstitch.render.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from slipstitch.render.composition import Layers, compose, encode_srgb
+from slipstitch.render.composition import Layers, compose
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.shading import separate
 from slipstitch.render.textures import texture
 

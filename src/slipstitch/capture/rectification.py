@@ -14,7 +14,7 @@ import numpy as np
 
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.composition import encode_srgb
+from slipstitch.render.encoding import LINEAR, encode_srgb
 
 # Averaging more source pixels than this along a side of an image's pixel changes nothing visible.
 _MOST_RAYS = 8
@@ -94,7 +94,7 @@ def rectify(
     # Only the part of the image that is used is turned into linear light.
     low = np.maximum(np.floor(place[inside].min(axis=0)).astype(int) - 2, 0)
     high = np.ceil(place[inside].max(axis=0)).astype(int) + 3
-    part = _LINEAR[image[low[1] : high[1], low[0] : high[0]]]
+    part = LINEAR[image[low[1] : high[1], low[0] : high[0]]]
     at = np.where(inside[..., None], place - low, -1e4).astype(np.float32)
     light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     light[~inside] = 0
@@ -109,13 +109,3 @@ def _rays_per_side(lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, floa
     steps = np.concatenate([np.diff(place, axis=k).reshape(-1, 2) for k in (0, 1)])
     longest = np.nanmax(np.linalg.norm(steps, axis=1), initial=0.0) * 16 / crop.pixels
     return int(np.clip(math.ceil(longest), 1, _MOST_RAYS))
-
-
-def _linear_table() -> np.ndarray:
-    """Linear light of 8-bit sRGB (IEC 61966-2-1)."""
-    encoded = np.arange(256) / 255
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
-
-
-_LINEAR = _linear_table()

@@ -10,7 +10,7 @@ import numpy as np
 from slipstitch import __version__
 from slipstitch.measure.measuring import MeasuredVideo
 from slipstitch.protocol.stage import StagePath
-from slipstitch.render.shards import encode_png
+from slipstitch.render.encoding import encode_png
 
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5

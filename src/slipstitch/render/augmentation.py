@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import cv2
 import numpy as np
 
-from slipstitch.render.composition import encode_srgb
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.settings import AugmentationSettings
 from slipstitch.render.surroundings import generator
 

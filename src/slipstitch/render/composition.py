@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import warp as wp
 
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.mirrored_texture import MirroredRays, mirrored_albedo, mirrored_rays
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.render.textures import TEXELS, texture
@@ -156,19 +157,3 @@ def _series(orders: wp.vec3, albedo: wp.vec3, nearby: wp.vec3) -> wp.vec3:
     """Light that met the cloth never, once and twice, the second time at points nearby."""
     ones = wp.vec3(1.0, 1.0, 1.0)
     return ones * orders[0] + wp.cw_mul(albedo, ones * orders[1] + nearby * orders[2])
-
-
-def encode_srgb(linear: np.ndarray) -> np.ndarray:
-    """8-bit sRGB of linear light (IEC 61966-2-1), cut off at 0 and 1."""
-    # In steps of 2^-16 the encoding moves by less than 0.06 of an 8-bit level.
-    steps = np.rint(np.clip(linear, 0, 1) * (len(_SRGB) - 1)).astype(np.int64)
-    return _SRGB[steps]
-
-
-def _srgb_table() -> np.ndarray:
-    linear = np.linspace(0, 1, 2**16 + 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
-
-
-_SRGB = _srgb_table()

@@ -10,6 +10,7 @@ import pyarrow as pa
 from slipstitch.provenance import parquet_stream, provenance_record, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation
 from slipstitch.render.composition import compose_light, join
+from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
 from slipstitch.render.shots import Shot
 from slipstitch.render.surroundings import generator
@@ -29,15 +30,6 @@ SCHEMA = pa.schema(
 )
 
 _GROUP = 64
-
-
-def encode_png(image: np.ndarray) -> bytes:
-    """PNG file of an RGB image (H, W, 3) uint8."""
-    # Level 3 is twice as fast as libpng's default for files a few percent larger.
-    good, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 3])
-    if not good:
-        raise RuntimeError("OpenCV could not encode a PNG")
-    return data.tobytes()
 
 
 def cameras(job: Job) -> dict[str, Augmentation]:

@@ -19,7 +19,8 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
-from slipstitch.render.composition import compose_light, encode_srgb, join
+from slipstitch.render.composition import compose_light, join
+from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.packing import Job, read_pack, usable_trajectory
 from slipstitch.render.preview import decode_image
 from slipstitch.render.shards import SCHEMA, cameras

@@ -16,7 +16,7 @@ from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names
 from slipstitch.provenance import provenance_record, start_clock, write_parquet
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.render.shards import encode_png
+from slipstitch.render.encoding import encode_png
 from slipstitch.sample.dataset import dataset_digest, pixels_digest, write_frames, write_manifest
 from slipstitch.sample.shards import read_table
 from slipstitch.train.videos import read_manifest
