@@ -18,7 +18,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
-	@echo 'make captures   films ingested and scored; surrogates by default (about 1 CPU h)'
+	@echo 'make captures   films ingested and scored; surrogates by default, 1 to 2 CPU h'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
 	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'

@@ -7,6 +7,7 @@ from slipstitch.config.cost import (
     COSTS,
     MEMORY_MB,
     estimate,
+    estimate_captures,
     estimate_line,
     estimate_table,
     job_memory_mb,
@@ -69,3 +70,13 @@ def test_every_cost_says_where_it_comes_from():
         assert cost.value > 0
         assert cost.unit
         assert cost.source
+
+
+def test_captures_cost_more_with_more_films_and_nothing_with_films_of_ones_own():
+    few, many = (
+        estimate_captures(resolve_config({"captures": {"repeats": repeats}})) for repeats in (1, 5)
+    )
+    assert (few.jobs, many.jobs) == (4 + 4, 20 + 4)
+    assert many.cpu_s == pytest.approx(5 * few.cpu_s)
+    own = estimate_captures(resolve_config({"captures": {"table": "bench/captures.csv"}}))
+    assert (own.jobs, own.cpu_s) == (2, 0)

@@ -82,7 +82,7 @@ class CaptureSettings(BaseModel):
         0.03, ge=0, le=0.3, description="surrogates: friction from place to place of a substrate"
     )
     width_px: int = Field(
-        320, ge=64, le=1920, description="surrogates: of the film; its height is three quarters"
+        256, ge=64, le=1920, description="surrogates: of the film; its height is three quarters"
     )
     frame_rate_hz: float = Field(
         12.0, ge=6, le=60, description="surrogates: of the film while the stage starts"

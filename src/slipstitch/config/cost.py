@@ -84,6 +84,8 @@ COSTS = {
     "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
     "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
+    "ingest_film_s": Cost(1.5, "CPU s a film", "97 frames of 160 px: 1.3 s, 1 s of it start"),
+    "film_bytes": Cost(0.1, "bytes a pixel", "H.264 at quality 26, noise 0.02; an allowance"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
@@ -243,6 +245,32 @@ def estimate_release(config: Config) -> StageEstimate:
     )
 
 
+def estimate_captures(config: Config) -> StageEstimate:
+    """Cost of surrogate captures and what is made of them; they are not part of the chain."""
+    settings, training = config.captures, config.simulation
+    duration_s = training.frames / training.frame_rate_hz
+    made = training.model_copy(
+        update={
+            "vertices_per_side": settings.vertices_per_side,
+            "time_step_s": settings.time_step_s,
+        }
+    )
+    films = 0 if settings.table else len(settings.pairs) * settings.repeats
+    # The start at the full rate, then every so many-th frame; the image is a square with a margin.
+    frames = settings.frame_rate_hz * (3 + duration_s / settings.later_every)
+    size = 0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
+    mirrors = sum(FLOORS[one.substrate].reflectance[1] > 0 for one in settings.pairs)
+    size *= 1 + mirrors / len(settings.pairs) * (_cost("mirror_factor") - 1)
+    each = _simulation_cpu_s(config.model_copy(update={"simulation": made}))
+    each += _cost("render_start_s") + frames * size * _cost("render_frame_s")
+    return StageEstimate(
+        "captures",
+        2 + bool(settings.angles) if settings.table else films + 4,
+        films * (each + _cost("ingest_film_s")),
+        films * (frames * _cost("film_bytes") * settings.width_px**2 * 0.75 + 1e6),
+    )
+
+
 def _width2(config: Config) -> float:
     return (config.train.width / 0.25) ** 2
 
@@ -304,10 +332,10 @@ def estimate_line(config: Config) -> str:
 
 
 def estimate_table(config: Config) -> str:
-    """`estimate` as aligned text, the release and the line of the whole chain last."""
+    """`estimate` as aligned text; release, captures and the line of the whole chain last."""
     rows = [("stage", "jobs", "time", "disk")] + [
         (one.stage, str(one.jobs), _time(one.cpu_s), _size(one.disk_bytes))
-        for one in [*estimate(config), estimate_release(config)]
+        for one in [*estimate(config), estimate_release(config), estimate_captures(config)]
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [
