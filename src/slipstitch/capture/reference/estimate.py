@@ -9,8 +9,9 @@ all places of the substrate with standard deviation tau, repeats scatter with si
 follow by restricted maximum likelihood (Patterson & Thompson 1971), tau^2 not held to be positive:
 in a balanced table this is analysis of variance, and with Satterthwaite's (1946) degrees of freedom
 the interval is then exactly Student's, of the positions' means. The bench's error is the same in
-all measurements: uniform within its bound, it is added as JCGM 100:2008 (GUM, 4.3.7, G.4) adds
-standard uncertainties, with the effective degrees of freedom of Welch and Satterthwaite.
+all measurements and uniform within its bound: its own 95 % half-width is added in quadrature to
+Student's. With 3 to 7 degrees of freedom, and a bound of 0 to 8 standard errors, the sum covers
+94.4 to 95.9 %; the effective degrees of freedom of JCGM 100:2008 (GUM, G.4) 93.8 to 99.4 %.
 """
 
 from dataclasses import dataclass
@@ -85,9 +86,8 @@ def estimate(angles: SlipAngles) -> Reference:
     mixed = _Mixed(values, design, positions)
     mu, standard_error, dof = mixed.mean()
     bench = (1 + mu**2) * angles.bench_error_rad
-    uncertainty = np.hypot(standard_error, bench / np.sqrt(3))
-    effective = dof * (uncertainty / standard_error) ** 4
-    error = float(stats.t.ppf((1 + COVERAGE) / 2, effective)) * uncertainty
+    student = float(stats.t.ppf((1 + COVERAGE) / 2, dof)) * standard_error
+    error = np.hypot(student, COVERAGE * bench)
     everything = np.column_stack([design, positions[:, 1:]])
     return Reference(
         angles.material,
