@@ -41,7 +41,7 @@ COSTS = {
         "131 s, 1575 steps, busy machine: 20 CPU s at friction 0, 92 to 159 at 0.5 to 1.5",
     ),
     "trajectory_bytes": Cost(
-        15.6, "bytes a vertex and frame", "smoke chain, 441 vertices, 300 frames"
+        12.0, "bytes a vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
     ),
     "render_start_s": Cost(
         1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"

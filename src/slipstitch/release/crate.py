@@ -53,7 +53,7 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
     artefacts : mapping
         Path -> record of every file behind the release; of the release itself under ``"."``.
     """
-    crate = ROCrate()
+    crate = ROCrate(version="1.1")  # which the profiles are based on
     crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
     root = crate.root_dataset
     crate.name, crate.description = facts["title"], facts["description"]
