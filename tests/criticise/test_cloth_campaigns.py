@@ -65,6 +65,19 @@ def test_every_planted_effect_is_found_and_the_new_simulation_is_closer(name, tm
 
 
 @pytest.mark.slow
+def test_a_tilted_floor_is_named_and_sized(tmp_path):
+    planted = {"tilt": {"tilt": 3.0, "azimuth": 30.0}}
+    make_campaign(tmp_path, planted, specimens=4, repeats=3, stroke_m=0.08, rows=81)
+    case = read_case(tmp_path)
+    verdict = verdict_of(case, analyse(assemble(case), replicates=200), 1, "test")
+    assert named(verdict) == {("tilt",)}
+    for name, value in {"tilt": 3.0, "tilt_azimuth": 30.0}.items():
+        low, high = verdict["parameters"][name]["ci95"]
+        slack = 0.25 * (high - low)
+        assert low - slack < value < high + slack
+
+
+@pytest.mark.slow
 def test_nothing_hidden_in_the_cloth_nothing_is_named(tmp_path):
     make_campaign(tmp_path, {}, seed=3)
     verdict, _, _ = criticised(tmp_path)

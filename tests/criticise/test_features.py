@@ -7,6 +7,8 @@ from hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.features import assemble
+from slipstitch.criticise.inference.fit import parameters_of
+from slipstitch.criticise.mechanism import MECHANISMS
 
 SEEDS = range(40, 44)
 
@@ -59,3 +61,24 @@ def test_z_scores_have_standard_deviation_one(z_scores):
 def test_z_scores_have_mean_zero(z_scores):
     # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.3.
     assert (z_scores.mean().abs() < 0.6).all(), z_scores.mean().round(2).to_dict()
+
+
+def test_remembered_predictions_are_those_that_would_be_made_anew(tmp_path):
+    # A block that reads more of the bench than its READS say would be answered from memory.
+    protocols = ["incline", "strip", "drag", "drop_drag", "spring_slider"]
+    make_case(7, "null", tmp_path, plant=({}, protocols))
+    case = read_case(tmp_path)
+    remembering, changed = assemble(case), set()
+    for name in MECHANISMS:
+        parameters = parameters_of(remembering, (name,))
+        values = {p.name: p.null for p in parameters}
+        first = remembering.predict(values, ())
+        values |= {p.name: p.null + p.scale for p in MECHANISMS[name].parameters}
+        found = remembering.predict(values, (name,))
+        remembering.remembered.clear()
+        anew = remembering.predict(values, (name,))
+        assert np.array_equal(found, anew), name
+        if not np.array_equal(found, first):
+            changed.add(name)
+        remembering.predict({p.name: p.null for p in parameters}, ())
+    assert changed == set(MECHANISMS)
