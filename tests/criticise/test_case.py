@@ -95,6 +95,14 @@ def test_a_declared_protocol_must_be_there(case):
         read_case(case)
 
 
+def test_an_unknown_protocol_is_refused_not_dropped(case):
+    meta = json.loads((case / "meta.json").read_text())
+    meta["protocols"].append("peel")
+    (case / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(BadInput, match=r"meta\.json: protocols: unknown protocol 'peel'"):
+        read_case(case)
+
+
 def test_unknown_tables_are_reported_not_swallowed(case):
     (case / "peel.csv").write_text("a,b\n1,2\n")
     assert read_case(case).ignored_files == ("peel.csv",)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import redirect_stderr
 
 import numpy as np
 import pytest
@@ -33,8 +34,10 @@ def written(tmp_path_factory):
     plant = ({"anisotropy": {"anisotropy": 0.2}}, ["incline"])
     make_case(21, "single", root / "case", plant=plant)
     make_case(21, "single", root / "fresh", plant=plant, draw=1)
+    (root / "case" / "peel.csv").write_text("force_mN\n3\n")
     arguments = ["criticise", str(root / "case"), "--out", str(root / "verdict.json")]
-    code = main([*arguments, "--report", str(root / "page.html")])
+    with (root / "messages").open("w") as messages, redirect_stderr(messages):
+        code = main([*arguments, "--report", str(root / "page.html")])
     assert not code
     return root
 
@@ -47,6 +50,11 @@ def test_the_verdict_has_the_layout_of_the_format(written):
     low, high = verdict["gain"]["ci95"]
     assert low <= verdict["gain"]["estimate"] <= high
     assert verdict["gain"]["rmse_extended"] < verdict["gain"]["rmse_null"]
+
+
+def test_a_table_of_no_protocol_is_mentioned_and_written_down(written):
+    assert "peel.csv" in (written / "messages").read_text()
+    assert json.loads((written / "verdict.json").read_text())["ignored_files"] == ["peel.csv"]
 
 
 def test_prediction_of_fresh_specimens_is_calibrated_and_gains(written):
