@@ -21,6 +21,7 @@ from slipstitch.protocol.stage import StagePath
 from slipstitch.provenance import provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.surroundings import draw_surroundings
+from slipstitch.render.verification import VIEWS
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.simulate.drop_and_drag import draw_perturbation
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
@@ -142,5 +143,6 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
     ]  # fmt: skip
     out = results / "render/verification.json"
     out.write_text(json.dumps({"images": 2, "comparisons": comparisons}))
-    record = provenance_record("render", inputs=shards, config={"render": config.render})
+    settings = config.render.model_dump(mode="json", exclude=VIEWS)
+    record = provenance_record("render", inputs=shards, config={"render": settings})
     write_sidecar(out, record)
