@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
@@ -14,7 +15,6 @@ from slipstitch.errors import BadInput
 from slipstitch.instrument import Measurement, load_instrument
 from slipstitch.render.camera_file import read_camera_file
 from slipstitch.sample.frames import sampled_frames
-from slipstitch.train.training import set_up_torch
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
@@ -129,7 +129,9 @@ def measure_video(
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
     schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
     video = read_stage_video(path, lens, schedule, start_s=start_s, frame_rate_hz=frame_rate_hz)
-    set_up_torch(threads)
+    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
+    # which takes longer than the measurement.
+    torch.set_num_threads(threads)
     measured = instrument.measure(video.frames, np.random.default_rng(0))
     grid, probability = map(np.asarray, measured.distribution)
     return MeasuredVideo(
