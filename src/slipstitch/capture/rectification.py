@@ -31,7 +31,12 @@ def stage_plane(crop: Camera, stage_x_m: float) -> tuple[np.ndarray, float]:
     return np.array([0.0, 1.0, 0.0]), 0.0
 
 
-def source_pixels(lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float]) -> np.ndarray:
+def source_pixels(
+    lens: LensCamera,
+    crop: Camera,
+    plane: tuple[np.ndarray, float],
+    along: np.ndarray | None = None,
+) -> np.ndarray:
     """Where in the real image each pixel of a crop is found.
 
     Parameters
@@ -42,23 +47,26 @@ def source_pixels(lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float
         Cut from the calibrated viewpoint.
     plane : ndarray (3,), float
         As from `stage_plane`.
+    along : ndarray (n,), optional
+        Places along either side of the crop; the pixels' centres by default.
 
     Returns
     -------
-    ndarray (rows, columns, 2) float64
+    ndarray (n, n, 2) float64
         x, y; NaN where the crop looks past the plane or the real camera cannot see it.
     """
-    size = crop.pixels
-    y, x = np.mgrid[:size, :size].reshape(2, -1)
+    along = np.arange(crop.pixels) if along is None else along
+    size = len(along)
+    y, x = (part.ravel() for part in np.meshgrid(along, along, indexing="ij"))
     rays = np.column_stack([x, y, np.ones(size * size)]) @ np.linalg.inv(crop.matrix).T
     rays = rays @ crop.rotation
     eye = -crop.rotation.T @ crop.translation_m
     normal, offset = plane
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = (offset - eye @ normal) / (rays @ normal)
-        points = eye + along[:, None] * rays
+        depth = (offset - eye @ normal) / (rays @ normal)
+        points = eye + depth[:, None] * rays
         real = points @ lens.camera.rotation.T + lens.camera.translation_m
-        seen = (along > 0) & np.isfinite(along) & (real[:, 2] > 0)
+        seen = (depth > 0) & np.isfinite(depth) & (real[:, 2] > 0)
     found = np.full((size * size, 2), np.nan)
     if seen.any():
         found[seen] = lens.project(points[seen])
@@ -85,7 +93,10 @@ def rectify(
         Share of the crop that lies in the real image.
     """
     rays = _rays_per_side(lens, crop, plane)
-    place = source_pixels(lens, crop.at_resolution(crop.pixels * rays), plane)
+    # Between the corners of a pixel the place is as good as linear.
+    corners = source_pixels(lens, crop, plane, np.arange(crop.pixels + 1) - 0.5)
+    fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
+    place = cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
     rows, columns = image.shape[:2]
     with np.errstate(invalid="ignore"):
         inside = ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
