@@ -25,7 +25,7 @@ def page(result: MeasuredVideo) -> str:
     frames = [
         {
             "image": _data_uri(image),
-            "time": f"{time_s:.1f} s",
+            "time": f"{max(time_s, 0):.1f} s",
             "weight": f"{100 * weight:.1f} %",
             "bar": f"{100 * weight / max(weights.max(), 1e-9):.1f}",
             "decisive": k in ranks,
@@ -52,7 +52,7 @@ def page(result: MeasuredVideo) -> str:
         materials=[(name, f"{100 * share:.1f}") for name, share in materials],
         alarm=measured.alarm_reason if measured.alarm else None,
         frames=frames,
-        decisive=[f"{video.time_s[k]:.1f} s" for k in sorted(ranks)],
+        decisive=[f"{max(video.time_s[k], 0):.1f} s" for k in sorted(ranks)],
         distribution=_distribution(result),
         timeline=_timeline(result, weights),
         start=video.start,
