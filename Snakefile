@@ -31,6 +31,7 @@ include: "rules/status.smk"
 
 localrules:
     all,
+    grid,
     calibrate,
     simulate,
     convergence,

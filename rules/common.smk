@@ -18,6 +18,10 @@ except BadInput as error:
     print(f"snakemake: error: {error}", file=sys.stderr)
     sys.exit(2)
 
+# Only the main process compares a job's parameters with those that its files were made with.
+if not workflow.is_main_process:
+    code_digest = str
+
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
 

@@ -1,6 +1,6 @@
 """How far drop-and-drag depends on the time step and the mesh; not part of `all`."""
 
-from slipstitch.convergence.study import cases
+from slipstitch.convergence.cases import cases
 
 CASES = {case.id: case for case in cases(CONFIG)}
 

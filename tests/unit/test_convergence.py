@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from slipstitch.config import resolve_config
+from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.picture import convergence_figure
 from slipstitch.convergence.study import (
     SHIFT_MAX_S,
-    case_settings,
-    cases,
     common_vertices,
     compare,
     describe,

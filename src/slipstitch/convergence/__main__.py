@@ -17,7 +17,7 @@ use_one_thread()
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from slipstitch.convergence.study import case_settings, cases
+    from slipstitch.convergence.cases import case_settings, cases
     from slipstitch.errors import BadInput
     from slipstitch.provenance import provenance_record, start_clock
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
@@ -47,8 +47,9 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
+    from slipstitch.convergence.cases import cases
     from slipstitch.convergence.picture import convergence_figure
-    from slipstitch.convergence.study import cases, describe
+    from slipstitch.convergence.study import describe
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
     from slipstitch.simulate.trajectory import read_trajectory
 
@@ -113,17 +114,12 @@ def _publish(arguments: argparse.Namespace) -> None:
 
 
 def _config(arguments: argparse.Namespace):
-    from slipstitch.config.load import read_mapping, resolve_config
-    from slipstitch.errors import BadInput
+    from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 
     sources = list(arguments.config)
     mappings = [read_mapping(path) for path in sources]
     if arguments.calibration:
-        try:
-            verified = json.loads(Path(arguments.calibration).read_text(encoding="utf-8"))
-            mappings.append({"simulation": dict(verified["settings"])})
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise BadInput(f"{arguments.calibration}: not a calibration ({error})") from None
+        mappings.append({"simulation": calibrated_settings(arguments.calibration)})
         sources.append(arguments.calibration)
     return resolve_config(*mappings, sources=tuple(sources))
 

@@ -1,81 +1,24 @@
-"""The runs of the study, and what one of them differs by from a finer one."""
+"""What one of them differs by from a finer one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from slipstitch.config import Config
-from slipstitch.config.grid import material_id
+from slipstitch.convergence.cases import cases
 from slipstitch.errors import BadInput
 from slipstitch.protocol.stage import StagePath
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
 SUMMARISED = ("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")
 SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
 CURVE_POINTS_MAX = 120
 FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
-
-
-@dataclass(frozen=True)
-class Case:
-    """One run: a fabric and a friction coefficient at a mesh and a number of halvings."""
-
-    id: str
-    material: str
-    friction: float
-    vertices_per_side: int
-    halvings: int
-
-    @property
-    def pair(self) -> tuple[str, float]:
-        """Fabric and friction coefficient."""
-        return self.material, self.friction
-
-
-def cases(config: Config) -> list[Case]:
-    """The runs of the study, those at the chosen settings first."""
-    study = config.convergence
-    sides = study.vertices_per_side
-    refinements = [(sides[0], h) for h in range(study.halvings + 1)]
-    refinements += [(side, 0) for side in sides[1:]]
-    return [
-        Case(
-            f"{material_id(material)}_f{study.frictions.index(friction):02d}_n{side}_h{halvings}",
-            material,
-            friction,
-            side,
-            halvings,
-        )
-        for side, halvings in refinements
-        for material in study.materials
-        for friction in study.frictions
-        if friction in study.finest_frictions or (side == sides[0] and halvings <= 1)
-    ]
-
-
-def case_settings(case: Case, config: Config, chosen: SimulationSettings) -> SimulationSettings:
-    """Numerical settings of one run.
-
-    Parameters
-    ----------
-    chosen : SimulationSettings
-        Those of the simulations, calibrated.
-    """
-    study = config.convergence
-    return chosen.model_copy(
-        update={
-            "vertices_per_side": case.vertices_per_side,
-            "time_step_s": chosen.time_step_s / 2**case.halvings,
-            "frame_rate_hz": study.frame_rate_hz,
-            "frames": math.floor(study.window_s * study.frame_rate_hz + 1e-9) + 1,
-        }
-    )
 
 
 def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""The workflow run in a folder of its own, from a copy of the project that may be edited."""
+
+import os
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PARTS = (
+    "Snakefile",
+    "config.yaml",
+    "config",
+    "profiles",
+    "rules",
+    "src",
+    "data/cases",
+    "LICENSE",
+    "CITATION.cff",
+)
+
+
+class Workflow:
+    """A copy of the project and a folder that its results go to; those that are there are kept."""
+
+    def __init__(self, folder: Path, scale: str | None = None):
+        self.more_python_path: list[Path] = []
+        self.project = folder / "project"
+        self.folder = folder / "run"
+        self.scale = scale
+        if self.project.exists():
+            return
+        self.folder.mkdir(parents=True)
+        self.project.mkdir()
+        for part in PARTS:
+            source, target = ROOT / part, self.project / part
+            if source.is_dir():
+                shutil.copytree(
+                    source, target, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
+                )
+            else:
+                shutil.copy2(source, target)
+
+    def run(self, program: str, *words: str) -> subprocess.CompletedProcess:
+        """Run a program of the virtual environment in the run folder, on the copied sources."""
+        return subprocess.run(
+            [program, *words],
+            cwd=self.folder,
+            env=self.environment(),
+            capture_output=True,
+            text=True,
+        )
+
+    def environment(self) -> dict[str, str]:
+        """Environment variables of a program that is to see the copied sources."""
+        sources = [self.project / "src", *self.more_python_path]
+        return os.environ | {
+            "PYTHONPATH": os.pathsep.join(map(str, sources)),
+            "PATH": os.pathsep.join([f"{sys.prefix}/bin", os.environ["PATH"]]),
+        }
+
+    def snakemake(self, *words: str, scale: str | None = None) -> subprocess.CompletedProcess:
+        """Run snakemake, at the scale that was given."""
+        return self.run(*self.snakemake_words(*words, scale=scale))
+
+    def snakemake_words(self, *words: str, scale: str | None = None) -> list[str]:
+        """The command line of `snakemake`."""
+        scale = scale or self.scale
+        files = ["--configfile", str(self.project / scale)] if scale else []
+        return [
+            "snakemake", "--snakefile", str(self.project / "Snakefile"),
+            *files, "--directory", str(self.folder), "--cores", "2", *words,
+        ]  # fmt: skip
+
+    def pending(self, *words: str) -> set[str]:
+        """Files below results/ that snakemake would make (again) for its target all."""
+        answer = self.snakemake("--summary", *words, "--", "all")
+        assert answer.returncode == 0, answer.stderr
+        head, *lines = (line.split("\t") for line in answer.stdout.splitlines() if "\t" in line)
+        rows = [dict(zip(head, line, strict=True)) for line in lines]
+        return {
+            row["output_file"].removeprefix("results/")
+            for row in rows
+            if row["plan"] != "no update"
+        }
+
+    @contextmanager
+    def edited(self, file: str, text: str = "\n# edited\n"):
+        """The copied source `file` with `text` appended, for the time of the block."""
+        path = self.project / "src" / "slipstitch" / file
+        before = path.read_text(encoding="utf-8")
+        path.write_text(before + text, encoding="utf-8")
+        try:
+            yield
+        finally:
+            path.write_text(before, encoding="utf-8")
+
+    @contextmanager
+    def without(self, file: str):
+        """The result `file` taken away, for the time of the block."""
+        path, aside = self.folder / "results" / file, self.folder / "aside"
+        path.rename(aside)
+        try:
+            yield
+        finally:
+            aside.rename(path)

@@ -1,0 +1,174 @@
+"""The smoke chain through a Slurm of one node on loopback: the bits of the local run."""
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections import Counter
+from pathlib import Path
+
+import equal_results
+import pytest
+from workflow_copy import Workflow
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
+
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "srun", "scontrol")
+# The plugin takes every SLURM_ variable from its job steps: the configuration must lie here.
+CONFIGURATION = Path("/etc/slurm/slurm.conf")
+START_TIMEOUT_S = 60
+RUN_TIMEOUT_S = 3600
+
+
+def why_impossible() -> str:
+    """What stands in the way of a Slurm of our own; empty if nothing does."""
+    if importlib.util.find_spec("snakemake_executor_plugin_slurm") is None:
+        return "Snakemake's Slurm plugin is not installed (make setup-cluster)"
+    if os.geteuid() != 0:
+        return "only root can start Slurm's daemons"
+    missing = [name for name in PROGRAMS if shutil.which(name) is None]
+    if missing:
+        return f"no {', '.join(missing)} (apt-get install slurm-wlm munge)"
+    if CONFIGURATION.exists():
+        return f"{CONFIGURATION} is there already: a Slurm that is not ours"
+    return ""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def configuration(folder: Path, host: str) -> str:
+    return f"""
+ClusterName=loopback
+SlurmctldHost={host}(127.0.0.1)
+SlurmUser=root
+SlurmctldPort={free_port()}
+SlurmdPort={free_port()}
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge/socket
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core_Memory
+MinJobAge=300
+ReturnToService=2
+NodeName={host} NodeAddr=127.0.0.1 CPUs=2 RealMemory=8000 State=UNKNOWN
+PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
+"""
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory):
+    """A Slurm of one node with two cores; its state lies in a folder of its own."""
+    reason = why_impossible()
+    if reason:
+        pytest.skip(reason)
+    folder = tmp_path_factory.mktemp("slurm")
+    for part in folder, *folder.parents[:2]:
+        part.chmod(0o755)  # munge refuses a socket that others cannot reach
+    for name in ("munge", "state", "spool"):
+        (folder / name).mkdir(mode=0o755)
+    munge, host = folder / "munge", socket.gethostname().split(".")[0]
+    (munge / "key").write_bytes(os.urandom(1024))
+    (munge / "key").chmod(0o400)
+    CONFIGURATION.parent.mkdir(exist_ok=True)
+    CONFIGURATION.write_text(configuration(folder, host))
+    daemons = []
+    try:
+        for words in (
+            ["munged", "--foreground", "--force", f"--key-file={munge}/key",
+             f"--socket={munge}/socket", f"--pid-file={munge}/pid",
+             f"--log-file={munge}/log", f"--seed-file={munge}/seed"],
+            ["slurmctld", "-D"],
+            ["slurmd", "-D", "-N", host],
+        ):  # fmt: skip
+            with open(folder / f"{words[0]}.out", "wb") as log:
+                daemons.append(subprocess.Popen(words, stdout=log, stderr=log))
+            time.sleep(1.0)
+        wait_until_idle(folder)
+        yield folder
+    finally:
+        for daemon in reversed(daemons):
+            daemon.send_signal(signal.SIGTERM)
+            daemon.wait(timeout=30)
+        CONFIGURATION.unlink()
+
+
+def wait_until_idle(folder: Path) -> None:
+    until = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < until:
+        answer = subprocess.run(["sinfo", "-h", "-o", "%T"], capture_output=True, text=True)
+        if answer.stdout.strip() == "idle":
+            return
+        time.sleep(1.0)
+    logs = "".join(path.read_text(errors="replace")[-2000:] for path in folder.glob("*.log"))
+    pytest.fail(f"Slurm did not come up in {START_TIMEOUT_S} s: {answer.stderr}\n{logs}")
+
+
+def through_slurm(workflow: Workflow, *words: str):
+    """Run snakemake as docs/cluster.md says."""
+    return workflow.snakemake(
+        "--profile", str(workflow.project / "profiles/slurm"),
+        "--slurm-status-command", "squeue",
+        "--slurm-init-seconds-before-status-checks", "1",
+        "--slurm-keep-successful-logs",
+        *words,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cluster(slurm, tmp_path_factory):
+    """The smoke chain made through Slurm."""
+    workflow = Workflow(tmp_path_factory.mktemp("cluster"), scale="config/smoke.yaml")
+    plugin = importlib.util.find_spec("snakemake_executor_plugin_slurm")
+    workflow.more_python_path.append(Path(plugin.origin).parents[1])
+    answer = through_slurm(workflow, "all")
+    workflow.said = answer.stdout + answer.stderr
+    assert answer.returncode == 0, workflow.said[-20000:]
+    return workflow
+
+
+def test_the_results_are_those_of_a_local_run_bit_by_bit(cluster, chain):
+    there = equal_results.digests(cluster.folder / "results")
+    here = equal_results.digests(chain.folder / "results")
+    here = {name: digest for name, digest in here.items() if not name.startswith("release/")}
+    assert len(here) > 60
+    assert there == here
+
+
+def test_a_simulation_with_its_images_is_one_submission_of_one_core(cluster):
+    submitted = cluster.said.count("has been submitted with SLURM jobid")
+    plan = json.loads((cluster.folder / "results/status/plan.json").read_text())["jobs"]
+    rules = Counter(job["rule"] for job in plan)
+    grouped = ("simulate_one", "render_shading", "render_images", "preview_one")
+    alone = sum(count for rule, count in rules.items() if rule not in (*grouped, "grid"))
+    assert submitted == alone + rules["simulate_one"]
+
+
+def test_status_knows_the_jobs_that_went_through_slurm(cluster):
+    answer = cluster.run("slipstitch", "status")
+    assert answer.returncode == 0
+    assert "all done" in answer.stdout
+    assert "together   38/38" in answer.stdout
+
+
+def test_memory_and_time_that_are_asked_for_hold_what_the_jobs_took(cluster):
+    """Slurm would have ended a job that took more; what is declared is not far more either."""
+    for table in (cluster.folder / "results/benchmarks").rglob("*.tsv"):
+        head, row = (line.split("\t") for line in table.read_text().splitlines())
+        memory_mib = row[head.index("max_rss")]
+        if memory_mib not in ("-", "NA"):
+            assert float(memory_mib) < 6144, table
