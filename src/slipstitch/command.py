@@ -7,6 +7,7 @@ although bpy or torch may be missing. The summaries are read from the sources, n
 import argparse
 import ast
 import difflib
+import errno
 import importlib
 import os
 import sys
@@ -93,8 +94,50 @@ def _parser(verb: str, module) -> argparse.ArgumentParser:
     return parser
 
 
+# What the machine refuses, whatever the program: told in one line, without a traceback.
+_OF_THE_MACHINE = {
+    errno.ENOSPC: "no space left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file would be larger than is allowed",
+    errno.EROFS: "the file system cannot be written to",
+    errno.EACCES: "permission denied",
+    errno.EPERM: "not permitted",
+    errno.EIO: "the disk fails",
+    errno.EMFILE: "too many open files",
+    errno.ENOMEM: "out of memory",
+    errno.ENAMETOOLONG: "a file name is too long",
+}
+# The words of libraries whose exceptions have no code.
+_WORDS_OF_THE_MACHINE = {
+    "No space left on device": errno.ENOSPC,
+    "os error 28": errno.ENOSPC,
+    "can't allocate memory": errno.ENOMEM,
+    "failed to allocate": errno.ENOMEM,
+    "bad_alloc": errno.ENOMEM,
+    "Cannot allocate memory": errno.ENOMEM,
+    "Insufficient memory": errno.ENOMEM,
+}
+
+
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    """What an error says, as one line that a terminal shows as it is."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
+
+
+def _machine_refuses(error: BaseException) -> str | None:
+    """What the machine refused, if that is what the error is about."""
+    code = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, MemoryError):
+        code = errno.ENOMEM
+    if code not in _OF_THE_MACHINE:
+        words = str(error).lower()
+        found = (known for text, known in _WORDS_OF_THE_MACHINE.items() if text.lower() in words)
+        code = next(found, None)
+    if code is None:
+        return None
+    path = getattr(error, "filename", None)
+    return _OF_THE_MACHINE[code] + (f": {path}" if path else "")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -109,8 +152,12 @@ def main(arguments: list[str] | None = None) -> int:
     -------
     int
         0 success, 2 bad input, 1 anything else. Exceptions that are not the user's doing are
-        raised: their traceback is the report of a fault in the program.
+        raised: their traceback is the report of a fault in the program. What the machine
+        refuses (disk, memory, permission) is one line, too.
     """
+    for stream in (sys.stdout, sys.stderr):  # a file's name need not be text
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
     if not words or words[0] in ("-h", "--help"):
         print(_overview(), file=sys.stdout if words else sys.stderr)
@@ -145,6 +192,13 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"slipstitch {verb}: interrupted", file=sys.stderr)
         return 130
+    except Exception as error:
+        refused = _machine_refuses(error)
+        if refused is None:
+            raise
+        said = _one_line(SlipstitchError(refused))
+        print(f"slipstitch {verb}: failed: {said}; nothing half-written is left", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

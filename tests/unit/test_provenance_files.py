@@ -1,6 +1,7 @@
 """Files are there completely or not at all."""
 
 import hashlib
+import os
 
 import pytest
 
@@ -53,3 +54,64 @@ def test_digest_is_sha256_of_the_bytes(tmp_path):
     content = bytes(range(256)) * 5000
     (tmp_path / "x").write_bytes(content)
     assert file_digest(tmp_path / "x") == hashlib.sha256(content).hexdigest()
+
+
+def abandoned(target, content="half"):
+    """What a process that was killed leaves: its folder, without its lock."""
+    folder = target.parent / f".{target.stem}.abcd1234.tmp"
+    folder.mkdir()
+    (folder / target.name).write_text(content)
+    return folder
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_attempt(tmp_path):
+    target = tmp_path / "x.json"
+    abandoned(target)
+    with atomic_path(target) as temporary:
+        temporary.write_text("whole")
+    assert leftovers(tmp_path) == ["x.json"]
+
+
+def test_what_another_living_process_writes_is_left_alone(tmp_path):
+    target = tmp_path / "x.json"
+    with atomic_path(target) as first:
+        first.write_text("first")
+        with atomic_path(target) as second:
+            second.write_text("second")
+        assert first.read_text() == "first"
+    assert target.read_text() == "first"
+    assert leftovers(tmp_path) == ["x.json"]
+
+
+def test_a_folder_that_has_only_just_been_made_is_left_alone(tmp_path):
+    """Its process may not have locked it yet."""
+    folder = abandoned(tmp_path / "x.json")
+    (folder / "x.json").unlink()
+    with atomic_path(tmp_path / "x.json") as temporary:
+        temporary.write_text("")
+    assert folder.exists()
+    os.utime(folder, (0, 0))
+    with atomic_path(tmp_path / "x.json") as temporary:
+        temporary.write_text("")
+    assert not folder.exists()
+
+
+def test_a_folder_is_never_half_there_while_it_is_replaced(tmp_path, monkeypatch):
+    target = tmp_path / "set"
+    target.mkdir()
+    for k in range(3):
+        (target / f"{k}").write_text("old")
+    seen = []
+    replace = os.replace
+
+    def watched(source, destination):
+        replace(source, destination)
+        seen.append(sorted(path.read_text() for path in target.rglob("*")))
+
+    monkeypatch.setattr(os, "replace", watched)
+    with atomic_path(target) as temporary:
+        temporary.mkdir()
+        for k in range(3):
+            (temporary / f"{k}").write_text("new")
+    assert seen == [[], ["new"] * 3]
+    assert leftovers(tmp_path) == ["set"]

@@ -162,7 +162,7 @@ def test_a_camera_file_that_is_none_is_one_clear_line(work, capsys):
     over = work / "no_camera.yaml"
     over.write_text("render: {camera: nowhere.json}\n")
     assert render(work, "--config", str(over), "--viewpoint", "calibrated", out="bad.parquet") == 2
-    assert "nowhere.json: cannot be read: No such file" in capsys.readouterr().err
+    assert "nowhere.json: no such file" in capsys.readouterr().err
 
 
 def test_a_fixed_crop_is_the_same_for_every_frame(work):

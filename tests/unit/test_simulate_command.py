@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -184,12 +185,16 @@ def test_what_could_be_solved_is_written_although_another_failed(
     assert "at 1 s it did not" in capfd.readouterr().err
 
 
-def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(tmp_path, capfd):
-    broken = tmp_path / "calibration.json"
+def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(
+    tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    broken = Path("results/calibration.json")
+    broken.parent.mkdir()
     broken.write_text("{")
     words = ["--material", "gray-interlock", "--friction", "0.3", "--calibration", broken]
     assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
-    assert "snakemake --cores 2 calibrate" in capfd.readouterr().err
+    assert f"snakemake --cores 2 all --forcerun {broken}" in capfd.readouterr().err
 
 
 def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp_path, capfd):

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.walk import Chain
-from slipstitch.provenance import file_digest
+from slipstitch.errors import BadInput
+from slipstitch.provenance import check_image, file_digest
 from slipstitch.release.checksums import files_below
 from slipstitch.release.shards import FOLDER
 
@@ -67,14 +68,24 @@ def read_shard(path: Path) -> Shard:
                     shard.first_row[video] = shard.images
                     shard.labels[video] = {name: values[number] for name, values in columns.items()}
                     shard.columns[video] = defaultdict(list)
-                pixels = cv2.imdecode(np.frombuffer(images[number].as_buffer(), np.uint8), 1)
+                data = images[number].as_py() or b""
+                check_image(data, f"an image of {video}")
+                pixels = cv2.imdecode(np.frombuffer(data, np.uint8), 1)
                 if pixels is None:
                     raise ValueError(f"an image of {video} cannot be decoded")
                 sums[video].update(np.ascontiguousarray(pixels[..., ::-1]))
                 for name, values in columns.items():
                     shard.columns[video][name].append(values[number])
                 shard.images += 1
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        pa.ArrowException,
+        BadInput,
+    ) as error:
         shard.problem = str(error).splitlines()[0] if str(error) else type(error).__name__
     shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
     return shard

@@ -21,8 +21,14 @@ from slipstitch.calibrate.choice import (
 from slipstitch.calibrate.experiments import Check, experiments
 from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
 from slipstitch.calibrate.sweep import run_settings, sweep, variations
-from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.errors import BadInput, Damaged
+from slipstitch.provenance import (
+    atomic_path,
+    provenance_record,
+    read_json,
+    start_clock,
+    write_sidecar,
+)
 from slipstitch.simulate.settings import SimulationSettings
 
 # What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
@@ -307,10 +313,12 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     """
     trials = []
     for path in paths:
-        try:
-            trials += json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise BadInput(f"{path}: not a sweep of the calibration ({error})") from None
+        sweep = read_json(path)
+        if not isinstance(sweep, list) or not all(
+            isinstance(trial, dict) and "settings" in trial for trial in sweep
+        ):
+            raise Damaged(path, "not a sweep of the calibration")
+        trials += sweep
     expected = [
         one for key in (BASE, *KEYS) for one in variations(key, config.calibrate, config.simulation)
     ]

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from slipstitch.config.model import Config
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance.files import atomic_path
+from slipstitch.provenance.reading import load_yaml, read_json, read_yaml
 
 # YAML 1.1 reads 1e-3 as a string, because it wants a point in the mantissa and a sign; here it is
 # the number that everybody means.
@@ -29,22 +29,27 @@ def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
     BadInput
         If the file is missing, is no YAML, or holds no mapping.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        raise BadInput(f"{path}: cannot be read: {reason}") from None
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" line {mark.line + 1}:" if mark else ""
-        raise BadInput(f"{path}:{where} not YAML: {getattr(error, 'problem', error)}") from None
+    content = read_yaml(path)
     if content is None:
         return {}
     if not isinstance(content, dict):
         raise BadInput(f"{path}: holds {_kind(content)}, a mapping of keys is needed")
     return content
+
+
+def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
+    """Settings of simulations that a calibration has verified.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, damaged, or no calibration.
+    """
+    content = read_json(path)
+    settings = content.get("settings") if isinstance(content, dict) else None
+    if not isinstance(settings, dict):
+        raise Damaged(path, "not a calibration: it holds no settings")
+    return dict(settings)
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,11 +72,19 @@ def _numbers(value: Any, words: bool = False) -> Any:
     if isinstance(value, list | tuple):
         return [_numbers(item, words) for item in value]
     if isinstance(value, str) and words:
-        read = yaml.safe_load(value)
+        read = _word(value)
         value = read if isinstance(read, bool | int | float) or read is None else value
     if isinstance(value, str) and _SCIENTIFIC.fullmatch(value):
         return float(value)
     return value
+
+
+def _word(text: str) -> Any:
+    """A word as YAML reads it; the word itself where that makes no sense."""
+    try:
+        return load_yaml(text, "word")
+    except BadInput:
+        return text
 
 
 def _not_finite(value: Any, location: tuple) -> tuple | None:

@@ -7,12 +7,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sin, sqrt
-from pathlib import Path
-
-import yaml
 
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import FrictionLaw
+from slipstitch.provenance import read_yaml
 
 # Departures of the bench that change how the cloth moves; the others change readings only.
 ACTING = ("mass_error", "bending_error", "tilt_along_rad", "tilt_across_rad")
@@ -58,13 +56,7 @@ def read_extended_model(path: str | os.PathLike) -> ExtendedModel:
     BadInput
         If it is missing, no YAML, or does not hold a friction law of the face.
     """
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise BadInput(f"{path}: not YAML") from None
-    return model_of(data, str(path))
+    return model_of(read_yaml(path), str(path))
 
 
 def model_of(data: object, source: str = "extended model") -> ExtendedModel:

@@ -2,6 +2,16 @@
 
 from slipstitch.provenance.code import code_digest, code_sources
 from slipstitch.provenance.files import atomic_path, file_digest
+from slipstitch.provenance.reading import (
+    check_image,
+    image_bytes,
+    load_yaml,
+    open_parquet,
+    read_json,
+    read_parquet,
+    read_yaml,
+    reading,
+)
 from slipstitch.provenance.record import (
     attach_metadata,
     parquet_stream,
@@ -17,14 +27,22 @@ from slipstitch.provenance.record import (
 __all__ = [
     "atomic_path",
     "attach_metadata",
+    "check_image",
     "code_digest",
     "code_sources",
     "file_digest",
+    "image_bytes",
+    "load_yaml",
+    "open_parquet",
     "parquet_stream",
     "provenance_record",
+    "read_json",
     "read_metadata",
+    "read_parquet",
     "read_provenance",
     "read_sidecar",
+    "read_yaml",
+    "reading",
     "start_clock",
     "write_parquet",
     "write_sidecar",

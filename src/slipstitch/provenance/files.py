@@ -1,12 +1,17 @@
 """Files that are there completely or not at all, and their digests."""
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
+
+SUFFIX = ".tmp"
+YOUNG_S = 3600.0
 
 
 @contextlib.contextmanager
@@ -16,7 +21,8 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     On an exception whatever was written (file or folder) is removed and `path` is left as it was.
     The temporary name keeps the suffix of `path`, because many writers choose a format by it.
     The content is flushed to the disk before the renaming, so that a crash leaves the old file or
-    the new one, never half of one. Missing parent folders are created.
+    the new one, never half of one. Missing parent folders are created. What a killed process left
+    of an earlier attempt at the same name is removed.
 
     Parameters
     ----------
@@ -35,10 +41,9 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     """
     final = Path(path)
     final.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(
-        prefix=f".{final.stem}.", suffix=".tmp", dir=final.parent
-    ) as d:
-        temporary = Path(d) / final.name
+    _clear_abandoned(final)
+    with _own_folder(final) as folder:
+        temporary = folder / final.name
         yield temporary
         if not temporary.exists():
             raise FileNotFoundError(f"nothing was written for {final}")
@@ -47,11 +52,44 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
                 if file.is_file():
                     _flush(file)
             if final.is_dir() and not final.is_symlink():
-                shutil.rmtree(final)
+                # At no time is there half a folder under the final name.
+                os.replace(final, folder / f"{final.name}.old")
         else:
             _flush(temporary)
         os.replace(temporary, final)
         _flush(final.parent)
+
+
+@contextlib.contextmanager
+def _own_folder(final: Path) -> Iterator[Path]:
+    """A temporary folder beside `final`, locked for as long as this process uses it."""
+    with tempfile.TemporaryDirectory(
+        prefix=f".{final.stem}.", suffix=SUFFIX, dir=final.parent, ignore_cleanup_errors=True
+    ) as name:
+        descriptor = os.open(name, os.O_RDONLY)
+        try:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield Path(name)
+        finally:
+            os.close(descriptor)
+
+
+def _clear_abandoned(final: Path) -> None:
+    """Remove what processes that were killed left beside `final`; those that live hold a lock."""
+    for entry in os.scandir(final.parent):
+        if not (entry.name.startswith(f".{final.stem}.") and entry.name.endswith(SUFFIX)):
+            continue
+        with contextlib.suppress(OSError):
+            descriptor = os.open(entry.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # An empty one may be so young that its process has not locked it yet.
+                young = time.time() - entry.stat().st_mtime < YOUNG_S
+                if not young or any(os.scandir(entry.path)):
+                    shutil.rmtree(entry.path)
+            finally:
+                os.close(descriptor)
 
 
 def _flush(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import hashlib
 import importlib.metadata
 import json
 import os
@@ -16,9 +17,12 @@ from typing import Any
 from slipstitch import __version__
 from slipstitch.provenance.code import code_digest
 from slipstitch.provenance.files import atomic_path, file_digest
+from slipstitch.provenance.reading import SIDECAR_SUFFIX, open_parquet
 
 METADATA_KEY = b"slipstitch"
-SIDECAR_SUFFIX = ".provenance.json"
+DIGEST_KEY = b"slipstitch_sha256"
+# A checksum a page: damage is noticed when a file is read (slipstitch.provenance.reading).
+WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 RECORDED_PACKAGES = (
     "bpy",
     "cvxopt",
@@ -171,8 +175,13 @@ def _sidecar(path: str | os.PathLike) -> Path:
 
 
 def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> Path:
-    """Write `record` beside the file `path`, as ``<path>.provenance.json``; return where."""
+    """Write `record` beside the file `path`, as ``<path>.provenance.json``; return where.
+
+    The file's SHA-256 is noted in it, so that whoever reads the file sees damage to it.
+    """
     side = _sidecar(path)
+    if Path(path).is_file():
+        record = {**record, "sha256": file_digest(path)}
     with atomic_path(side) as temporary:
         temporary.write_text(
             json.dumps(_plain(record), indent=1, allow_nan=False) + "\n", encoding="utf-8"
@@ -182,7 +191,9 @@ def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> Path:
 
 def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
     """The record beside the file `path`; FileNotFoundError if it has none."""
-    return json.loads(_sidecar(path).read_text(encoding="utf-8"))
+    record = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+    record.pop("sha256", None)  # of the file, not of its origin
+    return record
 
 
 def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any] | None = None):
@@ -208,6 +219,7 @@ def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any
     if record is not None:
         merged["provenance"] = _plain(record)
     keys[METADATA_KEY] = json.dumps(merged, allow_nan=False).encode()
+    keys[DIGEST_KEY] = hashlib.sha256(keys[METADATA_KEY]).hexdigest().encode()
     replace = getattr(table, "replace_schema_metadata", None) or table.with_metadata
     return replace(keys)
 
@@ -226,8 +238,8 @@ def write_parquet(
     import pyarrow.parquet
 
     whole = attach_metadata(table, metadata or {}, record)
-    with atomic_path(path) as temporary:
-        pyarrow.parquet.write_table(whole, temporary, **{"compression": "zstd", **options})
+    with atomic_path(path) as temporary, open(temporary, "wb") as stream:
+        pyarrow.parquet.write_table(whole, stream, **{**WRITE_OPTIONS, **options})
 
 
 class ParquetStream:
@@ -246,7 +258,10 @@ class ParquetStream:
         """Say what the file holds and what made it, once, after the last rows."""
         whole = {**_plain(metadata), "provenance": _plain(record)}
         text = json.dumps(whole, allow_nan=False)
-        self._writer.add_key_value_metadata({METADATA_KEY.decode(): text})
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        self._writer.add_key_value_metadata(
+            {METADATA_KEY.decode(): text, DIGEST_KEY.decode(): digest}
+        )
 
 
 @contextlib.contextmanager
@@ -258,11 +273,12 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
     """
     import pyarrow.parquet
 
-    options = {"compression": "zstd", **options}
+    options = {**WRITE_OPTIONS, **options}
     # Arrow's own copy of the schema is left out: it would hide metadata that is added at the end.
     with (
         atomic_path(path) as temporary,
-        pyarrow.parquet.ParquetWriter(temporary, schema, store_schema=False, **options) as writer,
+        open(temporary, "wb") as stream,
+        pyarrow.parquet.ParquetWriter(stream, schema, store_schema=False, **options) as writer,
     ):
         yield ParquetStream(writer)
 
@@ -271,14 +287,25 @@ def read_metadata(source) -> dict[str, Any]:
     """The JSON object under key ``slipstitch`` of a Parquet file, pyarrow table or schema.
 
     An empty mapping if there is none.
+
+    Raises
+    ------
+    BadInput
+        If a path is given and the file is missing or damaged.
+    ValueError
+        If the object is not as it was written.
     """
     if isinstance(source, str | os.PathLike):
-        import pyarrow.parquet
-
-        schema = pyarrow.parquet.read_schema(source)
-    else:
-        schema = getattr(source, "schema", source)
-    return json.loads((schema.metadata or {}).get(METADATA_KEY, b"{}"))
+        with open_parquet(source) as file:
+            return read_metadata(file.schema_arrow)
+    keys = getattr(source, "schema", source).metadata or {}
+    text = keys.get(METADATA_KEY, b"{}")
+    if keys.get(DIGEST_KEY, None) not in (None, hashlib.sha256(text).hexdigest().encode()):
+        raise ValueError("its metadata is not as it was written")
+    content = json.loads(text)
+    if not isinstance(content, dict):
+        raise ValueError("its metadata is no mapping")
+    return content
 
 
 def read_provenance(path: str | os.PathLike) -> dict[str, Any]:
@@ -289,6 +316,8 @@ def read_provenance(path: str | os.PathLike) -> dict[str, Any]:
     FileNotFoundError
         If the file has no record.
     """
+    if not Path(path).exists():
+        raise FileNotFoundError(path)
     if Path(path).suffix == ".parquet" and "provenance" in (inside := read_metadata(path)):
         return inside["provenance"]
     return read_sidecar(path)

@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import file_digest, read_metadata, read_provenance
+from slipstitch.provenance import (
+    file_digest,
+    read_metadata,
+    read_parquet,
+    read_provenance,
+)
 
 RECORDS = "records"
 #: Written beside the dataset: a sample of its images against direct renders.
@@ -60,7 +64,7 @@ class Artefact:
 
 def rows_digest(path: str | os.PathLike) -> str:
     """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
-    table = pq.read_table(path).replace_schema_metadata(None)
+    table = read_parquet(path).replace_schema_metadata(None)
     sink = hashlib.sha256()
     sink.update(table.schema.to_string().encode())
     for name in table.column_names:
@@ -89,11 +93,8 @@ def read_artefact(path: str, place: Path) -> Artefact:
     if not place.is_file():
         raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
     parquet = place.suffix == ".parquet"
-    try:
-        metadata = read_metadata(place) if parquet else {}
-        rows = rows_digest(place) if parquet else None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise BadInput(f"{path}: damaged: {str(error).splitlines()[0]}") from None
+    metadata = read_metadata(place) if parquet else {}
+    rows = rows_digest(place) if parquet else None
     try:
         # What a file from outside was made from is not followed: photographs of a board, say.
         provenance = read_provenance(place) if is_ours(path) else None

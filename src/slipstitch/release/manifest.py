@@ -7,11 +7,14 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.errors import BadInput
-from slipstitch.provenance import attach_metadata, read_metadata
+from slipstitch.errors import BadInput, Damaged
+from slipstitch.provenance import (
+    attach_metadata,
+    read_metadata,
+    read_parquet,
+)
 from slipstitch.release.splits import PREFIX, question
 from slipstitch.sample.dataset import dataset_digest
-from slipstitch.sample.shards import read_table
 
 MANIFEST = "manifest.parquet"
 # Columns of the sample stage's manifest that the release gives its own meaning.
@@ -75,12 +78,12 @@ def read_sampled(path: Path) -> list[dict[str, Any]]:
         If it is missing, damaged, empty, or not as it was written.
     """
     needed = ("video", "simulation", "material", "friction", "frames", "pixels_sha256", "file")
-    read_table(path, needed)
-    rows = pq.read_table(path).to_pylist()
+    read_parquet(path, needed)
+    rows = read_parquet(path).to_pylist()
     if not rows:
         raise BadInput(f"{path}: no video in it")
     if read_metadata(path).get("dataset_digest") != dataset_digest(rows):
-        raise BadInput(f"{path}: was altered: its rows do not have the digest noted in it")
+        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
     return rows
 
 

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
+from slipstitch.provenance import read_parquet
 
 FOLDER = "data"
 HUGGING_FACE = b"huggingface"
@@ -127,7 +128,7 @@ def write_shards(
     places: dict[str, tuple[str, int, int]] = {}
     try:
         for file in progress(files):
-            table = pq.read_table(sample_dir / file)
+            table = read_parquet(sample_dir / file)
             if shard_schema(table.schema) != schema:
                 raise BadInput(f"{sample_dir / file}: other columns than {files[0]}")
             table = table.replace_schema_metadata(schema.metadata)

@@ -15,7 +15,10 @@ import cv2
 import numpy as np
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path
+from slipstitch.provenance import (
+    atomic_path,
+    reading,
+)
 from slipstitch.render.camera import Camera
 
 FORMAT = "slipstitch camera 1"
@@ -94,12 +97,8 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
     BadInput
         If the file is missing, no camera file, or does not say where the camera stands.
     """
-    try:
+    with reading(path, "JSON file"):
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise BadInput(f"{path}: not JSON: {error}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadInput(f"{path}: not a camera file: its format is not {FORMAT!r}")
     if content.get("rotation") is None or content.get("translation_m") is None:

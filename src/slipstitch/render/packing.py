@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
     file_digest,
+    open_parquet,
     parquet_stream,
     provenance_record,
     read_metadata,
@@ -220,30 +220,24 @@ def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pa
     BadInput
         If the file is missing, damaged, no shading pack, or of another trajectory.
     """
-    try:
-        file = pq.ParquetFile(path)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
-    except (OSError, pa.ArrowException, ValueError) as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadInput(f"{path}: damaged or no Parquet file: {first}") from None
-    metadata = read_metadata(file.schema_arrow)
-    if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
-        raise BadInput(f"{path}: not a shading pack")
+    with open_parquet(path) as file:
+        metadata = read_metadata(file.schema_arrow)
+        if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
+            raise BadInput(f"{path}: not a shading pack")
     if metadata["trajectory_sha256"] != file_digest(trajectory_path):
         raise BadInput(f"{path}: rendered from another trajectory than {trajectory_path}")
     trajectory = usable_trajectory(trajectory_path)
-    return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(file, path))
+    return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(path))
 
 
-def _rows(file: pq.ParquetFile, path: str | os.PathLike) -> Iterator[dict]:
-    with file:
-        for group in range(file.num_row_groups):
-            try:
-                yield from file.read_row_group(group).to_pylist()
-            except (OSError, pa.ArrowException) as error:
-                first = str(error).splitlines()[0] if str(error) else type(error).__name__
-                raise BadInput(f"{path}: damaged: {first}") from None
+def _rows(path: str | os.PathLike) -> Iterator[dict]:
+    """The pack's rows, a group of them at a time."""
+    with open_parquet(path) as file:
+        groups = file.num_row_groups
+    for group in range(groups):
+        with open_parquet(path) as file:
+            rows = file.read_row_group(group).to_pylist()
+        yield from rows
 
 
 def _pack(shading: Shading, sight: Sight) -> dict:

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import (
+    atomic_path,
+    check_image,
+    provenance_record,
+    read_parquet,
+    start_clock,
+    write_sidecar,
+)
 from slipstitch.render.shards import SCHEMA
 
 _SHEET_COLUMNS = 9
@@ -27,14 +32,7 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
     BadInput
         If the file is missing, damaged, or not an image shard.
     """
-    try:
-        table = pq.read_table(path)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
-    except (OSError, pa.ArrowException) as error:
-        raise BadInput(
-            f"{path}: damaged or no Parquet file: {str(error).splitlines()[0]}"
-        ) from None
+    table = read_parquet(path)
     for name in SCHEMA.names:
         if name not in table.column_names:
             raise BadInput(f"{path}: not an image shard: it has no column {name!r}")
@@ -47,6 +45,7 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
 
 def decode_image(data: bytes, where: str) -> np.ndarray:
     """An image file's content, blue first (H, W, 3) uint8; BadInput if it is damaged."""
+    check_image(data, where)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise BadInput(f"{where}: an image cannot be decoded")

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from slipstitch.errors import BadInput
+from slipstitch.provenance import image_bytes
 from slipstitch.render.catalogue import TEXTURES, is_texture_file
 
 TEXELS = 512
@@ -66,7 +67,7 @@ def texture_file(name: str) -> Path | None:
 
 def _read(path: Path) -> np.ndarray:
     """An image file as sRGB values (512, 512, 3) in 0 ... 1, its upper edge the cloth's."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(image_bytes(path), np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise BadInput(f"{path}: a texture must be an image file, and this is none")
     size = (TEXELS, TEXELS)

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pyarrow.parquet as pq
 
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import (
     atomic_path,
+    open_parquet,
     provenance_record,
     read_metadata,
+    read_parquet,
     start_clock,
     write_sidecar,
 )
@@ -99,7 +100,7 @@ def compare(
     """
     from slipstitch.render.blender import ClothScene
 
-    stored = pq.read_table(shard).slice(row, 1).to_pylist()[0]
+    stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
     view = read_metadata(shard)["viewpoint"]
     settings = config.render
     job = Job(
@@ -168,13 +169,10 @@ def verify(
     started = start_clock()
     rows = []
     for path in sorted(map(os.fspath, shards)):
-        try:
-            with pq.ParquetFile(path) as file:
-                if file.schema_arrow.names != SCHEMA.names:
-                    raise BadInput(f"{path}: not an image shard")
-                rows += [(path, row) for row in range(file.metadata.num_rows)]
-        except (OSError, ValueError) as error:
-            raise BadInput(f"{path}: {str(error).splitlines()[0]}") from None
+        with open_parquet(path) as file:
+            if file.schema_arrow.names != SCHEMA.names:
+                raise BadInput(f"{path}: not an image shard")
+            rows += [(path, row) for row in range(file.metadata.num_rows)]
     rng = generator(config.seed, "verification")
     count = min(config.render.verified_images, len(rows))
     chosen = [rows[k] for k in sorted(rng.choice(len(rows), count, replace=False))]

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,7 +14,11 @@ import pyarrow.parquet as pq
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_provenance
+from slipstitch.provenance import (
+    read_json,
+    read_provenance,
+    reading,
+)
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.runs import Failure, Run, failures, read_runs
 
@@ -92,27 +95,13 @@ class History:
     epochs: list[dict[str, Any]] = field(repr=False)
 
 
-def read_json(path: Path) -> Any | None:
-    """Content of a JSON file; None if there is no such file.
-
-    Raises
-    ------
-    BadInput
-        If it is no JSON.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (ValueError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not JSON: {error}") from None
+def _json_if_there(path: Path) -> Any | None:
+    return read_json(path) if path.exists() else None
 
 
 def _table(path: Path, columns: list[str] | None = None, **options):
-    try:
-        return pq.read_table(path, columns=columns, **options)
-    except Exception as error:
-        raise BadInput(f"{path}: cannot be read: {' '.join(str(error).split())[:200]}") from None
+    with reading(path, "Parquet file"):
+        return pq.read_table(path, columns=columns, page_checksum_verification=True, **options)
 
 
 class Results:
@@ -139,12 +128,12 @@ class Results:
 
     def calibration(self) -> Mapping[str, Any] | None:
         """Content of calibration.json."""
-        return read_json(self.folder / "calibrate" / "calibration.json")
+        return _json_if_there(self.folder / "calibrate" / "calibration.json")
 
     def convergence(self) -> Mapping[str, Any] | None:
         """The convergence study: this folder's own, else the published one in it."""
-        own = read_json(self.folder / "convergence" / "convergence.json")
-        return own or read_json(self.folder / "published" / "convergence" / "convergence.json")
+        own = _json_if_there(self.folder / "convergence" / "convergence.json")
+        return own or _json_if_there(self.folder / "published" / "convergence" / "convergence.json")
 
     def simulation_path(self, simulation: Simulation) -> Path:
         """Where a simulation's trajectory lies."""
@@ -226,11 +215,11 @@ class Results:
 
     def metrics(self) -> Mapping[str, Any] | None:
         """Content of metrics.json."""
-        return read_json(self.folder / "evaluate" / "metrics.json")
+        return _json_if_there(self.folder / "evaluate" / "metrics.json")
 
     def details(self) -> Mapping[str, Any]:
         """Content of details.json; empty if there is none."""
-        return read_json(self.folder / "evaluate" / "details.json") or {}
+        return _json_if_there(self.folder / "evaluate" / "details.json") or {}
 
     def predictions(self) -> list[dict[str, Any]] | None:
         """Rows of predictions.parquet."""
@@ -250,7 +239,9 @@ class Results:
             rows = [
                 row
                 for path in sorted((folder / name).glob("*.tsv"))
-                for row in csv.DictReader(path.open(encoding="utf-8"), delimiter="\t")
+                for row in csv.DictReader(
+                    io.StringIO(path.read_text(encoding="utf-8", errors="replace")), delimiter="\t"
+                )
             ]
             wall = [_number(row.get("s")) for row in rows]
             wall = [value for value in wall if isinstance(value, float)]

@@ -2,15 +2,13 @@
 
 import io
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from PIL import Image
 
 from slipstitch.errors import BadInput
+from slipstitch.provenance import check_image, read_parquet
 
 COLUMNS = ("simulation", "texture", "viewpoint", "frame", "time_s", "stage_x_m", "image")
 
@@ -41,6 +39,7 @@ def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     BadInput
         If it cannot be decoded, is not RGB, not square, or of another size.
     """
+    check_image(png, where)
     try:
         with Image.open(io.BytesIO(png)) as image:
             mode, array = image.mode, np.asarray(image)
@@ -55,27 +54,9 @@ def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     return array
 
 
-def read_table(path: str | os.PathLike, columns: Iterable[str]) -> pa.Table:
-    """Columns of a Parquet file; BadInput if it is missing, damaged or lacks one."""
-    wanted = list(columns)
-    try:
-        with pq.ParquetFile(path) as file:
-            missing = [name for name in wanted if name not in file.schema_arrow.names]
-            if missing:
-                raise BadInput(f"{path}: no column {missing[0]!r}; needed: {', '.join(wanted)}")
-            return file.read(columns=wanted)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise BadInput(f"{path}: a folder; a Parquet file is needed") from None
-    except (pa.ArrowException, OSError) as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadInput(f"{path}: damaged or no Parquet file: {first}") from None
-
-
 def simulations_of(path: str | os.PathLike) -> set[str]:
     """Ids of the simulations that a shard holds images of."""
-    names = set(read_table(path, ["simulation"]).column(0).to_pylist())
+    names = set(read_parquet(path, ["simulation"]).column(0).to_pylist())
     if not names:
         raise BadInput(f"{path}: no image in it")
     return names
@@ -100,7 +81,7 @@ def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, s
     BadInput
         If the file is damaged, a wanted frame is missing or there twice, or an image is empty.
     """
-    table = read_table(path, COLUMNS)
+    table = read_parquet(path, COLUMNS)
     wanted = set(frames.tolist())
     videos: dict[tuple[str, str, str], dict[int, Frame]] = {}
     for batch in table.to_batches(max_chunksize=1024):

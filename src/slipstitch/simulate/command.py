@@ -141,25 +141,14 @@ def _with_state_saved(error, out: str):
 
 def _configuration(arguments: argparse.Namespace, by_hand: bool):
     """The configuration, then the calibration's settings, then ``--set``."""
-    import json
-
-    import yaml
-
-    from slipstitch.config.load import read_mapping, resolve_config
+    from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
     from slipstitch.errors import BadInput
+    from slipstitch.provenance import load_yaml
 
     mappings = [read_mapping(path) for path in arguments.config]
     sources = list(arguments.config)
     if arguments.calibration:
-        try:
-            with open(arguments.calibration, encoding="utf-8") as stream:
-                verified = json.load(stream)["settings"]
-            mappings.append({"simulation": dict(verified)})
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise BadInput(
-                f"{arguments.calibration}: not a calibration ({error}); "
-                "make it anew with: snakemake --cores 2 calibrate"
-            ) from None
+        mappings.append({"simulation": calibrated_settings(arguments.calibration)})
         sources.append(arguments.calibration)
     overrides = {}
     for text in arguments.overrides:
@@ -167,8 +156,8 @@ def _configuration(arguments: argparse.Namespace, by_hand: bool):
         if not equals:
             raise BadInput(f"--set {text}: must be KEY=VALUE, e.g. time_step_s=0.01")
         try:
-            overrides[key.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
+            overrides[key.strip()] = load_yaml(value, f"--set {text}")
+        except BadInput:
             raise BadInput(f"--set {text}: the value cannot be read") from None
     if arguments.model:
         overrides["model"] = arguments.model

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_metadata, write_parquet
+from slipstitch.provenance import open_parquet, read_metadata, write_parquet
 
 _SCALARS = {
     "frame": pa.int32(),
@@ -87,14 +86,9 @@ def read_trajectory(path: str | os.PathLike) -> Trajectory:
     BadInput
         If the file is missing, damaged, or not a trajectory; or holds numbers that are not finite.
     """
-    try:
-        table = pq.read_table(path)
+    with open_parquet(path) as file:
+        table = file.read()
         metadata = read_metadata(table)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
-    except (OSError, pa.ArrowException, ValueError) as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BadInput(f"{path}: damaged or no Parquet file: {first}") from None
     for name in (*_SCALARS, "positions_m"):
         if name not in table.column_names:
             raise BadInput(f"{path}: not a trajectory: it has no column {name!r}")

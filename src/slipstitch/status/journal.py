@@ -8,6 +8,7 @@ do, leaves no trace.
 import json
 import logging
 import os
+import resource
 import time
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,11 @@ def plan_of(dag) -> list[dict[str, Any]]:
     return sorted(jobs, key=lambda job: job["id"])
 
 
+def _cpu_s(who: int) -> float:
+    usage = resource.getrusage(who)
+    return round(usage.ru_utime + usage.ru_stime, 2)
+
+
 class Journal(logging.Handler):
     """Writes the events of one run; a handler of Snakemake's logger.
 
@@ -85,9 +91,10 @@ class Journal(logging.Handler):
         self._write("run", cores=cores, jobs=len(plan), needed=needed, **process_identity())
 
     def end(self, success: bool) -> None:
-        """Write how the run ended."""
+        """Write how the run ended, and the CPU time of Snakemake itself and of its jobs (s)."""
         if self._begun:
-            self._write("end", success=success)
+            own, jobs = _cpu_s(resource.RUSAGE_SELF), _cpu_s(resource.RUSAGE_CHILDREN)
+            self._write("end", success=success, own_cpu_s=own, jobs_cpu_s=jobs)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take what concerns single jobs from Snakemake's log records."""

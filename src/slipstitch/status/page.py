@@ -63,7 +63,10 @@ def _head(found: Status, now_s: float) -> str:
     run = found.run
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head["time"]))
     if run.success is True:
-        state = f"all done {duration(max(0.0, run.last_s - run.head['time']))} later"
+        state = (
+            f"all done {duration(max(0.0, run.last_s - run.head['time']))} later; CPU time of "
+            f"its jobs {duration(run.jobs_cpu_s)}, of Snakemake itself {duration(run.own_cpu_s)}"
+        )
     elif run.success is False:
         state = "stopped by a failure; once mended, the same snakemake command goes on from here"
     elif found.alive:

@@ -55,6 +55,8 @@ class Run:
         None if it never said that it ended.
     last_s : float
         When it last said anything.
+    own_cpu_s, jobs_cpu_s : float
+        CPU time of Snakemake itself and of the jobs that it ran here, once it has ended.
     """
 
     head: dict[str, Any]
@@ -63,6 +65,8 @@ class Run:
     failures: list[dict[str, Any]] = field(default_factory=list)
     success: bool | None = None
     last_s: float = 0.0
+    own_cpu_s: float = 0.0
+    jobs_cpu_s: float = 0.0
 
     def alive(self) -> bool | None:
         """Whether its process still runs; None if it was started on another machine."""
@@ -84,10 +88,27 @@ def _lines(path: Path) -> Iterator[dict[str, Any]]:
     for line in text.splitlines():
         try:
             event = json.loads(line)
-            event["event"], event["time"]
+            if _is_event(event):
+                yield event
         except (ValueError, TypeError, KeyError, RecursionError):
             continue
-        yield event
+
+
+_HEAD = {"cores": int, "pid": int, "born": int | None, "boot": str | None}
+
+
+def _is_event(event: Any) -> bool:
+    """Whether a line is one that the journal writes."""
+    if not isinstance(event["event"], str) or not isinstance(event["time"], float | int):
+        return False
+    if event["event"] == "run":
+        return all(isinstance(event[key], kind) for key, kind in _HEAD.items())
+    if event["event"] == "end":
+        return all(isinstance(event[key], float | int) for key in ("own_cpu_s", "jobs_cpu_s"))
+    if event["event"] == "failed":
+        named = [*event["output"], *event["log"], event["rule"]]
+        return isinstance(event["job"], int) and all(isinstance(one, str) for one in named)
+    return isinstance(event.get("job", 0), int)
 
 
 def read_runs(folder: str | os.PathLike) -> list[Run]:
@@ -108,6 +129,7 @@ def read_runs(folder: str | os.PathLike) -> list[Run]:
         run.last_s = event["time"]
         if event["event"] == "end":
             run.success = bool(event.get("success"))
+            run.own_cpu_s, run.jobs_cpu_s = event["own_cpu_s"], event["jobs_cpu_s"]
         elif "job" in event:
             run.state[event["job"]] = event["event"]
             if event["event"] == "started":
@@ -115,6 +137,19 @@ def read_runs(folder: str | os.PathLike) -> list[Run]:
             elif event["event"] == "failed":
                 run.failures.append(event)
     return runs
+
+
+def _is_job(job: Any) -> bool:
+    lists = [job[key] for key in ("output", "log")]
+    texts = [job["rule"], job["benchmark"] or "", *lists[0], *lists[1]]
+    return (
+        all(isinstance(one, list) for one in lists)
+        and len(lists[0]) > 0
+        and all(isinstance(one, str) and "\0" not in one for one in texts)
+        and isinstance(job["id"], int)
+        and isinstance(job["threads"], int)
+        and isinstance(job["needed"], bool)
+    )
 
 
 def read_plan(folder: str | os.PathLike) -> list[dict[str, Any]]:
@@ -128,8 +163,8 @@ def read_plan(folder: str | os.PathLike) -> list[dict[str, Any]]:
     path = Path(folder) / "status" / PLAN
     try:
         jobs = json.loads(path.read_text(encoding="utf-8"))["jobs"]
-        for job in jobs:
-            job["id"], job["rule"], job["output"][0], job["log"], job["benchmark"], job["needed"]
+        if not all(_is_job(job) for job in jobs):
+            raise ValueError
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):

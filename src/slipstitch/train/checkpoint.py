@@ -4,6 +4,7 @@ One safetensors file with the weights, the optimiser's memory and the state of t
 and JSON for the rest. Nothing in it is pickled: reading one cannot run anything.
 """
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -45,9 +46,20 @@ def save_checkpoint(
     for number, memory in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{number}.{name}": value for name, value in memory.items()}
     tensors["random"] = torch.get_rng_state()
+    tensors = {name: value.contiguous() for name, value in tensors.items()}
     notes = {"identity": json.dumps(identity, sort_keys=True), "progress": _text(progress)}
+    notes["tensors_sha256"] = _digest(tensors)
     with atomic_path(path) as temporary:
-        save_file({name: value.contiguous() for name, value in tensors.items()}, temporary, notes)
+        save_file(tensors, temporary, notes)
+
+
+def _digest(tensors: dict[str, torch.Tensor]) -> str:
+    """SHA-256 of names and values: a flipped bit shall start a training anew, not bend it."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode())
+        digest.update(tensors[name].detach().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _text(progress: Progress) -> str:
@@ -78,7 +90,9 @@ def load_checkpoint(
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         progress = Progress(**json.loads(notes["progress"]))
         same = json.loads(notes["identity"]) == json.loads(json.dumps(identity))
-    except (SafetensorError, KeyError, TypeError, ValueError):
+        if notes["tensors_sha256"] != _digest(tensors):
+            raise ValueError("damaged")
+    except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
         return None, f"{path}: no readable checkpoint; starting anew"
     if not same:
         return None, f"{path}: of another training (data, settings or code differ); starting anew"

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest
 from slipstitch.train.network import LRCN
 from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
@@ -69,22 +69,22 @@ def read_weights(
     try:
         card = json.loads(card_path.read_text(encoding="utf-8"))
         known = card["format"]
-    except (ValueError, KeyError, TypeError):
-        raise BadInput(f"{card_path}: no model card of Slipstitch") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise Damaged(card_path, "no model card of Slipstitch") from None
     if known != form:
         raise BadInput(f"{card_path}: model format {known!r}, {form!r} is needed")
     if file_digest(weights) != card.get("weights_sha256"):
-        raise BadInput(
-            f"{weights}: altered or damaged: not the weights that {card_path.name} describes"
+        raise Damaged(
+            weights, f"altered or damaged: not the weights that {card_path.name} describes"
         )
     try:
         with safe_open(weights, "pt") as file:
             inside = json.loads(file.metadata()["card"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, KeyError, TypeError, ValueError):
-        raise BadInput(f"{weights}: no model of Slipstitch") from None
+        raise Damaged(weights, "no model of Slipstitch") from None
     if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
-        raise BadInput(f"{card_path}: altered: not the card that is inside {weights.name}")
+        raise Damaged(card_path, f"altered: not the card that is inside {weights.name}")
     return tensors, card
 
 

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from slipstitch.errors import BadInput
-from slipstitch.provenance import read_metadata
+from slipstitch.errors import BadInput, Damaged
+from slipstitch.provenance import (
+    read_metadata,
+    read_parquet,
+)
 from slipstitch.sample.dataset import MANIFEST, MANIFEST_SCHEMA, dataset_digest, pixels_digest
-from slipstitch.sample.shards import decode, read_table
+from slipstitch.sample.shards import decode
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 
@@ -49,7 +52,7 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
         If the manifest is missing or damaged, was altered, or its split by simulation leaks.
     """
     path = Path(dataset) / MANIFEST
-    rows = read_table(path, MANIFEST_SCHEMA.names).to_pylist()
+    rows = read_parquet(path, MANIFEST_SCHEMA.names).to_pylist()
     if not rows:
         raise BadInput(f"{path}: no video in it")
     for split in ("split_by_video", "split_by_simulation"):
@@ -67,7 +70,7 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
         raise BadInput(f"{path}: {problem}") from None
     digest = dataset_digest(rows)
     if read_metadata(path).get("dataset_digest") != digest:
-        raise BadInput(f"{path}: was altered: its rows do not have the digest noted in it")
+        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
     return rows, digest
 
 
@@ -107,7 +110,7 @@ def read_videos(
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file
-        table = read_table(path, ["video", "position", "image"])
+        table = read_parquet(path, ["video", "position", "image"])
         found: dict[str, list[np.ndarray]] = {}
         for batch in table.to_batches(max_chunksize=256):
             for image in batch.to_pylist():
@@ -126,7 +129,7 @@ def read_videos(
                 raise BadInput(f"{path}: {video} has {len(images)} frames, {frames} are needed")
             whole = np.stack(images)
             if pixels_digest(whole) != row["pixels_sha256"]:
-                raise BadInput(f"{path}: {video} was altered: not the pixels that the manifest has")
+                raise Damaged(path, f"{video} was altered: not the pixels that the manifest has")
             array[place[video]] = whole if side == rendered else _resized(whole, side)
     return Videos(rows, array, digest)
 

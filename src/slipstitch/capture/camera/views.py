@@ -10,10 +10,12 @@ import numpy as np
 
 from slipstitch.capture.camera.board import Board, Sighting
 from slipstitch.errors import BadInput
+from slipstitch.provenance import image_bytes
 
 VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
 _FRAMES_TRIED = 60
 _FRAMES_KEPT = 25
+_FRAMES_CLAIMED_MAX = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -27,24 +29,35 @@ class View:
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
     """A grey image (H, W) uint8; BadInput if the file is missing or not an image."""
-    if not Path(path).is_file():
-        raise BadInput(f"{path}: no such file")
+    data = np.frombuffer(image_bytes(path), np.uint8)
     # As OpenCV would show it: a camera's orientation tag does not turn the sensor.
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BadInput(f"{path}: not an image that OpenCV can read")
     return image
+
+
+def _as_file(path: str | os.PathLike) -> str:
+    """The path so that OpenCV takes it for a file, whatever it is called and names."""
+    # A play list must not lead to other files or to the network.
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
+    name = os.path.abspath(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise BadInput(f"{path}: the name is not text; OpenCV cannot open it") from None
+    return name
 
 
 def _frames(path: str | os.PathLike) -> Iterator[tuple[str, np.ndarray]]:
     """Frames at regular intervals of a video, grey."""
     if not Path(path).is_file():
         raise BadInput(f"{path}: no such file")
-    video = cv2.VideoCapture(str(path))
+    video = cv2.VideoCapture(_as_file(path), cv2.CAP_FFMPEG)
+    number = 0
     try:
-        count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        step = max(1, count // _FRAMES_TRIED)
-        number = 0
+        count = video.get(cv2.CAP_PROP_FRAME_COUNT)  # what the file claims
+        step = max(1, int(min(count, _FRAMES_CLAIMED_MAX)) // _FRAMES_TRIED) if count > 0 else 1
         while video.grab():
             if number % step == 0:
                 good, image = video.retrieve()

@@ -14,11 +14,10 @@ from slipstitch.config import Config
 from slipstitch.config.grid import material_id
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names
-from slipstitch.provenance import provenance_record, start_clock, write_parquet
+from slipstitch.provenance import provenance_record, read_parquet, start_clock, write_parquet
 from slipstitch.render.camera_file import read_camera_file
 from slipstitch.render.encoding import encode_png
 from slipstitch.sample.dataset import dataset_digest, pixels_digest, write_frames, write_manifest
-from slipstitch.sample.shards import read_table
 from slipstitch.train.videos import read_manifest
 
 CAPTURES = "captures.parquet"
@@ -189,7 +188,7 @@ def _known(one: Capture, video: StageVideo) -> dict[str, Any]:
 def read_known(dataset: str | os.PathLike) -> list[dict[str, Any]]:
     """Rows of ``captures.parquet``, by video; BadInput if they are of another dataset."""
     path = Path(dataset) / CAPTURES
-    rows = read_table(path, CAPTURES_SCHEMA.names).to_pylist()
+    rows = read_parquet(path, CAPTURES_SCHEMA.names).to_pylist()
     manifest, digest = read_manifest(dataset)
     videos = sorted(row["video"] for row in manifest)
     if sorted(row["video"] for row in rows) != videos or {
