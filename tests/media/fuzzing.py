@@ -1,0 +1,348 @@
+"""Bad inputs for every reader, and what a reader may do with them: return, or say one clean error.
+
+An input is a good file of the right kind with bytes flipped, cut out, doubled, moved, or replaced
+by words that have broken other programs.
+"""
+
+import contextlib
+import io
+import json
+import random
+import resource
+import shutil
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import synthetic_chain
+import synthetic_results
+import torch
+import yaml
+
+from slipstitch.audit.auditing import audit_release
+from slipstitch.calibrate.calibration import read_sweeps
+from slipstitch.capture.camera import views
+from slipstitch.config import load_config
+from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
+from slipstitch.criticise.case.reader import read_case
+from slipstitch.errors import SlipstitchError
+from slipstitch.evaluate.evaluation import find_models
+from slipstitch.predict.predictive import read_verdict
+from slipstitch.protocol.extended_model import read_extended_model
+from slipstitch.provenance import read_provenance
+from slipstitch.release.assembly import write_release
+from slipstitch.release.chain import read_artefact
+from slipstitch.release.manifest import read_sampled
+from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
+from slipstitch.render.preview import decode_image, read_images
+from slipstitch.render.textures import _read as read_texture
+from slipstitch.report.results import Results
+from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.shards import read_shard
+from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.status.state import status
+from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoint
+from slipstitch.train.model_file import load_model, save_model
+from slipstitch.train.network import LRCN
+from slipstitch.train.videos import read_videos
+
+TIME_LIMIT_S = 10.0
+MEMORY_LIMIT_BYTES = 2 * 2**30
+
+WORDS = [
+    b"", b"\x00", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\x80", b"\xef\xbb\xbf", b"\r", b"\n",
+    b"NaN", b"Infinity", b"-Infinity", b"1e999", b"-1", b"0", b"999999999999999999999", b"1e-400",
+    b"null", b"true", b"[]", b"{}", b"[[[[[[[[[[[[", b'"', b"'", b",", b";", b":", b"\t", b"- ",
+    b"&a [*a]", b"*a", b"!!python/object/apply:os.system [ls]", b"<<: *a", b"=cmd|' /C calc'!A0",
+    b"../../../etc/passwd", b"/dev/zero", b"%s%n%d", b"{0.__class__}", b"PAR1", b"\x89PNG",
+    "µ\u202e\u0000 ".encode(), b"0x10", b"1_000", b"1,5", b"yes", b"2026-13-45", b"x" * 70_000,
+]  # fmt: skip
+
+ODD = [None, True, -1, 0, 1e308, -1e308, 10**30, "", "x", "nan", "\0", [], {}, [[]], {"a": 1}]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader under test.
+
+    Attributes
+    ----------
+    name : str
+    target : path
+        The file that is spoilt.
+    read : callable
+        Reads it, in the folder where it lies, with whatever belongs to it.
+    """
+
+    name: str
+    target: Path
+    read: Callable[[], object]
+
+
+def mutated(content: bytes, chance: random.Random) -> bytes:
+    """A spoilt copy."""
+    spoilt = bytearray(content)
+    for _ in range(chance.choice((1, 1, 1, 2, 4, 16))):
+        place = chance.randrange(len(spoilt) + 1)
+        end = min(len(spoilt), place + chance.choice((1, 4, 64, 4096)))
+        how = chance.randrange(7)
+        if how == 0 and spoilt:
+            spoilt[min(place, len(spoilt) - 1)] ^= 1 << chance.randrange(8)
+        elif how == 1:
+            del spoilt[place:end]
+        elif how == 2:
+            spoilt[place:place] = spoilt[place:end]
+        elif how == 3:
+            spoilt[place:end] = chance.choice(WORDS)
+        elif how == 4:
+            spoilt[place:place] = chance.choice(WORDS)
+        elif how == 5:
+            spoilt[place:end] = chance.randbytes(end - place)
+        else:
+            del spoilt[place:]
+    return bytes(spoilt) if chance.random() > 0.02 else chance.randbytes(chance.randrange(2000))
+
+
+def structured(content: bytes, chance: random.Random) -> bytes | None:
+    """A copy of JSON or YAML with one value replaced by an odd one; None if it is neither."""
+    try:
+        data = yaml.safe_load(content) if content[:1] not in b"{[" else json.loads(content)
+    except (ValueError, yaml.YAMLError):
+        return None
+    places = []
+
+    def walk(value):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, item in items:
+            places.append((value, key))
+            if isinstance(item, dict | list) and len(places) < 5000:
+                walk(item)
+
+    if not isinstance(data, dict | list):
+        return None
+    walk(data)
+    if not places:
+        return None
+    holder, key = chance.choice(places)
+    odd = chance.choice(ODD)
+    if isinstance(holder, dict) and chance.random() < 0.3:
+        del holder[key]
+    else:
+        holder[key] = odd
+    return json.dumps(data).encode()
+
+
+def spoil(content: bytes, chance: random.Random) -> bytes:
+    """One bad input from a good one."""
+    if chance.random() < 0.5 and (odd := structured(content, chance)) is not None:
+        return odd
+    return mutated(content, chance)
+
+
+def readers(folder: Path) -> list[Reader]:
+    """Every reader with a good file of its own in `folder`."""
+    config = synthetic_chain.config()
+    results = synthetic_chain.write(config, folder)
+    synthetic_results.write_train(results)
+    synthetic_results.write_evaluate(config, results)
+    synthetic_results.write_benchmarks(config, results)
+    others = folder / "others"
+    others.mkdir()
+    found: list[Reader] = []
+
+    def add(name: str, path: Path, read: Callable[[], object]) -> None:
+        found.append(Reader(name, path, read))
+
+    _configurations(add, others)
+    _tables(add, config, results)
+    _networks(add, config, others)
+    _pictures(add, others)
+    _cases(add, others)
+    _report(add, config, results)
+    _status(add, results)
+    _release(add, config, results, folder)
+    return found
+
+
+def _configurations(add, folder: Path) -> None:
+    path = folder / "config.yaml"
+    shutil.copy(Path(__file__).parents[2] / "config.yaml", path)
+    add("configuration", path, lambda: load_config(path))
+    json_path = folder / "config.json"
+    json_path.write_text(load_config(path).model_dump_json())
+    add("configuration in JSON", json_path, lambda: load_config(json_path))
+    add("words", path, lambda: resolve_config(read_mapping(path), words=True))
+    model = folder / "model.yaml"
+    law = {"coefficient": 0.4, "mechanisms": {"adhesion": {"adhesion": 0.8}}}
+    bench = {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02}
+    content = {"causes": ["adhesion", "tilt"], "friction_law": {"face": law}, "bench": bench}
+    model.write_text(yaml.safe_dump(content))
+    read_extended_model(model)
+    add("extended model", model, lambda: read_extended_model(model))
+
+
+def _tables(add, config, results: Path) -> None:
+    trajectory = sorted((results / "simulate").glob("*.parquet"))[0]
+    shard = sorted((results / "render").glob("m*.parquet"))[0]
+    sample, frames = results / "sample", sampled_frames(config.simulation.frames, 5)
+    add("trajectory", trajectory, lambda: read_trajectory(trajectory))
+    add("record of a trajectory", trajectory, lambda: read_provenance(trajectory))
+    add("image shard", shard, lambda: read_shard(shard, frames))
+    add("shard for previews", shard, lambda: decoded(read_images(shard)))
+    add("manifest", sample / "manifest.parquet", lambda: read_sampled(sample / "manifest.parquet"))
+    add("dataset", sorted(sample.glob("m0*.parquet"))[0], lambda: read_videos(sample))
+    add("manifest for training", sample / "manifest.parquet", lambda: read_videos(sample))
+    calibration = results / "calibrate/calibration.json"
+    add("calibration", calibration, lambda: calibrated_settings(calibration))
+    sweep = results / "sweep.json"
+    sweep.write_text(json.dumps([{"settings": {"time_step_s": 0.1}, "runs": []}]))
+    add("sweep", sweep, lambda: read_sweeps([sweep], config))
+    add("artefact of a release", shard, lambda: read_artefact("results/render/x.parquet", shard))
+
+
+def decoded(images: dict) -> None:
+    for of_frame in images.values():
+        for data in of_frame.values():
+            decode_image(data, "image")
+
+
+def _networks(add, config, folder: Path) -> None:
+    train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
+    train = train.model_copy(update={"lstm_units": 4})
+    network = LRCN(train, 2, 16, 0)
+    card = {
+        "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
+        "settings": train.model_dump(mode="json"), "classes": [{"id": "f00"}, {"id": "f01"}],
+        "condition_classes": [], "pixels": 16, "frames": 5,
+    }  # fmt: skip
+    models = folder / "models/by_video/friction_baseline/seed0"
+    models.mkdir(parents=True)
+    save_model(network, card, models)
+    add("weights", models / "model.safetensors", lambda: load_model(models))
+    add("model card", models / "model.json", lambda: load_model(models))
+    add("models of a folder", models / "model.json", lambda: find_models(folder / "models"))
+    optimizer = torch.optim.Adadelta(network.parameters())
+    path = folder / "checkpoint.safetensors"
+    save_checkpoint(path, {"a": 1}, Progress(), network, optimizer)
+    add("checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer))
+
+
+def _pictures(add, folder: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    for suffix in ("png", "jpg", "bmp", "tiff", "webp"):
+        path = folder / f"picture.{suffix}"
+        cv2.imwrite(str(path), image)
+        add(f"picture ({suffix})", path, lambda path=path: views.read_image(path))
+        add(f"texture ({suffix})", path, lambda path=path: read_texture(path))
+    for suffix, code in (("mp4", "mp4v"), ("avi", "MJPG")):
+        path = folder / f"film.{suffix}"
+        film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 5.0, (64, 64))
+        for _ in range(5):
+            film.write(image)
+        film.release()
+        add(f"film ({suffix})", path, lambda path=path: list(views._frames(path)))
+    camera = folder / "camera.json"
+    whole = {
+        "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
+        "principal_point_px": [320.0, 240.0], "rotation": np.eye(3).tolist(),
+        "translation_m": [0.0, 0.0, 1.0], "distortion": dict.fromkeys(_DISTORTION, 0.0),
+    }  # fmt: skip
+    camera.write_text(json.dumps(whole))
+    read_camera_file(camera)
+    add("camera file", camera, lambda: read_camera_file(camera))
+
+
+def _cases(add, folder: Path) -> None:
+    cases = Path(__file__).parents[2] / "data/cases"
+    for case in sorted(path for path in cases.iterdir() if path.is_dir()):
+        copy = folder / case.name
+        shutil.copytree(case, copy)
+        for path in sorted(copy.iterdir()):
+            add(f"case {case.name}/{path.name}", path, lambda copy=copy: read_case(copy))
+    verdict = folder / "verdict.json"
+    model = {"causes": ["tilt"], "parameters": ["mu"], "values": [0.3], "covariance": [[0.01]]}
+    verdict.write_text(json.dumps({"models": {"null": {**model, "causes": []}, "extended": model}}))
+    add("verdict", verdict, lambda: read_verdict(verdict))
+
+
+def _report(add, config, results: Path) -> None:
+    found = Results(results, config)
+    evaluate = results / "evaluate"
+    add("metrics", evaluate / "metrics.json", found.metrics)
+    add("details", evaluate / "details.json", found.details)
+    add("predictions", evaluate / "predictions.parquet", found.predictions)
+    history = sorted((results / "train").rglob("history.csv"))[0]
+    add("training history", history, found.histories)
+    table = sorted((results / "benchmarks").rglob("*.tsv"))[0]
+    add("benchmark table", table, found.benchmarks)
+    add("manifest for the report", results / "sample/manifest.parquet", found.manifest)
+    calibration = results / "calibrate/calibration.json"
+    add("calibration for the report", calibration, found.calibration)
+
+
+def _status(add, results: Path) -> None:
+    folder = results / "status"
+    folder.mkdir()
+    job = {
+        "id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"], "threads": 1,
+        "log": ["results/logs/a.log"], "benchmark": "results/benchmarks/a.tsv", "needed": True,
+    }  # fmt: skip
+    (folder / "plan.json").write_text(json.dumps({"jobs": [job]}))
+    events = [
+        {"event": "run", "time": 1.0, "cores": 2, "pid": 1, "born": 1, "boot": "x"},
+        {"event": "started", "time": 2.0, "job": 1},
+        {"event": "failed", "time": 3.0, "job": 1, "rule": "r", "output": ["a"], "log": ["b"]},
+    ]
+    events.append({"event": "end", "time": 4, "success": 0, "own_cpu_s": 1, "jobs_cpu_s": 2})
+    (folder / "journal.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
+    for name in ("plan.json", "journal.jsonl"):
+        add(f"status, {name}", folder / name, lambda: status(results, None))
+
+
+def _release(add, config, results: Path, folder: Path) -> None:
+    out = folder / "release"
+    with contextlib.chdir(folder), contextlib.redirect_stderr(io.StringIO()):
+        write_release(config, "results", out, Path(__file__).parents[2])
+    for name in ("manifest.parquet", "SHA256SUMS", "release.json", "config.json"):
+        if (out / name).is_file():
+            add(f"audit, {name}", out / name, lambda: audit_release(out, jobs=1))
+    for path in (
+        next((out / "data").glob("*.parquet")),
+        next((out / "records").rglob("*.json")),
+    ):
+        add(f"audit, {path.name}", path, lambda: audit_release(out, jobs=1))
+
+
+def bad_input_is_answered(reader: Reader, content: bytes) -> str | None:
+    """Read one bad input; what is wrong with the answer, or None.
+
+    A reader may return, or raise what the command line shows as one line.
+    """
+    good = reader.target.read_bytes()
+    reader.target.write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.monotonic()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            reader.read()
+    except SlipstitchError as error:
+        if not str(error).strip():
+            return "an error without words"
+    except MemoryError:
+        pass  # one line, too; the limit below says how much was tried
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__} in {Path(place.filename).name}:{place.lineno}: {error}"
+    finally:
+        reader.target.write_bytes(good)
+    took_s = time.monotonic() - began
+    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    if took_s > TIME_LIMIT_S:
+        return f"took {took_s:.0f} s"
+    return f"took {grown / 2**30:.1f} GiB" if grown > MEMORY_LIMIT_BYTES else None
