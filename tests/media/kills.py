@@ -1,0 +1,231 @@
+"""kill -9 at a random moment of one job of the chain, then the same command again."""
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import equal_results
+import psutil
+from workflow_copy import Workflow
+
+# Who is killed: everything (the machine), the process that works, or Snakemake alone, whose job
+# then goes on while the same command is given again.
+VICTIMS = ("machine", "machine", "worker", "snakemake")
+START_TIMEOUT_S = 600.0
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One kill and what came of it.
+
+    Attributes
+    ----------
+    rule, output : str
+        The job that was under way.
+    victim : str
+    after_s : float
+        After its start (s); negative while Snakemake was still preparing it.
+    hit : bool
+        Whether anything was still running to be killed.
+    locked : bool
+        Whether ``snakemake --unlock`` was needed.
+    problems : list of str
+        Empty if what was there after the kill was whole and the end result is the reference's.
+    """
+
+    rule: str
+    output: str
+    victim: str
+    after_s: float
+    hit: bool
+    locked: bool
+    problems: list[str]
+
+
+def unprotect(folder: Path) -> None:
+    """Give a release's files back the right to be removed."""
+    if folder.exists():
+        for path in [folder, *folder.rglob("*")]:
+            path.chmod(0o755 if path.is_dir() else 0o644)
+
+
+def copy_run(source: Path, target: Path) -> None:
+    """A run folder as it is, times of its files included."""
+    unprotect(target / "results/release")
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target, symlinks=True)
+
+
+def jobs(run: Path) -> list[dict]:
+    """The jobs of the plan of the folder's last run."""
+    return json.loads((run / "results/status/plan.json").read_text())["jobs"]
+
+
+def wall_s(run: Path, job: dict) -> float:
+    """What a job took when it was left alone."""
+    if job["benchmark"] is None or not (run / job["benchmark"]).exists():
+        return 1.0
+    head, row = (line.split("\t") for line in (run / job["benchmark"]).read_text().splitlines())
+    return float(row[head.index("s")])
+
+
+def remove_outputs(run: Path, job: dict) -> None:
+    for name in job["output"]:
+        path = run / name
+        if path.is_dir():
+            unprotect(path)
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+            path.with_name(path.name + ".provenance.json").unlink(missing_ok=True)
+
+
+def tree(process: psutil.Process) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return [process, *process.children(recursive=True)]
+    return []
+
+
+def kill(process: subprocess.Popen, victim: str) -> bool:
+    """Kill without a warning; False if nothing was left to be killed."""
+    everything = tree(psutil.Process(process.pid)) if process.poll() is None else []
+    if victim == "snakemake":
+        chosen = everything[:1]
+    elif victim == "worker":
+        workers = [one for one in everything if is_worker(one)]
+        chosen = workers or everything[-1:]
+    else:
+        chosen = everything
+    for one in chosen:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            one.send_signal(signal.SIGKILL)
+    return bool(chosen)
+
+
+def is_worker(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        words = process.cmdline()
+        return len(words) > 1 and (words[1].endswith("/slipstitch") or "slipstitch." in words[1])
+    return False
+
+
+def wait_for_start(run: Path, process: subprocess.Popen, events_before: int) -> bool:
+    """Wait until the journal says that a job has started; False if the process ended first."""
+    journal = run / "results/status/journal.jsonl"
+    until = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < until:
+        if journal.exists():
+            lines = journal.read_text().splitlines()[events_before:]
+            if any('"started"' in line for line in lines):
+                return True
+        if process.poll() is not None:
+            return False
+        time.sleep(0.02)
+    raise TimeoutError("snakemake started no job")
+
+
+def differences(run: Path, reference: dict[str, str], partial: bool) -> list[str]:
+    """Files that are not the reference's; with `partial`, files may be absent."""
+    try:
+        found = equal_results.digests(run / "results")
+    except Exception as error:  # whatever a half-written file raises
+        return [f"half-written: {error}"]
+    names = found.keys() & reference.keys() if partial else found.keys() | reference.keys()
+    return sorted(name for name in names if found.get(name) != reference.get(name))
+
+
+def kill_and_resume(
+    workflow: Workflow,
+    pristine: Path,
+    reference: dict[str, str],
+    job: dict,
+    victim: str,
+    chance: random.Random,
+    by_command: bool = True,
+) -> Kill:
+    """One job is made again, killed at a random moment, and made with the same command once more.
+
+    Parameters
+    ----------
+    workflow : Workflow
+        Its folder is overwritten.
+    pristine : path
+        The folder of an undisturbed run.
+    reference : dict
+        Digests of its results.
+    job : dict
+        Of the plan.
+    victim : str
+        One of `VICTIMS`.
+    chance : random.Random
+    by_command : bool
+        Whether to clear a lock with ``snakemake --unlock`` or, sparing its start, as that does.
+    """
+    run = workflow.folder
+    copy_run(pristine, run)
+    remove_outputs(run, job)
+    target = "release" if job["rule"] == "release_folder" else job["output"][0]
+    words = workflow.snakemake_words("--quiet", "all", "--", target)
+    journal = run / "results/status/journal.jsonl"
+    before = len(journal.read_text().splitlines()) if journal.exists() else 0
+    process = start(workflow, words)
+    early = chance.random() < 0.1
+    if early:  # while Snakemake prepares
+        after_s = -chance.uniform(0.0, 2.0)
+        time.sleep(2.0 + after_s)
+    else:
+        wait_for_start(run, process, before)
+        after_s = chance.uniform(0.0, 1.1 * wall_s(pristine, job) + 0.5)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=after_s)
+    hit = kill(process, victim)
+    process.wait()
+    problems = [f"after the kill: {name}" for name in differences(run, reference, partial=True)]
+    locked = any((run / ".snakemake/locks").glob("*"))
+    if locked and by_command:
+        unlocking = workflow.snakemake("--unlock")
+        if unlocking.returncode != 0:
+            problems.append(f"unlocking failed: {unlocking.stderr[-500:]}")
+    elif locked:  # what the command does
+        shutil.rmtree(run / ".snakemake/locks")
+    answer = subprocess.run(
+        words, cwd=run, env=workflow.environment(), capture_output=True, text=True
+    )
+    if answer.returncode != 0:
+        problems.append(f"resuming failed: {(answer.stdout + answer.stderr)[-2000:]}")
+    wait_for_orphans(run)
+    problems += differences(run, reference, partial=False)
+    problems += [f"left behind: {name}" for name in equal_results.leftovers(run / "results")]
+    return Kill(job["rule"], job["output"][0], victim, after_s, hit, locked, problems)
+
+
+def start(workflow: Workflow, words: list[str]) -> subprocess.Popen:
+    return subprocess.Popen(
+        words,
+        cwd=workflow.folder,
+        env=workflow.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def wait_for_orphans(run: Path, timeout_s: float = 120.0) -> None:
+    """Wait for jobs whose Snakemake was killed: they work in the same folder."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        mine = []
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error, OSError):
+                if process.pid != os.getpid() and process.cwd() == str(run):
+                    mine.append(process)
+        if not any(one.status() != psutil.STATUS_ZOMBIE for one in mine if one.is_running()):
+            return
+        time.sleep(0.2)
