@@ -22,10 +22,12 @@ import kills
 from workflow_copy import Workflow
 
 
-def undisturbed(folder: Path) -> tuple[Workflow, Path, dict[str, str], list[dict]]:
-    """A run of the whole chain and its release: workflow, folder, digests, jobs."""
+def undisturbed(
+    folder: Path, targets: list[str]
+) -> tuple[Workflow, Path, dict[str, str], list[dict]]:
+    """A run of the whole chain and further targets: workflow, folder, digests, jobs."""
     workflow = Workflow(folder, scale="config/smoke.yaml")  # what a folder holds is used
-    answer = workflow.snakemake("all", "release")
+    answer = workflow.snakemake("all", *targets)
     if answer.returncode != 0:
         sys.exit(answer.stdout + answer.stderr)
     pristine = folder / "pristine"
@@ -41,12 +43,13 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no kill after this time")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary folder by default")
     parser.add_argument("--out", type=Path, help="JSON lines, one a kill")
+    parser.add_argument("--targets", nargs="*", default=["release"], help="besides all")
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.folder or Path(temporary)
-        workflow, pristine, reference, jobs = undisturbed(folder)
+        workflow, pristine, reference, jobs = undisturbed(folder, arguments.targets)
         print(f"undisturbed: {time.monotonic() - began:.0f} s, {len(reference)} artefacts")
         rules = sorted({job["rule"] for job in jobs})
         done = []

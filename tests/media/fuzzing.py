@@ -265,8 +265,12 @@ def _cases(add, folder: Path) -> None:
         for path in sorted(copy.iterdir()):
             add(f"case {case.name}/{path.name}", path, lambda copy=copy: read_case(copy))
     verdict = folder / "verdict.json"
-    model = {"causes": ["tilt"], "parameters": ["mu"], "values": [0.3], "covariance": [[0.01]]}
+    model = {
+        "causes": ["tilt"], "parameters": ["mu"], "values": [0.3], "covariance": [[0.01]],
+        "scatter": {"incline": [0.01, 0.01, 1.0]},
+    }  # fmt: skip
     verdict.write_text(json.dumps({"models": {"null": {**model, "causes": []}, "extended": model}}))
+    read_verdict(verdict)
     add("verdict", verdict, lambda: read_verdict(verdict))
 
 

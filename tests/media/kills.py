@@ -64,8 +64,9 @@ def copy_run(source: Path, target: Path) -> None:
 
 
 def jobs(run: Path) -> list[dict]:
-    """The jobs of the plan of the folder's last run."""
-    return json.loads((run / "results/status/plan.json").read_text())["jobs"]
+    """The jobs of the plan of the folder's last run whose files are there."""
+    plan = json.loads((run / "results/status/plan.json").read_text())["jobs"]
+    return [job for job in plan if all((run / name).exists() for name in job["output"])]
 
 
 def wall_s(run: Path, job: dict) -> float:

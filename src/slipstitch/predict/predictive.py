@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from slipstitch.criticise.features import Measurements, assemble
 from slipstitch.criticise.inference.fit import jacobian, parameters_of
 from slipstitch.criticise.mechanism import MECHANISMS
 from slipstitch.errors import BadInput
+from slipstitch.provenance import read_json
 
 UNKNOWN_COEFFICIENT_LOG_SD = 1.0
 USUAL_SCATTER = (0.05, 0.03, 1.2)
@@ -26,20 +26,42 @@ def read_verdict(path: Path) -> dict:
     BadInput
         If it is missing or holds no models.
     """
-    try:
-        verdict = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file") from None
-    except ValueError as error:
-        raise BadInput(f"{path}: not valid JSON: {error}") from None
+    verdict = read_json(path)
     models = verdict.get("models") if isinstance(verdict, dict) else None
     if not isinstance(models, dict) or not {"null", "extended"} <= set(models):
         raise BadInput(f"{path}: models: missing; a file of slipstitch criticise is needed")
-    for model in models.values():
+    for name, model in models.items():
+        if not _is_model(model):
+            raise BadInput(
+                f"{path}: models.{name}: causes, parameters, values, covariance and scatter are "
+                "needed, as slipstitch criticise writes them"
+            )
         for cause in model["causes"]:
             if cause not in MECHANISMS:
                 raise BadInput(f"{path}: models: unknown mechanism '{cause}'")
     return verdict
+
+
+def _is_model(model: object) -> bool:
+    """Whether it has the shape of a fitted model."""
+    if not isinstance(model, dict):
+        return False
+    names = [model.get(key) for key in ("causes", "parameters")]
+    if not all(isinstance(one, list) and all(isinstance(x, str) for x in one) for one in names):
+        return False
+    try:
+        values = np.array(model["values"], dtype=float)
+        covariance = np.array(model["covariance"], dtype=float)
+        scatter = {key: np.array(value, float) for key, value in model["scatter"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return False
+    count = len(names[1])
+    return (
+        values.shape == (count,)
+        and covariance.shape == (count, count)
+        and all(value.shape == (3,) for value in scatter.values())
+        and all(np.isfinite(one).all() for one in (values, covariance, *scatter.values()))
+    )
 
 
 def predictions(verdict: dict, case: Case) -> pd.DataFrame:

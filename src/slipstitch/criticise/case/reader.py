@@ -12,6 +12,7 @@ import pandas as pd
 
 from slipstitch.criticise.case.columns import NOMINAL_KEYS, PROTOCOL_TABLES, Column
 from slipstitch.errors import BadInput
+from slipstitch.provenance import read_parquet
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def _read_meta(path: Path) -> dict:
         raise BadInput(f"{path.parent}: no meta.json; a case folder needs one")
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: {error}") from None
     if not isinstance(meta, dict) or not isinstance(meta.get("nominal"), dict):
         raise BadInput(f"{path}: nominal: missing; a mapping of the nominal values is needed")
@@ -142,7 +143,7 @@ def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
 def _read_raw(path: Path) -> pd.DataFrame:
     try:
         if path.suffix == ".parquet":
-            return pd.read_parquet(path)
+            return read_parquet(path).to_pandas(ignore_metadata=True)
         return pd.read_csv(
             path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skip_blank_lines=False
         )
@@ -157,6 +158,8 @@ MEASURED = ("angle_deg", "eps_slip", "regime", "censored")
 
 def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
     raw = _read_raw(path)
+    if not isinstance(raw.index, pd.RangeIndex):  # pandas takes what is too much for names of rows
+        raise BadInput(f"{path}: a row has more cells than the header")
     raw.columns = [str(name).strip() for name in raw.columns]
     repeated = raw.columns[raw.columns.duplicated()]
     if len(repeated):
