@@ -26,7 +26,7 @@ rule evaluate_all:
         "results/benchmarks/evaluate/evaluate.tsv"
     threads: 1
     resources:
-        mem_mb=job_memory_mb("evaluate"),
+        mem_mb=job_memory_mb("evaluate", CONFIG),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
         settings=settings("evaluate"),

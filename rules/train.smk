@@ -49,7 +49,7 @@ rule train_one:
         network="|".join(NETWORKS),
     threads: 1
     resources:
-        mem_mb=job_memory_mb("train"),
+        mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("train", CONFIG),
     params:
         settings=settings("seed", "train", train={"seeds", "splits"}),

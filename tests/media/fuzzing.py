@@ -295,6 +295,7 @@ def _status(add, results: Path) -> None:
     job = {
         "id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"], "threads": 1,
         "log": ["results/logs/a.log"], "benchmark": "results/benchmarks/a.tsv", "needed": True,
+        "after": [],
     }  # fmt: skip
     (folder / "plan.json").write_text(json.dumps({"jobs": [job]}))
     events = [

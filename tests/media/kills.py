@@ -174,8 +174,7 @@ def kill_and_resume(
     remove_outputs(run, job)
     target = "release" if job["rule"] == "release_folder" else job["output"][0]
     words = workflow.snakemake_words("--quiet", "all", "--", target)
-    journal = run / "results/status/journal.jsonl"
-    before = len(journal.read_text().splitlines()) if journal.exists() else 0
+    before = events(run)
     process = start(workflow, words)
     early = chance.random() < 0.1
     if early:  # while Snakemake prepares
@@ -216,6 +215,20 @@ def start(workflow: Workflow, words: list[str]) -> subprocess.Popen:
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
+
+
+def start_until_a_job_runs(workflow: Workflow, words: list[str]) -> subprocess.Popen:
+    """Start Snakemake and wait for its first job's start."""
+    before = events(workflow.folder)
+    process = start(workflow, words)
+    wait_for_start(workflow.folder, process, before)
+    return process
+
+
+def events(run: Path) -> int:
+    """How many lines the journal has."""
+    journal = run / "results/status/journal.jsonl"
+    return len(journal.read_text().splitlines()) if journal.exists() else 0
 
 
 def wait_for_orphans(run: Path, timeout_s: float = 120.0) -> None:

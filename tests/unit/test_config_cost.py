@@ -5,7 +5,7 @@ import pytest
 from slipstitch.config import resolve_config
 from slipstitch.config.cost import (
     COSTS,
-    MEMORY_MB,
+    JOB_KINDS,
     estimate,
     estimate_captures,
     estimate_line,
@@ -60,9 +60,17 @@ def test_line_gives_jobs_time_and_disk():
 
 def test_every_stage_has_limits_for_a_scheduler():
     config = resolve_config({})
-    for name in MEMORY_MB:
+    for name in JOB_KINDS:
         assert job_memory_mb(name) >= 512
         assert job_runtime_min(name, config) >= 15
+
+
+def test_training_asks_for_memory_for_the_videos_that_it_holds():
+    small, large = (resolve_config({"grid": {"replicates": count}}) for count in (1, 50))
+    videos_bytes = 49 * 3 * 4 * 3 * 3 * 30 * 64 * 64 * 3  # fabrics, coefficients, textures, views
+    more = job_memory_mb("train", large) - job_memory_mb("train", small)
+    assert 1.0 < more * 1e6 / videos_bytes < 1.4
+    assert job_memory_mb("simulate", large) == job_memory_mb("simulate", small)
 
 
 def test_every_cost_says_where_it_comes_from():

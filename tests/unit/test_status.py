@@ -15,6 +15,7 @@ from slipstitch.report.results import Results
 from slipstitch.status.journal import Journal, process_identity
 from slipstitch.status.page import duration, text
 from slipstitch.status.runs import failures, last_failures, last_lines, read_runs
+from slipstitch.status.schedule import finish_times_s
 from slipstitch.status.state import Expectation, Measured, stage_of, status
 
 NAMES = ("m00_f00_r00", "m00_f01_r00", "m00_f02_r00", "m00_f03_r00")
@@ -43,7 +44,10 @@ def graph(finished_before=()):
     """Stands for Snakemake's graph: a simulation a name, and a rule that makes nothing."""
     jobs = [Job("simulate_one", name) for name in NAMES] + [Job("all")]
     needed = [job for job, name in zip(jobs, NAMES, strict=False) if name not in finished_before]
-    return SimpleNamespace(jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index)
+    dependencies = {job: [] for job in jobs} | {jobs[-1]: jobs[:-1]}
+    return SimpleNamespace(
+        jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index, dependencies=dependencies
+    )
 
 
 class Bench:
@@ -268,6 +272,19 @@ def test_the_verb_fails_where_the_run_failed(bench, capsys):
     (bench.results / "status/plan.json").write_text(json.dumps({"jobs": [{}]}))
     assert main(["status", "--results", str(bench.results)]) == 2
     assert "plan.json: damaged" in capsys.readouterr().err
+
+
+def test_ready_jobs_share_the_cores_and_others_wait_for_what_they_need():
+    ends = finish_times_s({1: 10, 2: 10, 3: 5, 4: 1}, {3: [1], 4: [2, 3]}, cores=2)
+    assert ends == {1: 10, 2: 10, 3: 15, 4: 16}
+    assert max(finish_times_s(dict.fromkeys(range(7), 1.0), {}, cores=3).values()) == 3.0
+    # What is done is not waited for; a job that wants more cores than there are gets all.
+    assert finish_times_s({1: 2.0}, {1: [7]}, cores=1, threads={1: 8}) == {1: 2.0}
+
+
+def test_a_small_job_passes_one_that_finds_too_few_cores():
+    ends = finish_times_s({1: 10, 2: 4, 3: 3}, {}, cores=2, threads={2: 2})
+    assert ends == {1: 10, 3: 3, 2: 14}
 
 
 def test_durations_read_well():

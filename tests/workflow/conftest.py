@@ -1,5 +1,8 @@
 """The workflow run in a folder of its own, from a copy of the project that tests may edit."""
 
+import os
+from pathlib import Path
+
 import pytest
 from workflow_copy import Workflow
 
@@ -12,8 +15,13 @@ def workflow(tmp_path_factory) -> Workflow:
 
 @pytest.fixture(scope="session")
 def chain(tmp_path_factory) -> Workflow:
-    """The whole chain at smoke scale, made once for the session."""
-    workflow = Workflow(tmp_path_factory.mktemp("chain"), scale="config/smoke.yaml")
+    """The whole chain at smoke scale, made once for the session, or as SLIPSTITCH_CHAIN has it.
+
+    That is the folder of a fixture of an earlier session, which is used and changed.
+    """
+    kept = os.environ.get("SLIPSTITCH_CHAIN")
+    folder = Path(kept) if kept else tmp_path_factory.mktemp("chain")
+    workflow = Workflow(folder, scale="config/smoke.yaml")
     answer = workflow.snakemake("all")
     assert answer.returncode == 0, answer.stderr[-20000:]
     return workflow

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import math
 import os
 import shutil
 import signal
@@ -14,6 +15,10 @@ from pathlib import Path
 import equal_results
 import pytest
 from workflow_copy import Workflow
+
+from slipstitch.config import load_config
+from slipstitch.config.cost import JOB_KINDS, job_memory_mb, job_runtime_min
+from slipstitch.status.state import kind_of, read_benchmark
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
 
@@ -166,9 +171,17 @@ def test_status_knows_the_jobs_that_went_through_slurm(cluster):
 
 
 def test_memory_and_time_that_are_asked_for_hold_what_the_jobs_took(cluster):
-    """Slurm would have ended a job that took more; what is declared is not far more either."""
-    for table in (cluster.folder / "results/benchmarks").rglob("*.tsv"):
-        head, row = (line.split("\t") for line in table.read_text().splitlines())
-        memory_mib = row[head.index("max_rss")]
-        if memory_mib not in ("-", "NA"):
-            assert float(memory_mib) < 6144, table
+    """No job took more than is declared, nor so little that the declaration were a guess."""
+    config = load_config(cluster.folder / "results/config.json")
+    plan = json.loads((cluster.folder / "results/status/plan.json").read_text())["jobs"]
+    largest: dict[str, float] = {}
+    for job in plan:
+        done = job["benchmark"] and read_benchmark(cluster.folder / job["benchmark"])
+        if done and not math.isnan(done.memory_mib):
+            kind = kind_of(job["rule"])
+            largest[kind] = max(largest.get(kind, 0.0), done.memory_mib)
+            assert done.wall_s < 60 * job_runtime_min(kind, config), job["output"]
+    assert set(largest) == set(JOB_KINDS) - {"criticise", "release"}
+    for kind, memory_mib in largest.items():
+        declared_mib = job_memory_mb(kind, config) * 1e6 / 2**20
+        assert 0.2 * declared_mib < memory_mib < 0.9 * declared_mib, kind

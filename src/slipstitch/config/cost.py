@@ -89,20 +89,22 @@ COSTS = {
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
-MEMORY_MB = {
-    "calibrate": 1024,
-    "simulate": 1024,
-    "render": 2048,
-    "compose": 2048,
-    "verify": 2048,
-    "preview": 1024,
-    "sample": 2048,
-    "train": 6144,
-    "evaluate": 4096,
-    "criticise": 2048,
-    "report": 2048,
-    "release": 2048,
+# Resident memory of the largest job, from benchmark files or measured by hand.
+MEMORY_MIB = {
+    "calibrate": Cost(312, "MiB", "smoke chain"),
+    "simulate": Cost(349, "MiB", "smoke chain: 281 to 349; 302 at 41 x 41 vertices over 131 s"),
+    "render": Cost(486, "MiB", "112 px, 30 frames of the paper's scale; 406 at 32 px"),
+    "compose": Cost(389, "MiB", "112 px, nine textures; 214 at 32 px"),
+    "verify": Cost(438, "MiB", "smoke chain"),
+    "preview": Cost(167, "MiB", "smoke chain; 141 at 112 px"),
+    "sample": Cost(149, "MiB", "smoke chain"),
+    "train": Cost(407, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
+    "evaluate": Cost(423, "MiB", "smoke chain; the videos come on top"),
+    "criticise": Cost(343, "MiB", "a case of 24 runs"),
+    "report": Cost(254, "MiB", "smoke chain"),
+    "release": Cost(230, "MiB", "smoke chain"),
 }
+MEMORY_MARGIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -275,12 +277,30 @@ def _width2(config: Config) -> float:
     return (config.train.width / 0.25) ** 2
 
 
-def job_memory_mb(stage: str) -> int:
-    """Memory that one job of the stage may need, for a scheduler."""
-    return MEMORY_MB[stage]
+JOB_KINDS = tuple(MEMORY_MIB)
 
 
-JOB_KINDS = tuple(MEMORY_MB)
+def _video_bytes(config: Config) -> float:
+    """The decoded videos, which training and evaluation hold as a whole."""
+    side = config.train.pixels or config.render.pixels
+    videos = len(simulations(config)) * len(viewpoints(config)) * len(textures(config))
+    return 3.0 * videos * config.sample.frames * side**2
+
+
+def job_memory_mb(kind: str, config: Config | None = None) -> int:
+    """Memory (MB) for a scheduler to set aside for one job: twice what was measured.
+
+    Parameters
+    ----------
+    kind : str
+        One of `JOB_KINDS`.
+    config : Config, optional
+        For kinds whose memory grows with the dataset.
+    """
+    needed = MEMORY_MARGIN * MEMORY_MIB[kind].value * 2**20
+    if config is not None and kind in ("train", "evaluate"):
+        needed += 1.2 * _video_bytes(config)
+    return 256 * math.ceil(needed / 256e6)
 
 
 def job_cpu_s(kind: str, config: Config) -> float:

@@ -149,6 +149,7 @@ def _is_job(job: Any) -> bool:
         and isinstance(job["id"], int)
         and isinstance(job["threads"], int)
         and isinstance(job["needed"], bool)
+        and all(isinstance(one, int) for one in job["after"])
     )
 
 

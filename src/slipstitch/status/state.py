@@ -13,6 +13,7 @@ from typing import Any
 from slipstitch.config import Config
 from slipstitch.config.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
 from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
+from slipstitch.status.schedule import finish_times_s
 
 # What a job of a rule costs, by the cost model, where the rule's name alone does not say it.
 KIND = {
@@ -115,6 +116,11 @@ def stage_of(job: dict[str, Any]) -> str:
     return parts[1] if len(parts) > 2 or (len(parts) == 2 and "." not in parts[1]) else "grid"
 
 
+def kind_of(rule: str) -> str:
+    """What a job of the rule is called by the cost model."""
+    return KIND.get(rule, rule.partition("_")[0])
+
+
 def _state(job: dict[str, Any], run: Run, base: Path) -> str:
     event = run.state.get(job["id"])
     if event == "failed":
@@ -143,7 +149,7 @@ class Expectation:
         self.correction = taken / modelled if modelled else 1.0
 
     def _model_s(self, job: dict[str, Any]) -> float | None:
-        kind = KIND.get(job["rule"], job["rule"].partition("_")[0])
+        kind = kind_of(job["rule"])
         if self._config is None or kind not in JOB_KINDS:
             return None
         return job_cpu_s(kind, self._config)
@@ -204,7 +210,7 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
         config, [(job, measured[job["id"]]) for job in plan if job["id"] in measured]
     )
     stages = {stage_of(job): Stage(stage_of(job)) for job in plan}
-    core_s, longest_s, unknown = 0.0, 0.0, False
+    left_s, unknown = {}, False
     for job in plan:
         stage, state = stages[stage_of(job)], states[job["id"]]
         stage.jobs += 1
@@ -226,10 +232,12 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
             unknown = unknown or bool(job["benchmark"])
             continue
         stage.left_s += wall_s
-        core_s += wall_s * job.get("threads", 1)
-        longest_s = max(longest_s, wall_s)
+        left_s[job["id"]] = wall_s
     if not unknown:
-        found.left_s = max(core_s / max(1, run.head.get("cores") or 1), longest_s)
+        after = {job["id"]: job["after"] for job in plan}
+        threads = {job["id"]: job["threads"] for job in plan}
+        ends_s = finish_times_s(left_s, after, max(1, run.head["cores"]), threads)
+        found.left_s = max(ends_s.values(), default=0.0)
     _disk(folder, config, stages)
     found.stages = list(stages.values())
     return found

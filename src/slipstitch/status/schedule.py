@@ -1,0 +1,62 @@
+"""How long a graph of jobs takes on a number of cores."""
+
+import heapq
+from collections.abc import Collection, Mapping
+
+
+def finish_times_s(
+    duration_s: Mapping[int, float],
+    after: Mapping[int, Collection[int]],
+    cores: int,
+    threads: Mapping[int, int] | None = None,
+) -> dict[int, float]:
+    """When each job ends if every job starts as soon as it is ready and its cores are free.
+
+    Of several ready jobs, those with the lower number start first; a job that finds too few cores
+    lets smaller ones pass, as Snakemake does.
+
+    Parameters
+    ----------
+    duration_s : mapping
+        By job, in s.
+    after : mapping
+        Jobs that must end first; those without a duration are done already.
+    cores : int
+    threads : mapping, optional
+        Cores a job needs, 1 if not given; never more than there are.
+
+    Returns
+    -------
+    dict
+        Seconds from now, by job.
+    """
+    wanted = {job: min(cores, (threads or {}).get(job, 1)) for job in duration_s}
+    waiting = {job: sum(one in duration_s for one in after.get(job, ())) for job in duration_s}
+    followers: dict[int, list[int]] = {}
+    for job in duration_s:
+        for one in after.get(job, ()):
+            followers.setdefault(one, []).append(job)
+    ready = [job for job, count in waiting.items() if count == 0]
+    heapq.heapify(ready)
+    running: list[tuple[float, int]] = []
+    ends: dict[int, float] = {}
+    now_s, free = 0.0, cores
+    while ready or running:
+        passed = []
+        while ready and free:
+            job = heapq.heappop(ready)
+            if wanted[job] > free:
+                passed.append(job)
+                continue
+            free -= wanted[job]
+            heapq.heappush(running, (now_s + duration_s[job], job))
+        for job in passed:
+            heapq.heappush(ready, job)
+        now_s, job = heapq.heappop(running)
+        ends[job] = now_s
+        free += wanted[job]
+        for one in followers.get(job, ()):
+            waiting[one] -= 1
+            if waiting[one] == 0:
+                heapq.heappush(ready, one)
+    return ends
