@@ -7,11 +7,13 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
-	benchmark-composition benchmark-estimate benchmark-render captures convergence criticise-measured clean
+.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
+	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
+	benchmark-scale captures convergence criticise-measured clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
+	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
 	@echo 'make lint       ruff and snakefmt, check only'
@@ -25,11 +27,17 @@ help:
 	@echo 'make benchmark-composition  composed against direct images, every floor and viewpoint'
 	@echo 'make benchmark-render  what images cost, at 112 and 224 pixels'
 	@echo 'make benchmark-estimate  the cost of paper.yaml against a measured part of it'
+	@echo 'make benchmark-kills  kill -9 at 100 random moments of the smoke chain (most of an hour)'
+	@echo 'make benchmark-fuzz  10 000 bad inputs for every reader (minutes)'
+	@echo 'make benchmark-scale  graphs of 10^3 and 10^4 jobs; 10^4 and 10^6 simulations played'
 	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
 	@envs/setup.sh $(PYTHON) $(VENV)
+
+setup-cluster: setup
+	$(BIN)/pip install --quiet --no-deps -r envs/cluster.txt
 
 all: setup
 	$(BIN)/snakemake --cores $(CORES) all
@@ -78,6 +86,16 @@ benchmark-render: setup
 
 benchmark-estimate: setup
 	$(SINGLE) $(BIN)/python benchmarks/estimate.py
+
+benchmark-kills: setup
+	$(SINGLE) $(BIN)/python benchmarks/kills.py --kills 100
+
+benchmark-fuzz: setup
+	$(SINGLE) $(BIN)/python benchmarks/fuzz.py --inputs 10000
+
+benchmark-scale: setup
+	$(BIN)/python benchmarks/dag.py --out results/published/scale/dag.json
+	$(BIN)/python benchmarks/scale.py
 
 criticise-measured: setup
 	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs

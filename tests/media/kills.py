@@ -196,8 +196,9 @@ def kill_and_resume(
     elif locked:  # what the command does
         shutil.rmtree(run / ".snakemake/locks")
     answer = subprocess.run(
-        words, cwd=run, env=workflow.environment(), capture_output=True, text=True
-    )
+        words, cwd=run, env=workflow.environment(), capture_output=True, text=True,
+        start_new_session=True,
+    )  # fmt: skip
     if answer.returncode != 0:
         problems.append(f"resuming failed: {(answer.stdout + answer.stderr)[-2000:]}")
     wait_for_orphans(run)
