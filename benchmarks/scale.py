@@ -52,7 +52,7 @@ def work_of(config) -> Work:
     size = sum(stages[name].disk_bytes for name in ("simulate", "render", "sample")) / runs
     # Trajectory, packs, shards, previews and their records, dataset; logs, benchmarks; Snakemake's.
     files = 1 + 2 * views + 4 + 1 + 2 * (views + 3) + 2 * views + 4
-    return Work(cpu_s + START_CPU_S * (1 + 2 * len(kinds)), size, files, len(kinds))
+    return Work(cpu_s + START_CPU_S * (1 + len(kinds)), size, files, len(kinds))
 
 
 def play(count, cores, work, build_s, submit_s, bytes_s, operations_s, seed=1):
@@ -149,8 +149,8 @@ def demands(count: int, config, work: Work, slope_s: float, slope_mib: float) ->
         f"{count * views / 1e6:.3g} million in the largest folder"
     )
     print(
-        f"  graph {jobs * slope_s / 60:.3g} min, {jobs * slope_mib / 1024:.3g} GiB; sampling in one "
-        f"job {sample_h:.3g} h; training holds {train_gb:.3g} GB; "
+        f"  graph {jobs * slope_s / 60:.3g} min, {jobs * slope_mib / 1024:.3g} GiB; "
+        f"sampling in one job {sample_h:.3g} h; training holds {train_gb:.3g} GB; "
         f"manifest of {count * videos / 1e6:.3g} million rows"
     )
 
