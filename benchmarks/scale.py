@@ -14,6 +14,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from slipstitch.config import load_config
 from slipstitch.config.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
 from slipstitch.config.grid import simulations, textures, viewpoints
@@ -117,27 +119,30 @@ def main() -> None:
         return
     dag = json.loads(arguments.dag.read_text())
     last, first = dag["building"][-1], dag["building"][0]
-    slope_s = (last["cpu_s"] - first["cpu_s"]) / (last["jobs"] - first["jobs"])
+    graph = np.polynomial.Polynomial(dag["fit_cpu_s"])  # CPU s by jobs
     slope_mib = (last["memory_mib"] - first["memory_mib"]) / (last["jobs"] - first["jobs"])
-    run = dag["running"][-1]
-    own_s = (run["cpu_s"] - run["start_cpu_s"]) / run["jobs"]
+    # Snakemake weighs every job that is ready against every other: what one costs grows with them.
+    ready = [run["jobs"] / 2 for run in dag["running"]]
+    each = [(run["cpu_s"] - run["start_cpu_s"]) / run["jobs"] for run in dag["running"]]
+    choice_s, own_s = np.polyfit(ready, each, 1)
     config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
     work = work_of(config)
     print(
-        f"graph: {1e3 * slope_s:.2f} ms and {1024 * slope_mib:.0f} KiB a job; "
-        f"running a job: {1e3 * own_s:.1f} ms of Snakemake's own CPU"
+        f"graph of 10^4 jobs: {graph(1e4):.0f} CPU s; {1024 * slope_mib:.0f} KiB a job; "
+        f"running a job: {1e3 * own_s:.1f} ms of Snakemake's own CPU and {1e6 * choice_s:.0f} us "
+        "for every job that is ready beside it"
     )
     print(
         f"a simulation: {work.jobs} jobs, {work.cpu_s:.0f} CPU s, {work.size_bytes / 1e6:.0f} MB, "
         f"{work.files} files; the paper's scale trains with {job_memory_mb('train', config)} MB"
     )
     for count in arguments.simulations:
-        demands(count, config, work, slope_s, slope_mib)
+        demands(count, config, work, graph, slope_mib)
         for cores in arguments.cores:
-            print("  " + played(count, cores, work, slope_s, own_s, arguments))
+            print("  " + played(count, cores, work, (graph, own_s, choice_s), arguments))
 
 
-def demands(count: int, config, work: Work, slope_s: float, slope_mib: float) -> None:
+def demands(count: int, config, work: Work, graph, slope_mib: float) -> None:
     """Say what so many simulations at the configuration's scale ask for."""
     views, runs = len(viewpoints(config)), len(simulations(config))
     videos, jobs = views * len(textures(config)), count * work.jobs
@@ -149,22 +154,23 @@ def demands(count: int, config, work: Work, slope_s: float, slope_mib: float) ->
         f"{count * views / 1e6:.3g} million in the largest folder"
     )
     print(
-        f"  graph {jobs * slope_s / 60:.3g} min, {jobs * slope_mib / 1024:.3g} GiB; "
+        f"  graph {graph(jobs) / 60:.3g} min, {jobs * slope_mib / 1024:.3g} GiB; "
         f"sampling in one job {sample_h:.3g} h; training holds {train_gb:.3g} GB; "
         f"manifest of {count * videos / 1e6:.3g} million rows"
     )
 
 
-def played(count: int, cores: int, work: Work, slope_s: float, own_s: float, arguments) -> str:
+def played(count: int, cores: int, work: Work, costs: tuple, arguments) -> str:
     """One workflow for all, and one for every so many, in a line."""
     ideal_s = count * work.cpu_s / cores
+    graph, own_s, choice_s = costs
     each_s = SUBMISSION_S + work.jobs * own_s
     whole_s, busy = play(
         count,
         cores,
         work,
-        count * work.jobs * slope_s,
-        each_s,
+        float(graph(count * work.jobs)),
+        each_s + choice_s * count / 2,
         arguments.bytes_s,
         arguments.ops_s,
     )
@@ -175,8 +181,8 @@ def played(count: int, cores: int, work: Work, slope_s: float, own_s: float, arg
         count,
         cores,
         work,
-        size * work.jobs * slope_s,
-        (each_s + work.jobs * slope_s) / at_once,
+        float(graph(size * work.jobs)),
+        (each_s + choice_s * size / 2 + float(graph(size * work.jobs)) / size) / at_once,
         arguments.bytes_s * at_once,
         arguments.ops_s * at_once,
     )
