@@ -164,7 +164,7 @@ def _no_file(folder):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_no_image, "bad.png: a texture must be an image file, and this is none"),
+        (_no_image, "bad.png: not an image file, or a damaged image"),
         (_no_file, "none.jpg: no such texture file"),
     ],
 )

@@ -131,7 +131,7 @@ def test_a_damaged_image_is_named(config, shards, tmp_path):
         return rows
 
     rewrite(shards[0], spoil)
-    with pytest.raises(BadInput, match="frame 30: damaged image"):
+    with pytest.raises(BadInput, match="frame 30: not an image file, or a damaged image"):
         write_dataset(config, shards, tmp_path / "out")
 
 

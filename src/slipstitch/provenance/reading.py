@@ -128,7 +128,7 @@ def check_image(data: bytes, where: str) -> None:
     except Image.DecompressionBombError:
         width = height = IMAGE_PIXELS_MAX
     except (*_DAMAGE, SyntaxError):
-        raise BadInput(f"{where}: not an image file") from None
+        raise BadInput(f"{where}: not an image file, or a damaged image") from None
     if width * height > IMAGE_PIXELS_MAX:
         raise BadInput(f"{where}: an image of more than {IMAGE_PIXELS_MAX} pixels")
 
