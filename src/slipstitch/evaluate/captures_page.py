@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from slipstitch import __version__
 from slipstitch.evaluate.captures import Predictions, distance, pair_medians, subsets
-from slipstitch.sample.shards import read_table
+from slipstitch.provenance import read_parquet
 
 # Okabe & Ito 2008.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000")
@@ -142,7 +142,7 @@ def _first_of_pairs(known) -> list[Mapping[str, Any]]:
 def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
     """Some frames of a capture as the networks see them."""
     file = dataset / f"{row['video'].rsplit('_', 2)[0]}.parquet"
-    images = read_table(file, ["position", "image"]).to_pylist()
+    images = read_parquet(file, ["position", "image"]).to_pylist()
     places = np.linspace(0, len(images) - 1, min(_FRAMES_SHOWN, len(images))).round().astype(int)
     return {
         "title": f"{row['material']} on {row['substrate']}, μ = {row['mu_ref']:.3f} ± "
