@@ -82,6 +82,8 @@ def _content(path: Path, name: str) -> bytes:
 def digests(results: Path) -> dict[str, str]:
     """SHA-256 of every artefact's content, by its path below the results folder.
 
+    What lies under a temporary name is no artefact; see `leftovers`.
+
     A release counts with its data and splits; its records, card and checksums carry times.
     """
     found = {}
@@ -89,6 +91,8 @@ def digests(results: Path) -> dict[str, str]:
         name = path.relative_to(results).as_posix()
         if not path.is_file() or name.startswith(LEFT_OUT) or name.endswith(".provenance.json"):
             continue
+        if any(part.endswith(".tmp") for part in path.relative_to(results).parts):
+            continue  # under its final name nothing of it is there
         if name.startswith("release/") and not name.startswith(("release/data/", "release/splits")):
             found[name] = "of the release"
             continue
