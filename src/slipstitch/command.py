@@ -7,7 +7,6 @@ although bpy or torch may be missing. The summaries are read from the sources, n
 import argparse
 import ast
 import difflib
-import errno
 import importlib
 import os
 import sys
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from slipstitch import __version__
-from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
 from slipstitch.threads import use_one_thread
 
 # The order in which the verbs are shown; one that is not listed comes last, by name.
@@ -94,50 +93,10 @@ def _parser(verb: str, module) -> argparse.ArgumentParser:
     return parser
 
 
-# What the machine refuses, whatever the program: told in one line, without a traceback.
-_OF_THE_MACHINE = {
-    errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file would be larger than is allowed",
-    errno.EROFS: "the file system cannot be written to",
-    errno.EACCES: "permission denied",
-    errno.EPERM: "not permitted",
-    errno.EIO: "the disk fails",
-    errno.EMFILE: "too many open files",
-    errno.ENOMEM: "out of memory",
-    errno.ENAMETOOLONG: "a file name is too long",
-}
-# The words of libraries whose exceptions have no code.
-_WORDS_OF_THE_MACHINE = {
-    "No space left on device": errno.ENOSPC,
-    "os error 28": errno.ENOSPC,
-    "can't allocate memory": errno.ENOMEM,
-    "failed to allocate": errno.ENOMEM,
-    "bad_alloc": errno.ENOMEM,
-    "Cannot allocate memory": errno.ENOMEM,
-    "Insufficient memory": errno.ENOMEM,
-}
-
-
 def _one_line(error: BaseException) -> str:
     """What an error says, as one line that a terminal shows as it is."""
     words = " ".join(str(error).split()) or type(error).__name__
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
-
-
-def _machine_refuses(error: BaseException) -> str | None:
-    """What the machine refused, if that is what the error is about."""
-    code = error.errno if isinstance(error, OSError) else None
-    if isinstance(error, MemoryError):
-        code = errno.ENOMEM
-    if code not in _OF_THE_MACHINE:
-        words = str(error).lower()
-        found = (known for text, known in _WORDS_OF_THE_MACHINE.items() if text.lower() in words)
-        code = next(found, None)
-    if code is None:
-        return None
-    path = getattr(error, "filename", None)
-    return _OF_THE_MACHINE[code] + (f": {path}" if path else "")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -193,7 +152,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"slipstitch {verb}: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
-        refused = _machine_refuses(error)
+        refused = refused_by_the_machine(error)
         if refused is None:
             raise
         said = _one_line(SlipstitchError(refused))

@@ -1,5 +1,6 @@
 """The errors that a user may meet, each shown as one line by the command line."""
 
+import errno
 import os
 import shlex
 
@@ -40,3 +41,43 @@ class NotConverged(SlipstitchError):  # noqa: N818
     def __init__(self, message: str, state: dict | None = None):
         super().__init__(message)
         self.state = state or {}
+
+
+# What the machine refuses, whatever the program: told in one line, without a traceback.
+_OF_THE_MACHINE = {
+    errno.ENOSPC: "no space left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file would be larger than is allowed",
+    errno.EROFS: "the file system cannot be written to",
+    errno.EACCES: "permission denied",
+    errno.EPERM: "not permitted",
+    errno.EIO: "the disk fails",
+    errno.EMFILE: "too many open files",
+    errno.ENOMEM: "out of memory",
+    errno.ENAMETOOLONG: "a file name is too long",
+}
+# The words of libraries whose exceptions have no code.
+_WORDS_OF_THE_MACHINE = {
+    "No space left on device": errno.ENOSPC,
+    "os error 28": errno.ENOSPC,
+    "can't allocate memory": errno.ENOMEM,
+    "failed to allocate": errno.ENOMEM,
+    "bad_alloc": errno.ENOMEM,
+    "Cannot allocate memory": errno.ENOMEM,
+    "Insufficient memory": errno.ENOMEM,
+}
+
+
+def refused_by_the_machine(error: BaseException) -> str | None:
+    """What the machine refused (disk, memory, permission), if that is what an error is about."""
+    code = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, MemoryError):
+        code = errno.ENOMEM
+    if code not in _OF_THE_MACHINE:
+        words = str(error).lower()
+        found = (known for text, known in _WORDS_OF_THE_MACHINE.items() if text.lower() in words)
+        code = next(found, None)
+    if code is None:
+        return None
+    path = getattr(error, "filename", None)
+    return _OF_THE_MACHINE[code] + (f": {path}" if path else "")

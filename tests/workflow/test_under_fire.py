@@ -102,7 +102,7 @@ def small_disk(folder: Path, size: str):
         subprocess.run(["umount", "-l", folder], check=True)
 
 
-# Every writing stage; {out} lies on a disk that holds next to nothing.
+# Every writing stage; {out} lies on a disk without a free byte.
 WRITERS = {
     "grid": ["python", "-m", "slipstitch.config.grid", *CONFIG, "--out", "{out}/g.parquet"],
     "calibrate": ["slipstitch", "calibrate", *CONFIG, "--sweep", "damping_s", "--out",
@@ -135,7 +135,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(workflow, stage
         f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*")
     )
     with small_disk(tmp_path / "disk", "16k") as disk:
-        (disk / "ballast").write_bytes(bytes(8 * 1024))
+        (disk / "ballast").write_bytes(bytes(16 * 1024))
         words = []
         for word in WRITERS[stage]:
             words += shards if word == "{shards}" else [word.format(out=disk)]

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 
 from slipstitch.config.load import load_config
 from slipstitch.config.model import Config
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, refused_by_the_machine
 from slipstitch.material import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
 from slipstitch.render.catalogue import VIEWPOINTS
@@ -162,3 +162,5 @@ if __name__ == "__main__":  # as the workflow calls it
         write_grid(load_config(chosen.config), chosen.out)
     except BadInput as problem:
         sys.exit(f"slipstitch.config.grid: error: {problem}")
+    except OSError as problem:
+        sys.exit(f"slipstitch.config.grid: failed: {refused_by_the_machine(problem) or problem}")
