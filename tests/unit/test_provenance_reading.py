@@ -54,6 +54,17 @@ def test_no_flipped_bit_of_a_parquet_file_changes_what_is_read_unnoticed(table):
     assert noticed > 0.9 * len(whole) / 97
 
 
+def test_text_that_is_none_is_noticed_in_files_of_others_too(tmp_path):
+    """They carry no checksums."""
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.table({"name": ["abcdefgh", "ijklmnop"]}), path, compression="none")
+    for text in (b"abcdefgh", b"name"):
+        damaged = path.read_bytes().replace(text, b"\xfd" + text[1:])
+        (tmp_path / "y.parquet").write_bytes(damaged)
+        with pytest.raises(Damaged, match=r"y\.parquet"):
+            read_parquet(tmp_path / "y.parquet")
+
+
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.99])
 def test_a_truncated_parquet_file_is_named(table, share):
     whole = table.read_bytes()

@@ -21,9 +21,11 @@ def truncated(content: bytes) -> bytes:
 
 
 def flipped(content: bytes) -> bytes:
-    """One bit, in the middle."""
-    middle = len(content) // 2
-    return content[:middle] + bytes([content[middle] ^ 0x10]) + content[middle + 1 :]
+    """A bit of every hundredth byte: a single one may lie where nothing depends on it."""
+    spoilt = bytearray(content)
+    for place in range(50, len(spoilt), 100):
+        spoilt[place] ^= 0x10
+    return bytes(spoilt)
 
 
 def emptied(content: bytes) -> bytes:
@@ -49,7 +51,7 @@ READERS = {
          "--viewpoint", "v00", "--shading", "{out}/p.parquet"],
     ),
     "compose": (
-        PACKS[1],
+        PACKS[0],
         ["render", *CONFIG, "--trajectory", f"results/simulate/{ONE}.parquet",
          "--from-shading", *PACKS, "--out-dir", "{out}/render"],
     ),

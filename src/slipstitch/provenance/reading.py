@@ -84,6 +84,7 @@ def open_parquet(path: str | os.PathLike) -> Iterator[Any]:
         pyarrow.parquet.ParquetFile(stream, page_checksum_verification=True) as file,
     ):
         _check_claims(path, file.metadata)
+        _ = file.schema_arrow.names  # raises where a column's name is no text
         yield file
 
 
@@ -109,7 +110,9 @@ def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
         for name in wanted or ():
             if name not in names:
                 raise BadInput(f"{path}: no column {name!r}; needed: {', '.join(wanted)}")
-        return file.read(columns=wanted)
+        table = file.read(columns=wanted)
+        table.validate(full=True)  # text that is none, offsets that lead nowhere
+        return table
 
 
 def check_image(data: bytes, where: str) -> None:

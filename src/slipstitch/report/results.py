@@ -101,7 +101,10 @@ def _json_if_there(path: Path) -> Any | None:
 
 def _table(path: Path, columns: list[str] | None = None, **options):
     with reading(path, "Parquet file"):
-        return pq.read_table(path, columns=columns, page_checksum_verification=True, **options)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True, **options)
+        table.validate(full=True)
+        _ = table.column_names  # raises where one is no text
+        return table
 
 
 class Results:
