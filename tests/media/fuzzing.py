@@ -191,7 +191,7 @@ def _tables(add, config, results: Path) -> None:
     shard = sorted((results / "render").glob("m*.parquet"))[0]
     sample, frames = results / "sample", sampled_frames(config.simulation.frames, 5)
     add("trajectory", trajectory, lambda: read_trajectory(trajectory))
-    add("record of a trajectory", trajectory, lambda: read_provenance(trajectory))
+    add("record of a trajectory", trajectory, lambda: record_if_any(trajectory))
     add("image shard", shard, lambda: read_shard(shard, frames))
     add("shard for previews", shard, lambda: decoded(read_images(shard)))
     add("manifest", sample / "manifest.parquet", lambda: read_sampled(sample / "manifest.parquet"))
@@ -203,6 +203,11 @@ def _tables(add, config, results: Path) -> None:
     sweep.write_text(json.dumps([{"settings": {"time_step_s": 0.1}, "runs": []}]))
     add("sweep", sweep, lambda: read_sweeps([sweep], config))
     add("artefact of a release", shard, lambda: read_artefact("results/render/x.parquet", shard))
+
+
+def record_if_any(path: Path) -> None:
+    with contextlib.suppress(FileNotFoundError):  # as documented
+        read_provenance(path)
 
 
 def decoded(images: dict) -> None:
