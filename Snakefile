@@ -21,6 +21,7 @@ include: "rules/convergence.smk"
 include: "rules/render.smk"
 include: "rules/sample.smk"
 include: "rules/train.smk"
+include: "rules/instrument.smk"
 include: "rules/evaluate.smk"
 include: "rules/report.smk"
 include: "rules/release.smk"
@@ -38,6 +39,7 @@ localrules:
     render,
     sample,
     train,
+    instrument,
     evaluate,
     report,
     release,
@@ -60,5 +62,6 @@ rule all:
         rules.render.input,
         rules.sample.input,
         rules.train.input,
+        rules.instrument.input,
         rules.evaluate.input,
         rules.report.input,

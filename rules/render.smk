@@ -53,7 +53,7 @@ rule render_shading:
         settings=SHADING_SETTINGS,
         lamp=CONFIG.render.augmentation.lamp_m,
         seed=CONFIG.seed,
-        frames=CONFIG.sample.frames,
+        frames=CONFIG.sample.frames_kept,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
         code=code_digest("render.packing"),
         config=CONFIG_FILE,

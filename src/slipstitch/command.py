@@ -25,6 +25,7 @@ ORDER = (
     "render",
     "sample",
     "train",
+    "instrument",
     "evaluate",
     "report",
     "status",

@@ -81,13 +81,14 @@ def draw(
 def write_shards(config: Config, folder: Path, frames: range | None = None) -> list[Path]:
     """One shard a (simulation, viewpoint), as the render stage lays them out."""
     total = config.simulation.frames
-    numbers = frames or range(0, total, total // config.sample.frames)
+    numbers = frames or range(0, total, total // config.sample.frames_kept)
     strongest = max(config.grid.frictions)
+    fabrics = config.grid.materials + config.grid.test_materials
     paths = []
     for one in simulations(config):
         jitter = np.random.default_rng(one.seed).normal(0, 0.02, 2)
         lag = 0.3 * one.friction / strongest + jitter[0]
-        height = 0.45 + 0.12 * config.grid.materials.index(one.material) + jitter[1]
+        height = 0.45 + 0.12 * fabrics.index(one.material) + jitter[1]
         for v, view in enumerate(viewpoints(config)):
             rows = []
             for t, texture in enumerate(textures(config)):

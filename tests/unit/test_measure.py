@@ -35,7 +35,7 @@ def bench(tmp_path_factory):
     stage.camera_file(LENS, folder / "camera.json")
     write_config(CONFIG, folder / "results" / "config.json")
     instrument = untrained_instrument(
-        InstrumentSettings(frames=6, channels=[8, 8, 8], draws=1), ["denim", "felt"], 64
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 64, frames=6
     )
     save_instrument(instrument, folder / "results" / "instrument" / "seed0")
     return folder

@@ -15,6 +15,7 @@ from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.frames import sampled_frames
 
 
 def _synthetic_videos():
@@ -104,6 +105,31 @@ def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tm
         if only:
             assert row["split_by_video"] == "test"
     assert {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"} == {-15}
+
+
+def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):
+    config = synthetic.config(grid={"test_frictions": [0.35], "test_materials": ["royal-target"]})
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    for row in rows:
+        roles = (row["material_role"], row["friction_role"])
+        assert roles[0] == ("test" if row["material"] == "royal-target" else "train")
+        assert roles[1] == ("test" if row["friction"] == 0.35 else "train")
+        if "test" in roles:
+            assert row["split_by_video"] == row["split_by_simulation"] == "test"
+    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f02"}
+    plain = synthetic.config()
+    without = write_dataset(plain, synthetic.write_shards(plain, tmp_path / "r2"), tmp_path / "s2")
+    sides = {row["video"]: row["split_by_simulation"] for row in rows}
+    assert all(sides[row["video"]] == row["split_by_simulation"] for row in without)
+
+
+def test_more_phases_keep_more_frames_and_the_same_first_ones(config, tmp_path):
+    twice = config.model_copy(update={"sample": config.sample.model_copy(update={"phases": 2})})
+    rows = write_dataset(twice, synthetic.write_shards(twice, tmp_path / "r"), tmp_path / "s")
+    assert {row["frames"] for row in rows} == {12}
+    table = pq.read_table(tmp_path / "s" / rows[0]["file"], columns=["video", "frame"])
+    kept = [row["frame"] for row in table.to_pylist() if row["video"] == rows[0]["video"]]
+    assert kept[::2] == sampled_frames(config.simulation.frames, config.sample.frames).tolist()
 
 
 def test_a_missing_shard_is_named_by_its_simulation_or_video(config, rendered, tmp_path):

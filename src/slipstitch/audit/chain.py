@@ -168,7 +168,7 @@ def _recomputed(
     """What follows from configuration and seed, computed anew by code that has not changed."""
     contents, config = chain.contents, chain.contents.config
     grid = {one.id: one for one in simulations(config)}
-    frames = sampled_frames(config.simulation.frames, config.sample.frames)
+    frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     times_s = frames / config.simulation.frame_rate_hz
     stage_x: dict[str, np.ndarray | None] = {}
     for row in contents.rows:

@@ -75,6 +75,9 @@ COSTS = {
         "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
         "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
     ),
+    "instrument_frame_s": Cost(
+        0.0008, "CPU s a frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
+    ),
     "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
     "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
@@ -122,7 +125,9 @@ def _cost(name: str) -> float:
 
 
 def _frames_rendered(config: Config) -> int:
-    return config.sample.frames if config.render.frames == "sampled" else config.simulation.frames
+    return (
+        config.sample.frames_kept if config.render.frames == "sampled" else config.simulation.frames
+    )
 
 
 def _simulation_cpu_s(config: Config) -> float:
@@ -195,6 +200,15 @@ def _training_cpu_s(config: Config) -> float:
     return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
 
 
+def _instrument_cpu_s(config: Config) -> float:
+    """One instrument: all epochs on the training videos of one viewpoint."""
+    share = 1.0 - config.sample.test_fraction
+    videos = len(simulations(config)) * len(config.render.textures) * share
+    pixels = config.instrument.pixels or config.render.pixels
+    frames = config.instrument.epochs * videos * config.sample.frames
+    return frames * _cost("instrument_frame_s") * (pixels / 64) ** 2
+
+
 def estimate(config: Config) -> list[StageEstimate]:
     """Cost of each stage of the chain, in its order.
 
@@ -202,8 +216,9 @@ def estimate(config: Config) -> list[StageEstimate]:
     """
     runs, views = len(simulations(config)), len(viewpoints(config))
     images = runs * views * len(textures(config))
-    sampled = images * config.sample.frames
+    sampled = images * config.sample.frames_kept
     networks = len(config.train.splits) * len(NETWORKS) * len(config.train.seeds)
+    instruments = len(config.train.splits) * len(config.instrument.seeds)
     vertices = config.simulation.vertices_per_side**2
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
@@ -228,6 +243,9 @@ def estimate(config: Config) -> list[StageEstimate]:
             "train", networks, networks * _training_cpu_s(config), networks * 4e6 * _width2(config)
         ),
         StageEstimate(
+            "instrument", instruments, instruments * _instrument_cpu_s(config), instruments * 2e6
+        ),
+        StageEstimate(
             "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
         ),
         StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
@@ -237,7 +255,7 @@ def estimate(config: Config) -> list[StageEstimate]:
 def estimate_release(config: Config) -> StageEstimate:
     """Cost of a release of the finished dataset; it is not part of the chain."""
     runs, views = len(simulations(config)), len(viewpoints(config))
-    images = runs * views * len(textures(config)) * config.sample.frames
+    images = runs * views * len(textures(config)) * config.sample.frames_kept
     shards = runs * (views + 2)
     return StageEstimate(
         "release",

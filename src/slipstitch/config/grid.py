@@ -26,6 +26,8 @@ class Simulation:
     material: str
     friction: float
     seed: int
+    material_role: str = "train"
+    friction_role: str = "train"
 
 
 def material_id(name: str) -> str:
@@ -44,7 +46,19 @@ def simulation_seed(seed: int, material: str, friction: float, replicate: int) -
 
 
 def simulations(config: Config) -> list[Simulation]:
-    """The simulations of the grid, material by material, friction by friction."""
+    """The simulations of the grid, material by material, friction by friction.
+
+    Those for testing only come last: every material at the coefficients off the grid, then every
+    fabric that no network trains on, at the grid's.
+    """
+    grid = config.grid
+    on_grid = list(enumerate(grid.frictions))
+    off_grid = list(enumerate(grid.test_frictions, len(on_grid)))
+    parts = (
+        (grid.materials, "train", on_grid, "train", grid.replicates),
+        (grid.materials, "train", off_grid, "test", grid.test_replicates),
+        (grid.test_materials, "test", on_grid, "train", grid.test_replicates),
+    )
     return [
         Simulation(
             id=f"{material_id(material)}_f{f:02d}_r{r:02d}",
@@ -54,10 +68,13 @@ def simulations(config: Config) -> list[Simulation]:
             material=material,
             friction=friction,
             seed=simulation_seed(config.seed, material, friction, r),
+            material_role=material_role,
+            friction_role=friction_role,
         )
-        for material in config.grid.materials
-        for f, friction in enumerate(config.grid.frictions)
-        for r in range(config.grid.replicates)
+        for materials, material_role, frictions, friction_role, replicates in parts
+        for material in materials
+        for f, friction in frictions
+        for r in range(replicates)
     ]
 
 

@@ -10,6 +10,7 @@ from slipstitch.capture.settings import CaptureSettings
 from slipstitch.convergence.settings import ConvergenceSettings
 from slipstitch.criticise.settings import CriticiseSettings
 from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.material import fabric_names
 from slipstitch.release.settings import ReleaseSettings
 from slipstitch.render.settings import RenderSettings
@@ -39,8 +40,20 @@ class GridSettings(BaseModel):
     replicates: int = Field(
         2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
     )
+    test_frictions: tuple[Friction, ...] = Field(
+        (),
+        max_length=100,
+        description="coefficients off the grid, increasing, simulated for testing only with every "
+        "material; ids follow those of `frictions`",
+    )
+    test_materials: tuple[str, ...] = Field(
+        (), description="fabrics for testing only, simulated with every coefficient of `frictions`"
+    )
+    test_replicates: int = Field(
+        1, ge=1, le=100, description="simulations of each pair that is for testing only"
+    )
 
-    @field_validator("materials")
+    @field_validator("materials", "test_materials")
     @classmethod
     def _in_the_catalogue(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
@@ -50,12 +63,20 @@ class GridSettings(BaseModel):
             raise ValueError(f"a material is named twice: {', '.join(names)}")
         return names
 
-    @field_validator("frictions")
+    @field_validator("frictions", "test_frictions")
     @classmethod
     def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
         if any(after <= before for before, after in pairwise(frictions)):
             raise ValueError("friction coefficients must increase along the list")
         return frictions
+
+    @model_validator(mode="after")
+    def _training_and_testing_are_apart(self) -> "GridSettings":
+        for kind in ("materials", "frictions"):
+            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
+            if both:
+                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+        return self
 
 
 class Config(BaseModel):
@@ -74,6 +95,7 @@ class Config(BaseModel):
     render: RenderSettings = Field(default_factory=RenderSettings)
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
+    instrument: InstrumentSettings = Field(default_factory=InstrumentSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
@@ -87,9 +109,9 @@ class Config(BaseModel):
                     f"convergence.materials: no material {name!r}; there are: "
                     f"{', '.join(fabric_names())}"
                 )
-        if self.sample.frames > self.simulation.frames:
+        if self.sample.frames_kept > self.simulation.frames:
             raise ValueError(
-                f"sample.frames: {self.sample.frames} frames cannot be sampled from the "
+                f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from the "
                 f"{self.simulation.frames} of simulation.frames"
             )
         for name in self.train.view_order or ():

@@ -9,48 +9,110 @@ from torch import Tensor
 
 from slipstitch.instrument.settings import InstrumentSettings
 
-EVERY = 2  # every so many pixels count in a video's mean and deviation
+EVERY = 4  # every so many rows and columns count in a video's mean and deviation
 
 
-def standardised(videos: Tensor) -> Tensor:
+def standardised(videos: np.ndarray) -> Tensor:
     """Colours minus the video's mean, over its deviation; so exposure and colour cast are gone.
 
     Parameters
     ----------
-    videos : uint8 tensor, shape (n, frames, side, side, 3)
+    videos : ndarray of uint8, shape (n, frames, side, side, 3)
 
     Returns
     -------
     float32 tensor, same shape
     """
-    colours = videos.float()
-    some = colours[:, :, ::EVERY, ::EVERY]
-    mean = some.mean((1, 2, 3), keepdim=True)
-    deviation = some.std((1, 2, 3), keepdim=True).clamp(min=1.0)
-    return (colours - mean) / deviation
+    some = videos[:, :, ::EVERY, ::EVERY].astype(np.float32)
+    mean = some.mean((1, 2, 3), keepdims=True)
+    deviation = np.maximum(some.std((1, 2, 3), keepdims=True), 1.0)
+    colours = torch.from_numpy(np.ascontiguousarray(videos)).float()
+    return colours.sub_(torch.from_numpy(mean)).mul_(torch.from_numpy(1.0 / deviation))
 
 
 def augmented(
-    videos: Tensor, settings: InstrumentSettings, generator: np.random.Generator
+    videos: np.ndarray, settings: InstrumentSettings, generator: np.random.Generator
 ) -> Tensor:
     """Standardised videos, each with its colours in another order, moved a little, and noisy.
 
     The order of the colours is that of another lamp or dye; the move that of a crop that does not
-    sit as in training (the border is repeated); noise is drawn once for all frames' rows shifted
-    from frame to frame, which costs a tenth of drawing every pixel.
+    sit as in training (the border is repeated); the noise is one field of random numbers that
+    moves on by a row from frame to frame, which costs a tenth of drawing every pixel.
+
+    Parameters
+    ----------
+    videos : ndarray of uint8, shape (n, frames, side, side, 3)
+
+    Returns
+    -------
+    float32 tensor, same shape
     """
-    n, frames, side = videos.shape[:3]
+    frames, side = videos.shape[1:3]
     reach = round(settings.shift_share * side)
-    result = torch.empty_like(videos)
-    for number in range(n):
-        video = videos[number][..., torch.from_numpy(generator.permutation(3))]
-        down, across = generator.integers(-reach, reach + 1, 2) if reach else (0, 0)
-        rows = (torch.arange(side) + int(down)).clamp(0, side - 1)
-        columns = (torch.arange(side) + int(across)).clamp(0, side - 1)
-        result[number] = video[:, rows][:, :, columns]
-        if settings.noise:
-            size = settings.noise * float(generator.random())
-            grain = generator.standard_normal((side + frames) * side * 3, np.float32) * size
-            strip = torch.from_numpy(grain).view(side + frames, side, 3)
-            result[number] += strip.unfold(0, side, 1).permute(0, 3, 1, 2)[:frames]
+    moved = np.empty_like(videos)
+    for number, video in enumerate(videos):
+        down, across = generator.integers(-reach, reach + 1, 2)
+        rows = np.clip(np.arange(side) + down, 0, side - 1)
+        columns = np.clip(np.arange(side) + across, 0, side - 1)
+        order = generator.permutation(3)
+        pixels = (columns[:, None] * 3 + order).ravel()
+        np.take(
+            video.reshape(frames, side, -1)[:, rows],
+            pixels,
+            axis=2,
+            out=moved[number].reshape(frames, side, -1),
+        )
+    result = standardised(moved)
+    for video in result:
+        size = settings.noise * float(generator.random())
+        grain = generator.standard_normal((side + frames) * side * 3, np.float32) * size
+        strip = torch.from_numpy(grain).view(side + frames, side, 3)
+        video += strip.unfold(0, side, 1).permute(0, 3, 1, 2)[:frames]
     return result
+
+
+def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | None) -> np.ndarray:
+    """`frames` of each video at regular intervals, from a phase within the first interval.
+
+    Parameters
+    ----------
+    videos : ndarray of uint8, shape (n, F, side, side, 3), F >= frames
+    frames : int
+    generator : numpy Generator or None
+        Draws each video's phase; without, all begin with the first frame.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n, frames, side, side, 3)
+    """
+    total = videos.shape[1]
+    spare = -(-total // frames)  # phases that differ
+    starts = (
+        np.zeros(len(videos))
+        if generator is None
+        else generator.integers(spare, size=len(videos)) / spare
+    )
+    places = ((np.arange(frames)[None] + starts[:, None]) * total / frames).astype(np.int64)
+    return videos[np.arange(len(videos))[:, None], places]
+
+
+def disordered(video: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """A video whose frames do not follow one another as they should.
+
+    By chance: reversed; frozen at one frame; halves exchanged; shuffled; the first half at half
+    speed, as from a stage that moves slower.
+
+    Parameters
+    ----------
+    video : ndarray, shape (frames, side, side, 3)
+    """
+    count = len(video)
+    straight = np.arange(count)
+    orders = (
+        straight[::-1],
+        np.full(count, generator.integers(count)),
+        np.roll(straight, count // 2),
+        generator.permutation(count),
+        straight // 2,
+    )
+    return video[orders[generator.integers(len(orders))]]

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
-from slipstitch.instrument.augmentation import augmented, standardised
+from slipstitch.instrument.augmentation import augmented
 from slipstitch.instrument.distribution import (
     mixture_cumulative,
     probabilities_on_grid,
@@ -124,10 +124,8 @@ class Instrument:
         parts = []
         with torch.inference_mode():
             for video in videos:
-                looks = standardised(torch.from_numpy(np.ascontiguousarray(video))[None])
-                looks = augmented(
-                    looks.repeat(self.settings.draws, 1, 1, 1, 1), self.settings, generator
-                )
+                repeated = np.repeat(video[None], self.settings.draws, axis=0)
+                looks = augmented(repeated, self.settings, generator)
                 said = self.network(looks, self.card["bfloat16"])
                 # In float64: in float32 a distribution's tail would end at five deviations.
                 cumulative = mixture_cumulative(
@@ -247,7 +245,7 @@ def stretch_scores(
 
 
 def untrained_instrument(
-    settings: InstrumentSettings, materials: list[str], pixels: int, seed: int = 0
+    settings: InstrumentSettings, materials: list[str], pixels: int, frames: int = 30, seed: int = 0
 ) -> Instrument:
     """An instrument of random weights: well formed, knows nothing, always raises its alarm."""
     torch.manual_seed(seed)
@@ -255,7 +253,7 @@ def untrained_instrument(
     network.eval()
     card = {
         "materials": list(materials),
-        "frames": settings.frames,
+        "frames": frames,
         "pixels": pixels,
         "bfloat16": False,
         "settings": settings.model_dump(mode="json"),

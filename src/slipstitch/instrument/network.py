@@ -18,16 +18,42 @@ from slipstitch.instrument.settings import InstrumentSettings
 SHARE_SHIFTED = 8  # one channel in so many, either way
 
 
+class _TimeShift(torch.autograd.Function):
+    """The shift and its transpose, without leaving the memory's order (channels last).
+
+    Written out because torch's own derivative of slicing and joining turns the gradients to
+    channels first, after which the rectifiers' derivative takes four times as long.
+    """
+
+    @staticmethod
+    def forward(context, maps: Tensor, frames: int) -> Tensor:
+        context.frames = frames
+        return _TimeShift.moved(maps, frames, 1)
+
+    @staticmethod
+    def backward(context, gradient: Tensor) -> tuple[Tensor, None]:
+        return _TimeShift.moved(gradient, context.frames, -1), None
+
+    @staticmethod
+    def moved(maps: Tensor, frames: int, sign: int) -> Tensor:
+        """Maps whose first channels come from `sign` frames before, the next from after."""
+        result = maps.clone(memory_format=torch.channels_last)
+        count = maps.shape[1] // SHARE_SHIFTED
+        source = maps.unflatten(0, (-1, frames))
+        target = result.unflatten(0, (-1, frames))
+        for channels, step in ((slice(count), sign), (slice(count, 2 * count), -sign)):
+            if step > 0:
+                target[:, 1:, channels] = source[:, :-1, channels]
+                target[:, 0, channels] = 0
+            else:
+                target[:, :-1, channels] = source[:, 1:, channels]
+                target[:, -1, channels] = 0
+        return result
+
+
 def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
     """Maps (videos * frames, C, H, W): some channels from the frame before, some from the next."""
-    videos = maps.view(-1, frames, *maps.shape[1:])
-    moved = videos.shape[2] // SHARE_SHIFTED
-    if not moved:
-        return maps
-    before = nn.functional.pad(videos[:, :-1, :moved], (0, 0, 0, 0, 0, 0, 1, 0))
-    after = nn.functional.pad(videos[:, 1:, moved : 2 * moved], (0, 0, 0, 0, 0, 0, 0, 1))
-    joined = torch.cat([before, after, videos[:, :, 2 * moved :]], dim=2)
-    return joined.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+    return _TimeShift.apply(maps, frames)
 
 
 class InstrumentNetwork(nn.Module):

@@ -11,7 +11,6 @@ class InstrumentSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     seeds: list[int] = Field([0], min_length=1, description="one instrument a seed")
-    frames: int = Field(30, ge=4, le=1000, description="frames of a video that the network sees")
     pixels: int | None = Field(
         None, ge=32, le=512, description="side of the input image; null: as rendered"
     )

@@ -141,7 +141,9 @@ def _compose(arguments: argparse.Namespace) -> None:
         except (OSError, ValueError):
             view = {}  # read_pack says what is wrong with it
         words = (view.get("id", ""), view.get("name", ""))
-        job = Job(arguments.trajectory, *words, config.render, config.sample.frames, config.seed)
+        job = Job(
+            arguments.trajectory, *words, config.render, config.sample.frames_kept, config.seed
+        )
         done = render_shard(job, out, pack_path=pack)
         print(f"{out}: {done['images']} images of {done['frames']} frames, {job.viewpoint}")
 
@@ -163,7 +165,7 @@ def _render(arguments: argparse.Namespace) -> None:
         arguments.trajectory,
         *_viewpoint(config.render, arguments.viewpoint),
         config.render,
-        config.sample.frames,
+        config.sample.frames_kept,
         config.seed,
     )
     if arguments.shading:

@@ -104,7 +104,7 @@ def compare(
     view = read_metadata(shard)["viewpoint"]
     settings = config.render
     job = Job(
-        trajectory_path, view["id"], view["name"], settings, config.sample.frames, config.seed
+        trajectory_path, view["id"], view["name"], settings, config.sample.frames_kept, config.seed
     )
     name = settings.texture_ids()[stored["texture"]]
     trajectory = usable_trajectory(trajectory_path)

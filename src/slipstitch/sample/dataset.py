@@ -57,6 +57,8 @@ MANIFEST_SCHEMA = pa.schema(
         ("friction", pa.float64()),
         ("texture", pa.string()),
         ("viewpoint", pa.string()),
+        ("material_role", pa.string()),
+        ("friction_role", pa.string()),
         ("texture_role", pa.string()),
         ("viewpoint_role", pa.string()),
         ("viewpoint_turn_deg", pa.float64()),
@@ -99,12 +101,14 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     """Every video of the grid -> its side in split_by_video and in split_by_simulation.
 
     Videos in a test-only texture or from a test-only viewpoint are test videos by video; by
-    simulation they go with their simulation (and never train, whatever their side).
+    simulation they go with their simulation (and never train, whatever their side). Simulations of
+    a test-only fabric or friction coefficient are test simulations in both.
     """
     grid = simulations(config)
+    trained = [one for one in grid if "test" not in (one.material_role, one.friction_role)]
     fractions = (config.sample.validation_fraction, config.sample.test_fraction)
     of_simulation = split_by_simulation(
-        [(one.material_id, one.friction_id, one.replicate_id) for one in grid],
+        [(one.material_id, one.friction_id, one.replicate_id) for one in trained],
         *fractions,
         seed=config.seed,
         hold_out=config.sample.hold_out,
@@ -116,14 +120,14 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     }
     trainable = [
         f"{one.id}_{texture}_{view}"
-        for one in grid
+        for one in trained
         for (texture, view), role in roles.items()
         if role == ("train", "train")
     ]
     of_video = split_by_video(trainable, *fractions, seed=config.seed)
     sides = {}
     for one in grid:
-        side = of_simulation[one.material_id, one.friction_id, one.replicate_id]
+        side = of_simulation.get((one.material_id, one.friction_id, one.replicate_id), "test")
         for texture, view in roles:
             video = f"{one.id}_{texture}_{view}"
             sides[video] = (of_video.get(video, "test"), side)
@@ -155,7 +159,7 @@ def write_dataset(
         grid, an image cannot be decoded or has the wrong size, or no valid split exists.
     """
     started = start_clock()
-    frames = sampled_frames(config.simulation.frames, config.sample.frames)
+    frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     sides = manifest_sides(config)
     grid = {one.id: one for one in simulations(config)}
     paths_of: dict[str, list[str]] = defaultdict(list)
@@ -279,6 +283,8 @@ def _write_simulation(
                 "friction": one.friction,
                 "texture": catalogue[texture]["name"],
                 "viewpoint": view_name,
+                "material_role": one.material_role,
+                "friction_role": one.friction_role,
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
                 "viewpoint_turn_deg": turn,

@@ -11,6 +11,13 @@ class SampleSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
+    phases: int = Field(
+        1,
+        ge=1,
+        le=100,
+        description="so many times the frames are kept, evenly between them: the instrument draws "
+        "its frames at any of these phases in training; all else uses the first",
+    )
     validation_fraction: float = Field(
         0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
     )
@@ -22,6 +29,11 @@ class SampleSettings(BaseModel):
         description="what by_simulation keeps from training: the last replicates of every "
         "(material, friction) pair, or whole pairs; auto: replicates where there are at least two",
     )
+
+    @property
+    def frames_kept(self) -> int:
+        """Frames of a video in the dataset."""
+        return self.frames * self.phases
 
     @model_validator(mode="after")
     def _something_is_left_to_train_on(self) -> "SampleSettings":

@@ -28,6 +28,7 @@ class Progress:
     step: int = 0
     loss_sum: float = 0.0
     correct: int = 0
+    error_sum: float = 0.0
     history: list[dict[str, Any]] = field(default_factory=list)
 
 

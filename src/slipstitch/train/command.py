@@ -50,6 +50,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.split,
         arguments.seed,
         arguments.out_dir,
+        frames=config.sample.frames,
         view_order=list(config.train.view_order or config.render.viewpoints),
         material_model=arguments.material_model,
         expected_classes={

@@ -23,6 +23,7 @@ from slipstitch.provenance import (
     write_sidecar,
 )
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
+from slipstitch.train.curves import curve
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model, save_model
 from slipstitch.train.network import (
     LRCN,
@@ -177,6 +178,7 @@ def train_network(
     out_dir: str | os.PathLike,
     *,
     view_order: list[str],
+    frames: int | None = None,
     material_model: str | os.PathLike | None = None,
     expected_classes: dict[str, list] | None = None,
     threads: int = 1,
@@ -198,6 +200,8 @@ def train_network(
         ``checkpoint.safetensors``.
     view_order : list of str
         Training viewpoints by name; the first is the calibrated one.
+    frames : int, optional
+        Frames of a video that the network sees; by default all that the dataset has.
     material_model : path, optional
         Folder of the material_baseline of the same dataset, split and seed; for
         friction_conditional only.
@@ -233,7 +237,7 @@ def train_network(
     set_up_torch(threads)
     column = f"split_{split}"
     videos = read_videos(
-        dataset, lambda row: takes_part(row) and row[column] != "test", settings.pixels
+        dataset, lambda row: takes_part(row) and row[column] != "test", settings.pixels, frames
     )
     target = network_name.split("_")[0]
     classes = classes_of(videos.rows, target)
@@ -339,7 +343,10 @@ def train_network(
         }
         progress = Progress(epoch=progress.epoch + 1, history=[*progress.history, row])
         bar.update()
-        bar.set_postfix(loss=f"{row['train_loss']:.3f}", accuracy=f"{row['train_accuracy']:.2f}")
+        bar.set_postfix_str(
+            f"{curve([past['train_loss'] for past in progress.history])} "
+            f"loss {row['train_loss']:.3f}, accuracy {row['train_accuracy']:.2f}"
+        )
         if bar.disable:
             print(_epoch_line(network_name, split, row, len(of_epoch)), file=sys.stderr)
         if progress.epoch in (settings.plateau_epochs, len(of_epoch)):

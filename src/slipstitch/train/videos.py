@@ -18,8 +18,11 @@ from slipstitch.provenance import (
     read_parquet,
 )
 from slipstitch.sample.dataset import MANIFEST, MANIFEST_SCHEMA, dataset_digest, pixels_digest
+from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import decode
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
+
+ROLES = ("material", "friction", "texture", "viewpoint")
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,19 @@ class Videos:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def chosen(self, use: np.ndarray) -> "Videos":
+        """Those where `use` (bool, shape (n,)) is true."""
+        rows = [row for row, one in zip(self.rows, use, strict=True) if one]
+        return Videos(rows, self.pixels[use], self.digest)
+
+    def seen_with(self, pixels: int, frames: int | None) -> "Videos":
+        """With fewer frames, at regular intervals from the first, and images of another side."""
+        stored, side = self.pixels.shape[1:3]
+        seen = self.pixels[:, sampled_frames(stored, frames or stored)]
+        if pixels != side:
+            seen = np.stack([_resized(video, pixels) for video in seen])
+        return Videos(self.rows, seen, self.digest)
 
 
 def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str]:
@@ -78,6 +94,7 @@ def read_videos(
     dataset: str | os.PathLike,
     chosen: Callable[[dict[str, Any]], bool] = lambda row: True,
     pixels: int | None = None,
+    frames: int | None = None,
 ) -> Videos:
     """Decode the chosen videos of a dataset.
 
@@ -89,6 +106,8 @@ def read_videos(
         Says of a manifest row whether to read its video.
     pixels : int, optional
         Side of the images, if not as rendered; they are averaged down (or blown up) to it.
+    frames : int, optional
+        Frames to keep of those in the dataset, at regular intervals from the first; all by default.
 
     Raises
     ------
@@ -104,9 +123,10 @@ def read_videos(
     shapes = {(row["frames"], row["pixels"]) for row in rows}
     if len(shapes) > 1:
         raise BadInput(f"{dataset}: videos of different sizes: {sorted(shapes)} (frames, pixels)")
-    ((frames, rendered),) = shapes
+    ((stored, rendered),) = shapes
+    kept = sampled_frames(stored, frames or stored)
     side = pixels or rendered
-    array = np.empty((len(rows), frames, side, side, 3), np.uint8)
+    array = np.empty((len(rows), len(kept), side, side, 3), np.uint8)
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file
@@ -125,12 +145,13 @@ def read_videos(
         for video in (row["video"] for row in rows if row["file"] == file):
             row = rows[place[video]]
             images = found.get(video, [])
-            if len(images) != frames:
-                raise BadInput(f"{path}: {video} has {len(images)} frames, {frames} are needed")
+            if len(images) != stored:
+                raise BadInput(f"{path}: {video} has {len(images)} frames, {stored} are needed")
             whole = np.stack(images)
             if pixels_digest(whole) != row["pixels_sha256"]:
                 raise Damaged(path, f"{video} was altered: not the pixels that the manifest has")
-            array[place[video]] = whole if side == rendered else _resized(whole, side)
+            seen = whole[kept]
+            array[place[video]] = seen if side == rendered else _resized(seen, side)
     return Videos(rows, array, digest)
 
 
@@ -142,5 +163,10 @@ def _resized(video: np.ndarray, side: int) -> np.ndarray:
 
 
 def takes_part(row: dict[str, Any]) -> bool:
-    """Whether a video may train: neither its texture nor its viewpoint is for testing only."""
-    return row["texture_role"] == "train" and row["viewpoint_role"] == "train"
+    """Whether a video may train: nothing in it (fabric, friction, texture, view) is for testing."""
+    return not test_only(row)
+
+
+def test_only(row: dict[str, Any]) -> set[str]:
+    """What in a video is for testing only: material, friction, texture, viewpoint."""
+    return {kind for kind in ROLES if row[f"{kind}_role"] == "test"}

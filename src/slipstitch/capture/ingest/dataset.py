@@ -148,6 +148,8 @@ def _write_video(
         "friction": one.mu_ref,
         "texture": "its own",
         "viewpoint": "calibrated",
+        "material_role": "test",
+        "friction_role": "test",
         "texture_role": "test",
         "viewpoint_role": "test",
         "viewpoint_turn_deg": 0.0,

@@ -1,0 +1,46 @@
+"""The measuring instrument: its network, error bars and alarm."""
+
+
+rule instrument:
+    input:
+        expand(
+            "results/instrument/{split}/seed{seed}/{file}",
+            split=CONFIG.train.splits,
+            seed=CONFIG.instrument.seeds,
+            file=["instrument.safetensors", "instrument.json", "history.csv"],
+        ),
+
+
+rule instrument_one:
+    input:
+        rules.sample.input,
+    output:
+        weights="results/instrument/{split}/seed{seed}/instrument.safetensors",
+        card="results/instrument/{split}/seed{seed}/instrument.json",
+        history=report(
+            "results/instrument/{split}/seed{seed}/history.csv",
+            caption="../workflow/report/training.rst",
+            category="Training",
+            labels={"split": "{split}", "network": "instrument", "seed": "{seed}"},
+        ),
+    log:
+        "results/logs/instrument/{split}_seed{seed}.log",
+    benchmark:
+        "results/benchmarks/instrument/{split}_seed{seed}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("train"),
+        runtime=job_runtime_min("train", CONFIG),
+    params:
+        settings=settings("instrument", instrument={"seeds"}),
+        frames=CONFIG.sample.frames,
+        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        code=code_digest("instrument"),
+        config=CONFIG_FILE,
+        folder=subpath(output.weights, parent=True),
+    message:
+        "Train the instrument, split {wildcards.split}, seed {wildcards.seed}"
+    shell:
+        "slipstitch instrument --config {params.config} --dataset results/sample"
+        " --split {wildcards.split} --seed {wildcards.seed} --threads {threads}"
+        " --out-dir {params.folder} > {log} 2>&1"

@@ -1,0 +1,109 @@
+"""Error bars: temperatures, conformal stretch and alarm, from simulations that did not train.
+
+One set of simulations serves all three. The temperature is one number, and the promise of the
+conformal step is tested with it fitted on the same groups (tests/unit).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from slipstitch.instrument.alarm import calibrated_alarm, describe
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.conformal import grouped_quantile
+from slipstitch.instrument.distribution import tempered
+from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
+from slipstitch.train.videos import Videos
+
+TEMPERATURES = (0.2, 25.0)
+CELL = 0.05  # width in mu over which a distribution is asked for its probability of the truth
+
+
+def fitted_temperature(
+    probabilities: np.ndarray, grid: np.ndarray, truth: np.ndarray, groups: Sequence[str]
+) -> float:
+    """Temperature at which the truths are likeliest, every group counting once.
+
+    Parameters
+    ----------
+    probabilities : ndarray, shape (n, G)
+    grid : ndarray, shape (G,)
+    truth : ndarray, shape (n,)
+        Values on the grid's scale.
+    groups : sequence of str, length n
+    """
+    near = abs(grid[None] - truth[:, None]) <= max(CELL / 2, grid[1] - grid[0])
+    weights = _one_each(groups)
+
+    def surprise(logarithm: float) -> float:
+        shares = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
+        return float(-(weights * np.log(np.maximum(shares, 1e-12))).sum())
+
+    found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
+    return float(np.exp(found.x))
+
+
+def fitted_material_temperature(
+    logits: np.ndarray, truth: np.ndarray, groups: Sequence[str]
+) -> float:
+    """Temperature of the fabrics' softmax, by the same rule; truth holds class numbers."""
+    weights = _one_each(groups)
+
+    def surprise(logarithm: float) -> float:
+        scaled = logits / np.exp(logarithm)
+        largest = scaled.max(1)
+        normaliser = np.log(np.exp(scaled - largest[:, None]).sum(1)) + largest
+        return float((weights * (normaliser - scaled[np.arange(len(truth)), truth])).sum())
+
+    found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
+    return float(np.exp(found.x))
+
+
+def _one_each(groups: Sequence[str]) -> np.ndarray:
+    """Weights by which every group counts 1 in all."""
+    _, number, count = np.unique(groups, return_inverse=True, return_counts=True)
+    return 1.0 / count[number]
+
+
+def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> Instrument:
+    """The instrument with error bars from the videos that did not train; as it is without any.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    videos : Videos
+    training : ndarray of bool, shape (n,)
+    """
+    held = np.flatnonzero(~training)
+    if not len(held):
+        return instrument
+    generator = np.random.default_rng(0)
+    frames = phased(videos.pixels, instrument.card["frames"], None)
+    trained = instrument.answers(frames[training], generator)
+    answers = instrument.answers(frames[held], generator)
+    groups = [videos.rows[number]["simulation"] for number in held]
+    friction = np.array([videos.rows[number]["friction"] for number in held])
+    names = instrument.card["materials"]
+    material = np.array([names.index(videos.rows[number]["material"]) for number in held])
+
+    temperature = fitted_temperature(answers.probabilities, instrument.grid, friction, groups)
+    coverage = instrument.settings.coverage
+    scores = stretch_scores(
+        tempered(answers.probabilities, temperature), instrument.grid, coverage, friction
+    )
+    bars = ErrorBars(
+        temperature=temperature,
+        material_temperature=fitted_material_temperature(answers.material_logits, material, groups),
+        factor=grouped_quantile(scores, groups, coverage),
+        alarm=calibrated_alarm(
+            describe(frames[training], trained.embedding),
+            frames[held],
+            answers.embedding,
+            answers.order,
+            groups,
+            instrument.settings.false_alarms,
+        ),
+    )
+    return dataclasses.replace(instrument, error_bars=bars)

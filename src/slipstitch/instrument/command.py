@@ -1,0 +1,62 @@
+"""slipstitch instrument: train and calibrate the measuring instrument."""
+
+import argparse
+
+SUMMARY = "train the instrument that measures friction, calibrate its error bars and its alarm"
+EXAMPLE = (
+    "slipstitch instrument --config results/config.json --dataset results/sample "
+    "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    from slipstitch.train.settings import SPLITS
+
+    parser.add_argument(
+        "--config",
+        required=True,
+        action="append",
+        metavar="FILE",
+        help="YAML or JSON configuration",
+    )
+    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
+    parser.add_argument("--split", required=True, choices=SPLITS)
+    parser.add_argument("--seed", required=True, type=int)
+    parser.add_argument("--out-dir", required=True, help="folder of the instrument")
+    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Train, calibrate, write, say how it went."""
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+    from slipstitch.instrument.training import train_instrument
+
+    if arguments.threads < 1 or arguments.seed < 0:
+        raise BadInput("--threads must be at least 1, --seed at least 0")
+    config = load_config(*arguments.config)
+    card = train_instrument(
+        config.instrument,
+        arguments.dataset,
+        arguments.split,
+        arguments.seed,
+        arguments.out_dir,
+        frames=config.sample.frames,
+        viewpoint=(config.train.view_order or config.render.viewpoints)[0],
+        threads=arguments.threads,
+    )
+    bars = card["error_bars"]
+    if bars is None:
+        said = "not calibrated: no simulation was left for it"
+    elif bars["factor"] is None:
+        said = (
+            f"calibrated on {card['calibration_simulations']} simulations, too few for an interval"
+        )
+    else:
+        said = f"calibrated on {card['calibration_simulations']} simulations"
+    print(
+        f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
+        f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
+        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {said}"
+    )

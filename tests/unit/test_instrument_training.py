@@ -1,0 +1,240 @@
+"""The instrument learns, goes on after a kill to the same bits, and refuses what cannot work."""
+
+import csv
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from slipstitch.command import main
+from slipstitch.config import write_config
+from slipstitch.errors import BadInput
+from slipstitch.instrument import load_instrument
+from slipstitch.instrument import training as training_module
+from slipstitch.instrument.augmentation import disordered, phased
+from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.instrument.training import chance_score, losses, train_instrument
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.train.curves import curve
+from slipstitch.train.training import DivergedError, PlateauError
+from slipstitch.train.videos import read_videos
+
+
+def _synthetic_videos():
+    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
+    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+CONFIG = _synthetic_videos().config(
+    grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
+    render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+    sample={"frames": 6, "phases": 2, "validation_fraction": 0.34, "test_fraction": 0.16},
+)
+SETTINGS = InstrumentSettings(
+    channels=[8, 16, 24],
+    features=32,
+    recurrent_units=16,
+    epochs=40,
+    shift_share=0.0,
+    material_weight=0.5,
+    order_weight=0.5,
+    precision="float32",
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    shards = _synthetic_videos().write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None, **changes):
+    settings = SETTINGS.model_copy(update=changes)
+    return train_instrument(
+        settings,
+        dataset,
+        split,
+        seed,
+        out,
+        viewpoint="calibrated",
+        frames=frames,
+        after_step=after_step,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    train(dataset, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tests(dataset):
+    """Videos of simulations that neither trained nor calibrated, from the measuring viewpoint."""
+    videos = read_videos(
+        dataset,
+        lambda row: row["split_by_simulation"] == "test" and row["viewpoint"] == "calibrated",
+    )
+    return videos, phased(videos.pixels, 6, None)
+
+
+def test_it_measures_new_simulations(folder, tests):
+    videos, frames = tests
+    instrument = load_instrument(folder)
+    truth = np.array([row["friction"] for row in videos.rows])
+    measured = [instrument.measure(one) for one in frames]
+    errors = [abs(one.friction_coefficient - mu) for one, mu in zip(measured, truth, strict=True)]
+    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
+    inside = [
+        one.interval_90[0] <= mu <= one.interval_90[1]
+        for one, mu in zip(measured, truth, strict=True)
+    ]
+    assert np.mean(inside) > 0.7
+    assert np.mean([np.diff(one.interval_90)[0] for one in measured]) < 0.7
+    fabric = [
+        max(one.material_probabilities, key=one.material_probabilities.get) for one in measured
+    ]
+    assert np.mean(np.array(fabric) == [row["material"] for row in videos.rows]) > 0.7
+
+
+def test_the_alarm_stays_quiet_for_its_like_and_rings_for_other_videos(folder, tests):
+    _, frames = tests
+    instrument = load_instrument(folder)
+
+    def alarms(some):
+        return np.mean([instrument.measure(one).alarm for one in some])
+
+    assert alarms(frames) <= 0.25  # 12 videos; promised at most a twentieth of very many
+    assert alarms(np.full_like(frames[:4], 20)) == 1.0
+    assert alarms(255 - frames[:12]) >= 0.95
+    assert alarms(frames[:12, :, ::-1]) >= 0.95
+
+
+def test_the_learning_curve_falls_and_is_kept(folder):
+    with open(folder / "history.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["epoch"]) for row in rows] == list(range(1, 41))
+    assert float(rows[-1]["train_loss"]) < 0.4 * float(rows[0]["chance_loss"])
+    card = load_instrument(folder).card
+    assert card["train_loss"] == float(rows[-1]["train_loss"])
+    assert card["training_simulations"] == 18
+    assert card["calibration_simulations"] == 12
+
+
+class KilledError(Exception):
+    pass
+
+
+FEW = {"epochs": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed")
+    train(dataset, folder, **FEW)
+    return folder
+
+
+@pytest.mark.parametrize("steps", [1, 5, 9])
+def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_path, steps):
+    left = iter(range(steps - 1, -1, -1))
+
+    def kill(progress):
+        if not next(left):
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        train(dataset, tmp_path, after_step=kill, **FEW)
+    train(dataset, tmp_path, **FEW)
+    for name in ("instrument.safetensors", "history.csv"):
+        assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
+
+
+def test_a_loss_that_is_no_number_stops_it(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(training_module, "learning_rate", lambda settings, done: 1e30)
+    with pytest.raises(DivergedError, match="the loss became nan in epoch 1, step"):
+        train(dataset, tmp_path)
+    assert not (tmp_path / "instrument.safetensors").exists()
+
+
+def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
+    with pytest.raises(PlateauError, match=r"still .* at chance"):
+        train(dataset, tmp_path, epochs=1, learning_rate=1e-9)
+    assert not (tmp_path / "instrument.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"frames": 13}, "videos have 12 frames, the instrument needs 13"),
+        ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
+        ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
+    ],
+)
+def test_settings_that_do_not_fit_the_data_are_refused(dataset, tmp_path, changes, words):
+    with pytest.raises(BadInput, match=words):
+        train(dataset, tmp_path, **changes)
+
+
+def test_chance_is_the_score_of_the_labels_distribution():
+    # Uniform in [0, 1]: mean distance 1/3, so 1/6.
+    assert chance_score(np.linspace(0, 1, 401)) == pytest.approx(1 / 6, rel=0.01)
+
+
+def test_gradients_in_bfloat16_are_those_in_float32(tests):
+    _, frames = tests
+    settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
+    torch.manual_seed(0)
+    network = InstrumentNetwork(settings, 2, 24)
+    looks, ordered = training_module._looks(frames[:8], 6, settings, np.random.default_rng(0))
+    gradients = []
+    for bfloat16 in (False, True):
+        network.zero_grad()
+        part = losses(
+            network, looks, torch.linspace(0.2, 0.8, 8), torch.arange(8) % 2, ordered, bfloat16
+        )
+        (part["friction"] / 0.15 + 0.1 * part["material"] + 0.1 * part["order"]).backward()
+        gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))
+    assert torch.nn.functional.cosine_similarity(*gradients, dim=0) > 0.999
+
+
+def test_frames_are_drawn_at_any_phase_of_the_first_interval():
+    videos = np.arange(12, dtype=np.uint8)[None, :, None, None, None].repeat(50, axis=0)
+    taken = phased(videos, 4, np.random.default_rng(0))[..., 0, 0, 0]
+    assert {tuple(row) for row in taken.tolist()} == {(k, k + 3, k + 6, k + 9) for k in range(3)}
+    assert phased(videos, 4, None)[7, :, 0, 0, 0].tolist() == [0, 3, 6, 9]
+
+
+def test_disorder_is_never_the_order():
+    video = np.arange(8)[:, None, None, None]
+    for seed in range(30):
+        assert not np.array_equal(disordered(video, np.random.default_rng(seed)), video)
+
+
+def test_the_curve_in_the_terminal_falls_as_the_loss_does():
+    assert curve([4.0, 3.0, 2.0, 1.0], width=4) == "█▆▃▁"
+    assert curve([1.0, float("nan"), 2.0]) == "▁ █"
+    assert len(curve(list(range(100)))) == 16
+    assert curve([]) == ""
+
+
+def test_the_command_trains_and_says_how_it_went(dataset, tmp_path, capsys):
+    small = {**SETTINGS.model_dump(), "epochs": 1, "plateau_margin": None}
+    write_config(
+        CONFIG.model_copy(update={"instrument": InstrumentSettings(**small)}), tmp_path / "c.json"
+    )
+    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
+    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "1 epochs on 36 videos of 18 simulations" in said
+    assert "calibrated on 12 simulations" in said
