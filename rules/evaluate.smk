@@ -12,6 +12,7 @@ rule evaluate_all:
     input:
         dataset=rules.sample.input,
         networks=rules.train.input,
+        instruments=rules.instrument.input,
     output:
         metrics=report(
             "results/evaluate/metrics.json",
@@ -30,6 +31,7 @@ rule evaluate_all:
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
         settings=settings("evaluate"),
+        frames=CONFIG.sample.frames,
         view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
         code=code_digest("evaluate"),
         config=CONFIG_FILE,
@@ -37,5 +39,5 @@ rule evaluate_all:
         "Evaluate the networks"
     shell:
         "slipstitch evaluate --config {params.config} --dataset results/sample"
-        " --models results/train --out {output.metrics} --predictions {output.predictions}"
+        " --models results/train --instruments results/instrument --out {output.metrics} --predictions {output.predictions}"
         " --details {output.details} --threads {threads} > {log} 2>&1"

@@ -119,7 +119,7 @@ def bench(tmp_path_factory):
             material_model=material if network == "friction_conditional" else None,
         )
     instrument = untrained_instrument(
-        InstrumentSettings(frames=6, channels=[8, 8, 8], draws=1), ["denim", "felt"], 32
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
     )
     save_instrument(instrument, folder / "instrument" / "by_simulation" / "seed0")
     write_config(config, folder / "config.json")

@@ -16,6 +16,8 @@ from slipstitch.errors import BadInput
 from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
 from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.evaluate.wrong_inputs import wrong_inputs
+from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import read_provenance
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.settings import NETWORKS, SPLITS
@@ -31,7 +33,9 @@ def _synthetic_videos():
 
 
 CONFIG = _synthetic_videos().config(
-    render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15", "calibrated_+5"]}
+    grid={"test_frictions": [0.35], "test_materials": ["royal-target"]},
+    instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
+    render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15", "calibrated_+5"]},
 )
 
 
@@ -54,6 +58,15 @@ def chain(tmp_path_factory):
                 view_order=CONFIG.render.viewpoints,
                 material_model=material if network == "friction_conditional" else None,
             )
+        train_instrument(
+            CONFIG.instrument,
+            folder / "sample",
+            split,
+            0,
+            folder / "instrument" / split / "seed0",
+            viewpoint="calibrated",
+            frames=6,
+        )
     return folder
 
 
@@ -63,7 +76,12 @@ def evaluated(chain):
     names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
     with contextlib.chdir(chain):  # records name files by their path from the working folder
         write_evaluation(
-            EvaluateSettings(), chain / "sample", chain / "train", *names, calibrated="calibrated"
+            EvaluateSettings(),
+            chain / "sample",
+            chain / "train",
+            *names,
+            calibrated="calibrated",
+            instruments_folder=chain / "instrument",
         )
     return out
 
@@ -74,13 +92,25 @@ def content(path):
 
 def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluated):
     metrics = content(evaluated / "metrics.json")
-    assert list(metrics) == ["by_video", "by_simulation", "unseen_texture", "view_-15", "view_+5"]
-    for models in metrics.values():
-        assert list(models) == ["lrcn_baseline", "lrcn_conditional"]
+    assert list(metrics) == [
+        "by_video",
+        "by_simulation",
+        "off_grid",
+        "unseen_texture",
+        "unseen_fabric",
+        "view_-15",
+        "view_+5",
+    ]
+    for split, models in metrics.items():
+        # Of the split by video, the instrument's viewpoint may have no test video.
+        assert list(models)[:2] == ["lrcn_baseline", "lrcn_conditional"]
+        assert split == "by_video" or list(models)[2:] == ["instrument"]
         for model, row in models.items():
             assert tuple(row) == FIELDS
-            assert (row["material_top1"] is None) == (model == "lrcn_conditional")
-            assert row["seeds"] == [0] and row["coverage_90"] is None
+            known = model != "lrcn_conditional" and split != "unseen_fabric"
+            assert (row["material_top1"] is not None) == known
+            assert row["seeds"] == [0]
+            assert (row["coverage_90"] is None) == (model != "instrument")
 
 
 def test_the_test_sets_hold_what_they_should(evaluated):
@@ -91,6 +121,8 @@ def test_the_test_sets_hold_what_they_should(evaluated):
     assert n == {
         "by_video": 3,
         "by_simulation": 8,
+        "off_grid": 8,
+        "unseen_fabric": 8,
         "unseen_texture": 16,
         "view_-15": 16,
         "view_+5": 16,
@@ -114,9 +146,13 @@ def test_the_tables_follow_from_the_predictions(evaluated):
     ):
         for split in metrics:
             chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
-            right = np.mean([row["true"] == row["predicted"] for row in chosen])
+            error = np.array([row["predicted_value"] - row["true_value"] for row in chosen])
+            right = np.mean(abs(error) < 0.05)
             assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
             assert metrics[split][model]["n"] == len(chosen)
+            if split == "off_grid":
+                assert details[split][network]["confusion"] is None
+                continue
             counts = np.array(details[split][network]["confusion"])
             assert counts.trace() / counts.sum() == pytest.approx(right)
     assert all(sum(row["probabilities"]) == pytest.approx(1.0) for row in rows)
@@ -126,17 +162,49 @@ def test_the_tables_follow_from_the_predictions(evaluated):
     assert held_out and not held_out & trained
 
 
+def test_the_instruments_rows_follow_from_its_predictions(evaluated):
+    rows = pq.read_table(evaluated / "predictions.parquet").to_pylist()
+    details = content(evaluated / "details.json")
+    entry = content(evaluated / "metrics.json")["by_simulation"]["instrument"]
+    said = [r for r in rows if (r["split"], r["network"]) == ("by_simulation", "instrument")]
+    assert {row["viewpoint"] for row in said} == {"calibrated"}
+    assert entry["n"] == len(said) == 4
+    errors = [abs(row["predicted_value"] - row["true_value"]) for row in said]
+    assert entry["mean_absolute_error"] == pytest.approx(np.mean(errors))
+    covered = [row["low"] <= row["true_value"] <= row["high"] for row in said]
+    assert entry["coverage_90"] == pytest.approx(np.mean(covered))
+    alarms = details["by_simulation"]["instrument"]["alarms"]["0"]
+    assert alarms["good"] == np.mean([row["alarm"] != "" for row in said])
+    assert {"reversed", "protocol", "empty", "object", "viewpoint"} <= set(alarms)
+
+
+def test_wrong_inputs_are_what_they_are_called():
+    # Grey floor that grows brighter downwards, a red cloth that moves across it.
+    videos = np.zeros((3, 8, 32, 32, 3), np.uint8)
+    videos[:] = (np.arange(32) * 4 + 40)[:, None, None]
+    for frame in range(8):
+        videos[:, frame, 8:20, 3 * frame : 3 * frame + 8] = (200, 30, 40)
+    made = wrong_inputs(videos)
+    assert np.array_equal(made["reversed"][:, 0], videos[:, -1])
+    assert np.array_equal(made["protocol"][:, 7], videos[:, 3])
+    assert np.array_equal(made["upside_down"][:, :, 0], videos[:, :, -1])
+    floor = (np.arange(32) * 4 + 40)[:, None, None]
+    assert abs(made["empty"].astype(int) - floor).max() <= 6
+    changed = (made["object"] != made["empty"]).any(-1)
+    assert changed[:, :, 14:18, 14:18].all() and not changed[:, :, :6].any()
+
+
 def test_every_file_says_where_it_comes_from(evaluated):
     for name in ("metrics.json", "details.json", "predictions.parquet"):
         record = read_provenance(evaluated / name)
-        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 6
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 6 + 2
 
 
 def test_the_command_prints_the_table(chain, tmp_path, capsys):
     write_config(CONFIG, tmp_path / "config.json")
     words = ["evaluate", "--config", str(tmp_path / "config.json")]
     words += ["--dataset", str(chain / "sample"), "--models", str(chain / "train")]
-    words += ["--out", str(tmp_path / "metrics.json")]
+    words += ["--instruments", str(chain / "instrument"), "--out", str(tmp_path / "metrics.json")]
     assert main([*words, "--predictions", str(tmp_path / "predictions.parquet")]) == 0
     said = capsys.readouterr().out
     assert "by_simulation    lrcn_conditional" in said

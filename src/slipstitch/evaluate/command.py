@@ -21,6 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
+    parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
     parser.add_argument("--out", required=True, help="metrics.json")
     parser.add_argument("--predictions", required=True, help="predictions.parquet")
     parser.add_argument(
@@ -33,7 +34,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the dataset is what `slipstitch capture ingest` wrote",
     )
-    captures.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
     captures.add_argument("--page", help="tables and plots (HTML)")
 
 
@@ -53,9 +53,8 @@ def run(arguments: argparse.Namespace) -> None:
         return
     if not arguments.models:
         raise BadInput("--models: needed, unless --captures comes with --instruments")
-    for name in ("instruments", "page"):
-        if getattr(arguments, name):
-            raise BadInput(f"--{name} goes with --captures")
+    if arguments.page:
+        raise BadInput("--page goes with --captures")
     metrics = write_evaluation(
         config.evaluate,
         arguments.dataset,
@@ -64,11 +63,14 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.predictions,
         arguments.details or Path(arguments.out).with_name("details.json"),
         train=config.train,
+        frames=config.sample.frames,
+        instruments_folder=arguments.instruments,
+        instrument_seeds=config.instrument.seeds,
         calibrated=(config.train.view_order or config.render.viewpoints)[0],
         threads=arguments.threads,
     )
     print(f"{'split':<16} {'model':<17} {'n':>5} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end="")
-    print(f" {'top-1':>7} {'top-2':>7}")
+    print(f" {'top-1':>7} {'top-2':>7} {'cover':>7} {'width':>7}")
     for split, of_model in metrics.items():
         for model, row in of_model.items():
             cells = [
@@ -77,6 +79,8 @@ def run(arguments: argparse.Namespace) -> None:
                 f"{_number(row['mean_absolute_error']):>8}",
                 _percent(row["material_top1"]),
                 _percent(row["material_top2"]),
+                _percent(row["coverage_90"]),
+                f"{_number(row['interval_width']):>7}",
             ]
             print(f"{split:<16} {model:<17} {row['n']:>5} {' '.join(cells)}")
 

@@ -13,6 +13,11 @@ import numpy as np
 import pyarrow as pa
 
 from slipstitch.errors import BadInput
+from slipstitch.evaluate.instruments import (
+    alarm_rates,
+    evaluate_instruments,
+    find_instruments,
+)
 from slipstitch.evaluate.metrics import (
     chance,
     check_probabilities,
@@ -24,6 +29,7 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
 )
 from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import (
     atomic_path,
     provenance_record,
@@ -39,7 +45,7 @@ from slipstitch.train.training import (
     predict,
     set_up_torch,
 )
-from slipstitch.train.videos import Videos, read_videos
+from slipstitch.train.videos import Videos, read_videos, takes_part, test_only
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
@@ -58,7 +64,10 @@ PREDICTIONS_SCHEMA = pa.schema(
         ("predicted", pa.string()),
         ("true_value", pa.float64()),
         ("predicted_value", pa.float64()),
-        ("probabilities", pa.list_(pa.float64())),
+        ("probabilities", pa.list_(pa.float64())),  # of classes; an instrument's on its grid
+        ("low", pa.float64()),  # of the instrument's interval
+        ("high", pa.float64()),
+        ("alarm", pa.string()),  # its reason, empty without
     ]
 )
 
@@ -78,6 +87,8 @@ def evaluation_sets(
     """The test sets that a dataset has, in the order of the tables.
 
     by_video, by_simulation: the split's test videos in training textures and views.
+    off_grid, unseen_fabric: friction coefficients between those of the grid, and fabrics that no
+    network trains on, with the networks trained by simulation.
     unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
     turn from the calibrated one, in degrees, in training textures. Both test the networks trained
     by video on every simulation, as the paper does: the texture or the view is new to them, the
@@ -94,25 +105,30 @@ def evaluation_sets(
     """
 
     def counts(row: dict[str, Any]) -> bool:
-        return row["viewpoint_role"] == "train" and (
-            viewpoints == "training" or row["viewpoint"] == calibrated
-        )
+        return viewpoints == "training" or row["viewpoint"] == calibrated
 
     sets = [
         EvaluationSet(
             split,
             split,
             lambda row, column=f"split_{split}": (
-                counts(row) and row["texture_role"] == "train" and row[column] == "test"
+                takes_part(row) and counts(row) and row[column] == "test"
             ),
         )
         for split in SPLITS
     ]
-    sets.append(
-        EvaluationSet(
-            "unseen_texture", "by_video", lambda row: counts(row) and row["texture_role"] == "test"
+    for name, trained_on, kind in (
+        ("off_grid", "by_simulation", "friction"),
+        ("unseen_texture", "by_video", "texture"),
+        ("unseen_fabric", "by_simulation", "material"),
+    ):
+        sets.append(
+            EvaluationSet(
+                name,
+                trained_on,
+                lambda row, kind=kind: counts(row) and test_only(row) == {kind},
+            )
         )
-    )
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     for turn in sorted(turns):
         sets.append(
@@ -120,9 +136,7 @@ def evaluation_sets(
                 f"view_{turn:+.0f}",
                 "by_video",
                 lambda row, turn=turn: (
-                    row["viewpoint_role"] == "test"
-                    and row["viewpoint_turn_deg"] == turn
-                    and row["texture_role"] == "train"
+                    test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn
                 ),
             )
         )
@@ -215,6 +229,9 @@ def evaluate(
     *,
     calibrated: str,
     train: TrainSettings | None = None,
+    frames: int | None = None,
+    instruments_folder: str | os.PathLike | None = None,
+    instrument_seeds: list[int] | None = None,
     threads: int = 1,
 ) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
     """Evaluate all models on all test sets.
@@ -228,6 +245,12 @@ def evaluate(
         Name of the calibrated viewpoint.
     train : TrainSettings, optional
         The splits and seeds that count; by default every model in the folder.
+    frames : int, optional
+        Frames of a video that the networks see; by default all of the dataset's.
+    instruments_folder : path, optional
+        What the instrument stage wrote.
+    instrument_seeds : list of int, optional
+        Seeds that count; by default all.
     threads : int
 
     Returns
@@ -252,7 +275,6 @@ def evaluate(
     videos = read_videos(
         dataset,
         lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test",
-        pixels.pop(),
     )
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
@@ -260,16 +282,19 @@ def evaluate(
                 f"{network} {split} seed {seed} was trained on another dataset than {dataset}"
             )
 
+    instruments = {}
+    if instruments_folder is not None:
+        splits = SPLITS if train is None else train.splits
+        instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
+
+    side = pixels.pop()
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
     predictions: list[dict[str, Any]] = []
     for test in evaluation_sets(videos.rows, calibrated, settings.viewpoints):
         chosen = np.array([test.holds(row) for row in videos.rows])
-        part = Videos(
-            [row for row, use in zip(videos.rows, chosen, strict=True) if use],
-            videos.pixels[chosen],
-            videos.digest,
-        )
+        whole = videos.chosen(chosen)
+        part = whole.seen_with(side, frames)
         by_network = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
@@ -292,30 +317,48 @@ def evaluate(
                 metrics[test.name][name] = entry(
                     len(part), seeds, *(scores[one]["mean"] for one in used)
                 )
+        measured, rows = evaluate_instruments(settings, test, whole, instruments)
+        if measured:
+            if test.name in SPLITS:
+                measured["alarms"] = alarm_rates(instruments, test.name, whole)
+            details[test.name]["instrument"] = measured
+            predictions += rows
+            seeds = sorted(map(int, measured["seeds"]))
+            metrics[test.name]["instrument"] = entry(measured["n"], seeds, measured["mean"])
     return metrics, details, predictions
 
 
-def _score(settings, card, shares: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    if card["target"] == "material":
-        return material_scores(shares, truth)
-    values = np.array([one["value"] for one in card["classes"]])
-    return friction_scores(shares, truth, values, settings.friction_step)
+def _score(settings, card, shares: np.ndarray, rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Scores of one network; empty for the fabrics of videos of which one is no class."""
+    if card["target"] == "friction":
+        values = np.array([one["value"] for one in card["classes"]])
+        true = np.array([row["friction"] for row in rows])
+        return friction_scores(values[shares.argmax(1)], true, settings.friction_step)
+    truth = known_labels(rows, card)
+    return {} if truth is None else material_scores(shares, truth)
+
+
+def known_labels(rows: list[dict[str, Any]], card: dict[str, Any]) -> np.ndarray | None:
+    """Class numbers of videos; None if one is of no class, as off the grid."""
+    known = {one["id"] for one in card["classes"]}
+    if any(row[f"{card['target']}_id"] not in known for row in rows):
+        return None
+    return labels_of(rows, card["classes"], card["target"])
 
 
 def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str, Any]:
     """Everything that details.json says of one network on one test set."""
     card = models[split, network, min(of_seed)].card
-    truth = labels_of(part.rows, card["classes"], card["target"])
+    truth = known_labels(part.rows, card)
     views = np.array([row["viewpoint"] for row in part.rows])
     simulations = {row["simulation"] for row in part.rows}
-    each = {seed: _score(settings, card, shares, truth) for seed, shares in of_seed.items()}
-    counts = sum(np.array(confusion(shares, truth)) for shares in of_seed.values())
+    each = {seed: _score(settings, card, shares, part.rows) for seed, shares in of_seed.items()}
     result: dict[str, Any] = {
         "n": len(part),
         "simulations": len(simulations),
         "trained_on": split,
         "classes": card["classes"],
-        "chance": chance(truth, len(card["classes"])),
+        "chance": {} if truth is None else chance(truth, len(card["classes"])),
         "mean": mean_over_seeds(list(each.values())),
         "seeds": {str(seed): score for seed, score in sorted(each.items())},
         "viewpoints": {
@@ -323,27 +366,34 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
                 "n": int((views == view).sum()),
                 **mean_over_seeds(
                     [
-                        _score(settings, card, shares[views == view], truth[views == view])
+                        _score(settings, card, shares[views == view], _of(part.rows, views == view))
                         for shares in of_seed.values()
                     ]
                 ),
             }
             for view in sorted(set(views))
         },
-        "confusion": counts.tolist(),
+        "confusion": None,
     }
+    if truth is not None:
+        counts = sum(np.array(confusion(shares, truth)) for shares in of_seed.values())
+        result["confusion"] = counts.tolist()
     if card["target"] == "friction":
-        values = np.array([one["value"] for one in card["classes"]])
-        result["chance"]["mean_absolute_error"] = constant_error(truth, values)
+        true = np.array([row["friction"] for row in part.rows])
+        result["chance"]["mean_absolute_error"] = constant_error(true)
     return result
+
+
+def _of(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[dict[str, Any]]:
+    return [row for row, use in zip(rows, chosen, strict=True) if use]
 
 
 def _rows(
     part: Videos, test: EvaluationSet, key, model: TrainedModel, shares
 ) -> list[dict[str, Any]]:
     card = model.card
-    truth = labels_of(part.rows, card["classes"], card["target"])
-    check_probabilities(shares, truth)
+    truth = known_labels(part.rows, card)
+    check_probabilities(shares, np.zeros(len(shares), np.int64) if truth is None else truth)
     ids = [one["id"] for one in card["classes"]]
     values = [one.get("value", math.nan) for one in card["classes"]]
     return [
@@ -356,13 +406,13 @@ def _rows(
             "trained_on": test.trained_on,
             "network": key[1],
             "seed": key[2],
-            "true": ids[true],
+            "true": row[f"{card['target']}_id"],
             "predicted": ids[int(likely.argmax())],
-            "true_value": values[true],
+            "true_value": row["friction"] if card["target"] == "friction" else math.nan,
             "predicted_value": values[int(likely.argmax())],
             "probabilities": likely.tolist(),
         }
-        for row, true, likely in zip(part.rows, truth, shares, strict=True)
+        for row, likely in zip(part.rows, shares, strict=True)
     ]
 
 
@@ -376,17 +426,30 @@ def write_evaluation(
     *,
     calibrated: str,
     train: TrainSettings | None = None,
+    frames: int | None = None,
+    instruments_folder: str | os.PathLike | None = None,
+    instrument_seeds: list[int] | None = None,
     threads: int = 1,
 ) -> dict[str, Any]:
     """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
     started = start_clock()
     metrics, details, predictions = evaluate(
-        settings, dataset, models_folder, calibrated=calibrated, train=train, threads=threads
+        settings,
+        dataset,
+        models_folder,
+        calibrated=calibrated,
+        train=train,
+        frames=frames,
+        instruments_folder=instruments_folder,
+        instrument_seeds=instrument_seeds,
+        threads=threads,
     )
     inputs = [Path(dataset) / "manifest.parquet"]
     inputs += [
         path.with_name(name) for path in _weights(models_folder, train) for name in (WEIGHTS, CARD)
     ]
+    if instruments_folder is not None:
+        inputs += sorted(Path(instruments_folder).glob(f"*/seed*/{INSTRUMENT}"))
     record = provenance_record(
         "evaluate", inputs=inputs, config={"evaluate": settings}, started=started
     )

@@ -57,17 +57,12 @@ def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarra
     return np.floor(np.abs(predicted - true) / step + 0.5 + 1e-9).astype(np.int64)
 
 
-def friction_scores(
-    shares: np.ndarray, truth: np.ndarray, coefficients: np.ndarray, step: float
-) -> dict[str, float]:
-    """Scores of a friction network; its answer is the likeliest class's coefficient.
+def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dict[str, float]:
+    """Scores of predicted friction coefficients, on the grid or off it.
 
     Parameters
     ----------
-    shares : ndarray, shape (n, classes)
-    truth : ndarray of int, shape (n,)
-    coefficients : ndarray, shape (classes,)
-        Friction coefficient of each class.
+    predicted, true : ndarray, shape (n,)
     step : float
         Grid step, 0.1 in the paper.
 
@@ -76,8 +71,6 @@ def friction_scores(
     dict
         ``friction_lt_0.1``, ``friction_lt_0.2`` (shares in 0 ... 1), ``mean_absolute_error``.
     """
-    check_probabilities(shares, truth)
-    predicted, true = coefficients[shares.argmax(1)], coefficients[truth]
     off = steps_off(predicted, true, step)
     return {
         "friction_lt_0.1": float((off == 0).mean()),
@@ -103,9 +96,8 @@ def chance(truth: np.ndarray, classes: int) -> dict[str, float]:
     }
 
 
-def constant_error(truth: np.ndarray, coefficients: np.ndarray) -> float:
+def constant_error(true: np.ndarray) -> float:
     """Least mean absolute error of one coefficient said of every video: that of the median."""
-    true = coefficients[truth]
     return float(np.abs(true - np.median(true)).mean())
 
 

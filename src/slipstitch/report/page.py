@@ -176,6 +176,15 @@ def _table_2(metrics) -> list[dict[str, Any]]:
 _NETWORKS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
 
 
+def _alarms(details) -> list[dict[str, Any]]:
+    """How often the instruments' alarm is raised, a row an instrument."""
+    return [
+        {"split": SPLIT_TITLES[split], "seed": seed, "shares": shares}
+        for split in ("by_simulation", "by_video")
+        for seed, shares in details.get(split, {}).get("instrument", {}).get("alarms", {}).items()
+    ]
+
+
 def _test_sets(metrics, details) -> list[dict[str, Any]]:
     """Every test set of metrics.json with its models, and what chance would give."""
     groups = []
@@ -575,6 +584,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "networks": len(histories),
         "table_2": _table_2(metrics) if metrics else None,
         "test_sets": _test_sets(metrics, details),
+        "alarms": _alarms(details),
         "paper": paper,
         "coarse_grid": step is not None and step > 0.1 + 1e-9,
         "step": step,

@@ -26,6 +26,7 @@ NETWORK_NAMES = {
     "material_baseline": "material",
     "friction_baseline": "friction, baseline",
     "friction_conditional": "friction, given the material",
+    "instrument": "instrument (score in µ)",
 }
 SPLIT_NAMES = {"by_video": "by video (the paper's)", "by_simulation": "by simulation"}
 
@@ -252,7 +253,7 @@ def training(histories: Sequence[History]) -> str | None:
     for axes, network in zip(panels[0], networks, strict=True):
         axes.set_title(NETWORK_NAMES[network])
     for row, split in zip(panels, splits, strict=True):
-        row[0].set_ylabel(f"{SPLIT_NAMES.get(split, split)}\ncross-entropy", fontsize=8)
+        row[0].set_ylabel(f"{SPLIT_NAMES.get(split, split)}\nloss", fontsize=8)
         for axes in row:
             axes.set_ylim(0, None)
     figure.supxlabel("epoch", fontsize=9)
@@ -353,7 +354,11 @@ def cumulative(predictions, frictions: Sequence[float]) -> str | None:
     panels = figure.subplots(1, len(splits), sharey=True, squeeze=False)[0]
     widest = max(frictions) - min(frictions)
     for axes, split in zip(panels, splits, strict=True):
-        for network, colour in (("friction_baseline", BLUE), ("friction_conditional", MEASURED)):
+        for network, colour in (
+            ("friction_baseline", BLUE),
+            ("friction_conditional", MEASURED),
+            ("instrument", INK),
+        ):
             true, predicted = _friction_rows(predictions, split, network)
             if not len(true):
                 continue

@@ -22,7 +22,17 @@ from slipstitch.provenance import (
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.runs import Failure, Run, failures, read_runs
 
-STAGES = ("calibrate", "simulate", "convergence", "render", "sample", "train", "evaluate", "report")
+STAGES = (
+    "calibrate",
+    "simulate",
+    "convergence",
+    "render",
+    "sample",
+    "train",
+    "instrument",
+    "evaluate",
+    "report",
+)
 
 
 @dataclass(frozen=True)
@@ -203,8 +213,12 @@ class Results:
     def histories(self) -> list[History]:
         """Training curves, in the order of the configuration."""
         found = []
-        for path in sorted((self.folder / "train").glob("*/*/seed*/history.csv")):
-            split, network, seed = path.parts[-4:-1]
+        paths = sorted((self.folder / "train").glob("*/*/seed*/history.csv"))
+        paths += sorted((self.folder / "instrument").glob("*/seed*/history.csv"))
+        for path in paths:
+            split, network, seed = path.relative_to(self.folder).parts[-4:-1]
+            if split == "instrument":
+                split, network = network, "instrument"
             try:
                 rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
                 epochs = [

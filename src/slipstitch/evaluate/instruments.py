@@ -1,0 +1,192 @@
+"""Instruments on the videos that test them: errors, coverage of their intervals, alarms."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.metrics import constant_error, friction_scores, material_scores
+from slipstitch.evaluate.settings import EvaluateSettings
+from slipstitch.evaluate.wrong_inputs import wrong_inputs
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.conformal import covered
+from slipstitch.instrument.measuring import WEIGHTS, Instrument, Measurement, load_instrument
+from slipstitch.train.videos import Videos
+
+Row = dict[str, Any]
+
+
+def find_instruments(
+    folder: str | os.PathLike,
+    splits: Sequence[str],
+    seeds: Sequence[int] | None,
+    dataset_digest: str,
+) -> dict[tuple[str, int], Instrument]:
+    """The instruments in ``{split}/seed{seed}/``, by (split, seed).
+
+    Raises
+    ------
+    BadInput
+        If one is damaged, not what its folder says, or of another dataset.
+    """
+    found = {}
+    for split in splits:
+        for path in sorted(Path(folder, split).glob(f"seed*/{WEIGHTS}")):
+            instrument = load_instrument(path)
+            card = instrument.card
+            if seeds is not None and card["seed"] not in seeds:
+                continue
+            if (card["split"], f"seed{card['seed']}") != path.parts[-3:-1]:
+                raise BadInput(
+                    f"{path}: holds {card['split']} seed {card['seed']}: not what its folder says"
+                )
+            if card["dataset_digest"] != dataset_digest:
+                raise BadInput(f"{path}: was made from another dataset")
+            found[split, card["seed"]] = instrument
+    return found
+
+
+def measured(instrument: Instrument, videos: np.ndarray) -> list[Measurement]:
+    """Measure videos, each with the same augmented looks as any other."""
+    return [instrument.measure(video) for video in videos]
+
+
+def scores(
+    said: list[Measurement], rows: list[Row], settings: EvaluateSettings
+) -> dict[str, float]:
+    """Scores of one instrument on videos; fabrics only where all are ones that it knows.
+
+    Returns
+    -------
+    dict
+        Those of `friction_scores` and `material_scores`; ``coverage_90`` and its standard error
+        (every simulation counts once), ``interval_width`` (mean, in mu), ``alarm_rate``.
+    """
+    true = np.array([row["friction"] for row in rows])
+    names = list(said[0].material_probabilities)
+    low, high = np.array([one.interval_90 for one in said]).T
+    share, error = covered(low, high, true, [row["simulation"] for row in rows])
+    result = {
+        **friction_scores(
+            np.array([one.friction_coefficient for one in said]), true, settings.friction_step
+        ),
+        "coverage_90": share,
+        "coverage_90_error": error,
+        "interval_width": float((high - low).mean()),
+        "alarm_rate": float(np.mean([one.alarm for one in said])),
+    }
+    if all(row["material"] in names for row in rows):
+        shares = np.array([list(one.material_probabilities.values()) for one in said])
+        truth = np.array([names.index(row["material"]) for row in rows])
+        result |= material_scores(shares, truth)
+    return result
+
+
+def evaluate_instruments(
+    settings: EvaluateSettings, test, videos: Videos, instruments: dict[tuple[str, int], Instrument]
+) -> tuple[dict[str, Any] | None, list[Row]]:
+    """All instruments of a test set's split on its videos from the viewpoint that they know.
+
+    On the test sets of other viewpoints (turned by some degrees) every video is measured.
+
+    Returns
+    -------
+    details : dict or None
+        ``n, simulations, trained_on, chance, mean, seeds`` as for the networks; None if there is
+        no instrument or no video.
+    predictions : list of dict
+        Rows of predictions.parquet.
+    """
+    each: dict[str, dict[str, float]] = {}
+    predictions: list[Row] = []
+    for (split, seed), instrument in instruments.items():
+        if split != test.trained_on:
+            continue
+        view = instrument.card["viewpoint"]
+        seen = np.array(
+            [row["viewpoint"] == view or row["viewpoint_role"] == "test" for row in videos.rows]
+        )
+        if not seen.any():
+            return None, []
+        rows = [row for row, use in zip(videos.rows, seen, strict=True) if use]
+        frames = phased(videos.pixels[seen], instrument.card["frames"], None)
+        said = measured(instrument, frames)
+        each[str(seed)] = scores(said, rows, settings)
+        predictions += [
+            _prediction(row, test, seed, one) for row, one in zip(rows, said, strict=True)
+        ]
+    if not each:
+        return None, []
+    names = [
+        name for name in next(iter(each.values())) if all(name in one for one in each.values())
+    ]
+    values = {name: [one[name] for one in each.values()] for name in names}
+    true = np.array([row["friction"] for row in rows])
+    return {
+        "n": len(rows),
+        "simulations": len({row["simulation"] for row in rows}),
+        "trained_on": test.trained_on,
+        "chance": {"mean_absolute_error": constant_error(true)},
+        "mean": {name: float(np.mean(value)) for name, value in values.items()},
+        "spread": {name: float(np.std(value, ddof=1)) for name, value in values.items()}
+        if len(each) > 1
+        else None,
+        "seeds": each,
+    }, predictions
+
+
+def alarm_rates(
+    instruments: dict[tuple[str, int], Instrument], split: str, videos: Videos
+) -> dict[str, dict[str, float]]:
+    """Share of alarms on wrong inputs made from the split's test videos, and on these themselves.
+
+    Parameters
+    ----------
+    videos : Videos
+        All test videos of the split; those of other training viewpoints are wrong inputs too.
+
+    Returns
+    -------
+    dict
+        Seed -> kind -> share; ``good`` is the share of false alarms.
+    """
+    result: dict[str, dict[str, float]] = {}
+    for (trained_on, seed), instrument in instruments.items():
+        if trained_on != split:
+            continue
+        view = instrument.card["viewpoint"]
+        mine = np.array([row["viewpoint"] == view for row in videos.rows])
+        frames = phased(videos.pixels, instrument.card["frames"], None)
+        kinds = {"good": frames[mine], **wrong_inputs(frames[mine])}
+        if not mine.all():
+            kinds["viewpoint"] = frames[~mine]
+        result[str(seed)] = {
+            kind: float(np.mean([one.alarm for one in measured(instrument, some)]))
+            for kind, some in kinds.items()
+        }
+    return result
+
+
+def _prediction(row: Row, test, seed: int, said: Measurement) -> Row:
+    fabric = max(said.material_probabilities, key=said.material_probabilities.get)
+    return {
+        "video": row["video"],
+        "simulation": row["simulation"],
+        "texture": row["texture"],
+        "viewpoint": row["viewpoint"],
+        "split": test.name,
+        "trained_on": test.trained_on,
+        "network": "instrument",
+        "seed": seed,
+        "true": row["friction_id"],
+        "predicted": fabric,
+        "true_value": row["friction"],
+        "predicted_value": said.friction_coefficient,
+        "probabilities": said.distribution[1].tolist(),
+        "low": said.interval_90[0],
+        "high": said.interval_90[1],
+        "alarm": said.alarm_reason,
+    }
