@@ -29,8 +29,8 @@ rule instrument_one:
         "results/benchmarks/instrument/{split}_seed{seed}.tsv"
     threads: 1
     resources:
-        mem_mb=job_memory_mb("train"),
-        runtime=job_runtime_min("train", CONFIG),
+        mem_mb=job_memory_mb("instrument", CONFIG),
+        runtime=job_runtime_min("instrument", CONFIG),
     params:
         settings=settings("instrument", instrument={"seeds"}),
         frames=CONFIG.sample.frames,

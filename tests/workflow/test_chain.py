@@ -13,8 +13,8 @@ from slipstitch.provenance import file_digest, read_provenance
 # One process of pytest-xdist for all of them: they share one run of the chain.
 pytestmark = pytest.mark.xdist_group("chain")
 
-STAGES = ("calibrate", "simulate", "render", "sample", "train", "evaluate", "report")
-AFTER_SIMULATE = {"render", "sample", "train", "evaluate", "report"}
+STAGES = ("calibrate", "simulate", "render", "sample", "train", "instrument", "evaluate", "report")
+AFTER_SIMULATE = {"render", "sample", "train", "instrument", "evaluate", "report"}
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
     assert made_from_it <= pending
     # What follows is made from all simulations together.
     pending_after = pending - made_from_it - {"render/verification.json"}
-    assert stages(pending_after) == {"sample", "train", "evaluate", "report"}
+    assert stages(pending_after) == {"sample", "train", "instrument", "evaluate", "report"}
     assert not [
         file
         for file in pending

@@ -52,7 +52,7 @@ def test_dry_run_writes_no_results(workflow):
 
 @pytest.mark.parametrize(
     "target",
-    ["calibrate", "simulate", "render", "sample", "train", "evaluate", "report"],
+    ["calibrate", "simulate", "render", "sample", "train", "instrument", "evaluate", "report"],
 )
 def test_every_stage_is_a_target(workflow, target):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)

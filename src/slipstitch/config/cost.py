@@ -101,6 +101,7 @@ MEMORY_MIB = {
     "verify": Cost(438, "MiB", "smoke chain"),
     "preview": Cost(167, "MiB", "smoke chain; 141 at 112 px"),
     "sample": Cost(149, "MiB", "smoke chain"),
+    "instrument": Cost(560, "MiB", "60 simulations at 64 px: 672 MiB, 110 of it the videos"),
     "train": Cost(407, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
     "evaluate": Cost(423, "MiB", "smoke chain; the videos come on top"),
     "criticise": Cost(343, "MiB", "a case of 24 runs"),
@@ -302,7 +303,7 @@ def _video_bytes(config: Config) -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
     side = config.train.pixels or config.render.pixels
     videos = len(simulations(config)) * len(viewpoints(config)) * len(textures(config))
-    return 3.0 * videos * config.sample.frames * side**2
+    return 3.0 * videos * config.sample.frames_kept * side**2
 
 
 def job_memory_mb(kind: str, config: Config | None = None) -> int:
@@ -316,7 +317,7 @@ def job_memory_mb(kind: str, config: Config | None = None) -> int:
         For kinds whose memory grows with the dataset.
     """
     needed = MEMORY_MARGIN * MEMORY_MIB[kind].value * 2**20
-    if config is not None and kind in ("train", "evaluate"):
+    if config is not None and kind in ("train", "instrument", "evaluate"):
         needed += 1.2 * _video_bytes(config)
     return 256 * math.ceil(needed / 256e6)
 
