@@ -58,6 +58,7 @@ def test_every_stage_is_a_target(workflow, target):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)
     assert answer.returncode == 0, answer.stderr
     order = ["calibrate_settings", "simulate_one", "render_images", "sample_all", "train_one",
+             "instrument_one",
              "evaluate_all", "report_page"]  # fmt: skip
     wanted = [name for name in order if name.startswith(target)]
     later = order[order.index(wanted[-1]) + 1 :]
