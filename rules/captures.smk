@@ -126,6 +126,7 @@ rule captures_evaluate:
     input:
         dataset=rules.captures_ingest.output,
         networks=rules.train.input,
+        instruments=rules.instrument.input,
     output:
         metrics="results/captures/metrics.json",
         predictions="results/captures/predictions.parquet",
@@ -147,8 +148,9 @@ rule captures_evaluate:
         code=code_digest("evaluate"),
         config=CONFIG_FILE,
     message:
-        "Evaluate the networks on the captures"
+        "Evaluate networks and instruments on the captures"
     shell:
         "slipstitch evaluate --captures --config {params.config}"
-        " --dataset results/captures/dataset --models results/train --out {output.metrics}"
+        " --dataset results/captures/dataset --models results/train"
+        " --instruments results/instrument --out {output.metrics}"
         " --predictions {output.predictions} --page {output.page} > {log} 2>&1"
