@@ -147,7 +147,7 @@ def test_pictures_are_the_same_every_time(tmp_path):
 
 @pytest.fixture
 def config(monkeypatch):
-    monkeypatch.setattr("slipstitch.protocol.run_protocol", answer)
+    monkeypatch.setattr("slipstitch.protocol.registry.run_protocol", answer)
     return resolve_config(
         {
             "simulation": {"time_step_s": 0.02, "friction_tolerance": 1e-4},
@@ -191,5 +191,5 @@ def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
     with pytest.raises(BadInput, match=r"settings tried, not the .* of the configuration"):
         read_sweeps(paths, other)
     (tmp_path / "base.json").write_text("{")
-    with pytest.raises(BadInput, match=r"base\.json: not a sweep of the calibration"):
+    with pytest.raises(BadInput, match=r"base\.json: damaged or no JSON file"):
         read_sweeps(paths, config)

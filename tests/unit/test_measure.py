@@ -85,7 +85,7 @@ def test_a_stated_start(bench, capsys):
     [
         (["--start-s", "-1"], "--start-s: -1; must be greater than 0"),
         (["--start-s", "9"], "ends after 12.7 s; the stage starts at 9.0 s"),
-        (["--camera", "no.json"], "no.json: cannot be read"),
+        (["--camera", "no.json"], "no.json: no such file"),
         (["--model", "nowhere"], "nowhere"),
         (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
         (["--threads", "0"], "--threads must be at least 1"),

@@ -80,8 +80,8 @@ def calibrate(
     simulation : SimulationSettings
         Settings to verify.
     run_protocol : callable
-        ``slipstitch.protocol.run_protocol``: name, options and settings to a mapping of results
-        (SI units).
+        ``slipstitch.protocol.registry.run_protocol``: name, options and settings to a mapping of
+        results (SI units).
 
     Returns
     -------

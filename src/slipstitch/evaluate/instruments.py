@@ -62,8 +62,9 @@ def scores(
     Returns
     -------
     dict
-        Those of `friction_scores` and `material_scores`; ``coverage_90`` and its standard error
-        (every simulation counts once), ``interval_width`` (mean, in mu), ``alarm_rate``.
+        Those of `friction_scores` and `material_scores`; ``coverage_90`` and, of more than one
+        simulation, its standard error (every simulation counts once), ``interval_width`` (mean,
+        in mu), ``alarm_rate``.
     """
     true = np.array([row["friction"] for row in rows])
     names = list(said[0].material_probabilities)
@@ -74,10 +75,11 @@ def scores(
             np.array([one.friction_coefficient for one in said]), true, settings.friction_step
         ),
         "coverage_90": share,
-        "coverage_90_error": error,
         "interval_width": float((high - low).mean()),
         "alarm_rate": float(np.mean([one.alarm for one in said])),
     }
+    if np.isfinite(error):  # more than one simulation
+        result["coverage_90_error"] = error
     if all(row["material"] in names for row in rows):
         shares = np.array([list(one.material_probabilities.values()) for one in said])
         truth = np.array([names.index(row["material"]) for row in rows])

@@ -20,8 +20,8 @@ QUESTIONS = {
     "by_video": "videos at random, as the paper splits: the simulation of a test video stands in "
     "the training set too, in another texture or view",
     "by_simulation": "whole simulations kept from training: the honest figure",
-    "unseen_friction": "whole friction coefficients kept from training, never the lowest or the "
-    "highest: interpolation between the coefficients",
+    "unseen_friction": "whole friction coefficients kept from training, between the lowest and the "
+    "highest unless the grid keeps others for testing",
     "unseen_fabric": "whole fabrics kept from training",
 }
 
@@ -98,11 +98,11 @@ def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, lis
     held = {
         "unseen_friction": (
             "friction",
-            unseen_frictions([row["friction"] for row in rows], share),
+            unseen_frictions([row["friction"] for row in rows if may_train(row)], share),
         ),
         "unseen_fabric": (
             "material",
-            unseen_fabrics([row["material"] for row in rows], share, seed),
+            unseen_fabrics([row["material"] for row in rows if may_train(row)], share, seed),
         ),
     }
     for name, (column, values) in held.items():
@@ -111,7 +111,10 @@ def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, lis
             for row, trained in zip(rows, trains, strict=True)
         ]
     for kind in _roles(rows[0]):
-        splits[f"unseen_{kind}"] = [_unseen_kind(row, kind) for row in rows]
+        # Where the grid itself keeps some for testing, those are the unseen ones.
+        if any(row[f"{kind}_role"] == "test" for row in rows):
+            name = "unseen_fabric" if kind == "material" else f"unseen_{kind}"
+            splits[name] = [_unseen_kind(row, kind) for row in rows]
     return {name: sides for name, sides in splits.items() if {"train", "test"} <= set(sides)}
 
 
