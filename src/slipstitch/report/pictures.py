@@ -216,7 +216,7 @@ def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]
     return [
         (0.5 * (before["epoch"] + after["epoch"]), str(after["stage"]))
         for before, after in pairwise(epochs)
-        if before["stage"] != after["stage"]
+        if before.get("stage") != after.get("stage")
     ]
 
 
