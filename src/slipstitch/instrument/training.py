@@ -1,6 +1,5 @@
 """Training the instrument's network, then calibrating its error bars and its alarm."""
 
-import csv
 import math
 import os
 import sys
@@ -21,7 +20,6 @@ from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_inst
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.provenance import (
-    atomic_path,
     code_digest,
     provenance_record,
     start_clock,
@@ -37,6 +35,7 @@ from slipstitch.train.training import (
     classes_of,
     labels_of,
     set_up_torch,
+    write_history,
 )
 from slipstitch.train.videos import Videos, read_videos, takes_part
 
@@ -316,7 +315,7 @@ def train_instrument(
     }
     instrument = calibrated(Instrument(network, card, None), videos, training)
     out.mkdir(parents=True, exist_ok=True)
-    _write_history(progress.history, out / HISTORY)
+    write_history(progress.history, out / HISTORY)
     card = save_instrument(instrument, out)
     inputs = [Path(dataset) / "manifest.parquet"]
     inputs += [Path(dataset) / file for file in sorted({row["file"] for row in videos.rows})]
@@ -378,10 +377,3 @@ def _epoch_line(name: str, row: dict[str, Any], epochs: int) -> str:
         f"validation loss {row['validation_loss']:.4f}, error {row['validation_error']:.3f}, "
         f"material {row['validation_accuracy']:.2f}"
     )
-
-
-def _write_history(history: list[dict[str, Any]], path: Path) -> None:
-    with atomic_path(path) as temporary, open(temporary, "w", newline="") as stream:
-        writer = csv.DictWriter(stream, list(history[0]))
-        writer.writeheader()
-        writer.writerows(history)

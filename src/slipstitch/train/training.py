@@ -36,18 +36,6 @@ from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 from slipstitch.train.videos import Videos, read_videos, takes_part
 
 HISTORY = "history.csv"
-HISTORY_COLUMNS = (
-    "epoch",
-    "stage",
-    "viewpoints",
-    "videos",
-    "train_loss",
-    "train_accuracy",
-    "validation_videos",
-    "validation_loss",
-    "validation_accuracy",
-    "chance_loss",
-)
 
 
 class PlateauError(SlipstitchError):
@@ -354,7 +342,7 @@ def train_network(
     bar.close()
 
     out.mkdir(parents=True, exist_ok=True)
-    _write_history(progress.history, out / HISTORY)
+    write_history(progress.history, out / HISTORY)
     last = progress.history[-1]
     card = save_model(
         network,
@@ -480,8 +468,9 @@ def _epoch_line(network_name: str, split: str, row: dict[str, Any], epochs: int)
     )
 
 
-def _write_history(history: list[dict[str, Any]], path: Path) -> None:
+def write_history(history: list[dict[str, Any]], path: Path) -> None:
+    """Write the epochs as CSV, a row each, in the columns of the first one."""
     with atomic_path(path) as temporary, open(temporary, "w", newline="") as stream:
-        writer = csv.DictWriter(stream, HISTORY_COLUMNS)
+        writer = csv.DictWriter(stream, list(history[0]))
         writer.writeheader()
         writer.writerows(history)
