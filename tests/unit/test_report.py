@@ -14,18 +14,16 @@ from PIL import Image
 
 from slipstitch.command import main
 from slipstitch.errors import BadInput
+from slipstitch.report.learning_pictures import confusion_counts, cumulative_error
 from slipstitch.report.page import (
     closest_frictions,
-    duration,
     page_context,
-    percent,
     render_page,
     scale_in_words,
-    spread,
     write_report,
 )
-from slipstitch.report.pictures import confusion_counts, cumulative_error
 from slipstitch.report.results import Results
+from slipstitch.report.wording import duration, evenly, percent
 from slipstitch.simulate.settings import SimulationSettings
 
 CONFIG = synthetic_results.config()
@@ -209,9 +207,9 @@ def test_cumulative_error_is_the_share_within_each_error():
     assert shares == pytest.approx([0.5, 0.75, 1.0])
 
 
-def test_spread_keeps_the_ends():
-    assert spread(range(16), 6) == [0, 3, 6, 9, 12, 15]
-    assert spread([1, 2], 6) == [1, 2]
+def test_some_of_many_keep_the_ends():
+    assert evenly(range(16), 6) == [0, 3, 6, 9, 12, 15]
+    assert evenly([1, 2], 6) == [1, 2]
 
 
 def test_words_for_numbers():

@@ -1,0 +1,88 @@
+"""What the page shows of the dataset: pictures by label, sides of the splits."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.report.results import Results
+from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
+from slipstitch.report.wording import data_uri, evenly
+
+# The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s a stroke).
+MID_STROKE_S = 22.5
+
+
+def dataset(results: Results) -> dict[str, Any] | None:
+    """Sampled images: by material and friction, by viewpoint and texture, and two whole videos."""
+    rows = results.manifest()
+    if rows is None:
+        return None
+    config = results.config
+    by_name = {row["video"]: row for row in rows}
+    grid = [one for one in simulations(config) if one.replicate_id == "r00"]
+    frames = config.sample.frames
+    recorded_s = (config.simulation.frames - 1) / config.simulation.frame_rate_hz
+    mid_stroke = [min(frames - 1, round(MID_STROKE_S / recorded_s * (frames - 1)))]
+    view = viewpoints(config)[0]
+    texture = textures(config)[0]
+
+    def cell(simulation: Simulation, texture_id: str, view_id: str, position: list[int]):
+        row = by_name.get(f"{simulation.id}_{texture_id}_{view_id}")
+        images = results.images(row, position) if row else []
+        return data_uri(images[0], "image/png") if images else None
+
+    frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
+    materials = {
+        material: [
+            cell(one, texture["id"], view["id"], mid_stroke)
+            for one in grid
+            if one.material == material and one.friction in frictions
+        ]
+        for material in config.grid.materials
+    }
+    same = [one for one in grid if one.material == grid[0].material]
+    middle = same[len(same) // 2]
+    views = {
+        item["name"]: [
+            cell(middle, kind["id"], item["id"], mid_stroke) for kind in textures(config)
+        ]
+        for item in viewpoints(config)
+    }
+    strips = []
+    for one in dict.fromkeys((same[0], same[-1])):
+        row = by_name.get(f"{one.id}_{texture['id']}_{view['id']}")
+        positions = evenly(range(frames), 10)
+        images = results.images(row, list(positions)) if row else []
+        if images:
+            strips.append(
+                {
+                    "title": f"{one.material}, µ = {one.friction:g}",
+                    "images": [data_uri(image, "image/png") for image in images],
+                }
+            )
+    sides = {
+        split: {
+            side: sum(row[f"split_{split}"] == side for row in rows)
+            for side in ("train", "validation", "test")
+        }
+        for split in ("by_video", "by_simulation")
+    }
+    held_out = {row["simulation"] for row in rows if row["split_by_simulation"] == "test"}
+    return {
+        "videos": len(rows),
+        "images": sum(row["frames"] for row in rows),
+        "frictions": frictions,
+        "materials": materials,
+        "view": view["name"],
+        "texture": texture["name"],
+        "textures": [item["name"] + _role(item) for item in textures(config)],
+        "views": views,
+        "middle": f"{middle.material}, µ = {middle.friction:g}",
+        "strips": strips,
+        "sides": sides,
+        "held_out": len(held_out),
+    }
+
+
+def _role(item: Mapping[str, str]) -> str:
+    return " (test only)" if item["role"] == "test" else ""

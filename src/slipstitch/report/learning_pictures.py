@@ -1,0 +1,189 @@
+"""Figures of training and test. Every function returns an SVG as text, or None without data."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from slipstitch.calibrate.picture import MEASURED, THEORY
+from slipstitch.report.drawing import BLUE, INK, new_figure, styled, svg
+from slipstitch.report.results import History
+
+NETWORK_NAMES = {
+    "material_baseline": "material",
+    "friction_baseline": "friction, baseline",
+    "friction_conditional": "friction, given the material",
+    "instrument": "instrument (score in µ)",
+}
+SPLIT_NAMES = {"by_video": "by video (the paper's)", "by_simulation": "by simulation"}
+
+
+def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
+    """Where the schedule changes: (last epoch before, name of what follows)."""
+    return [
+        (0.5 * (before["epoch"] + after["epoch"]), str(after["stage"]))
+        for before, after in pairwise(epochs)
+        if before.get("stage") != after.get("stage")
+    ]
+
+
+@styled
+def training(histories: Sequence[History]) -> str | None:
+    """Loss against epoch, a panel a network and split; chance as a dotted line."""
+    if not histories:
+        return None
+    networks = [name for name in NETWORK_NAMES if any(one.network == name for one in histories)]
+    splits = list(dict.fromkeys(one.split for one in histories))
+    splits.sort(key=lambda name: list(SPLIT_NAMES).index(name) if name in SPLIT_NAMES else 9)
+    figure = new_figure(3.2 * len(networks) + 0.4, 2.2 * len(splits) + 0.6)
+    panels = figure.subplots(len(splits), len(networks), sharex=True, squeeze=False)
+    lines = {}
+    for one in histories:
+        if one.network not in networks:
+            continue
+        axes = panels[splits.index(one.split)][networks.index(one.network)]
+        epochs = [row["epoch"] for row in one.epochs]
+        for key, name, style in (
+            ("train_loss", "training", {"color": BLUE}),
+            ("validation_loss", "validation", {"color": MEASURED}),
+        ):
+            values = [row.get(key) for row in one.epochs]
+            values = [value if isinstance(value, float) else np.nan for value in values]
+            marker = {"marker": "o", "ms": 2.5} if len(epochs) < 40 else {}
+            (line,) = axes.plot(epochs, values, lw=1.3, **marker, **style)
+            lines.setdefault(name, line)
+        chance = one.epochs[0].get("chance_loss")
+        if isinstance(chance, float):
+            lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
+        for where, _ in _fine_tuning(one.epochs):
+            axes.axvline(where, color="#dddbd4", lw=0.8, zorder=0)
+    for axes, network in zip(panels[0], networks, strict=True):
+        axes.set_title(NETWORK_NAMES[network])
+    for row, split in zip(panels, splits, strict=True):
+        row[0].set_ylabel(f"{SPLIT_NAMES.get(split, split)}\nloss", fontsize=8)
+        for axes in row:
+            axes.set_ylim(0, None)
+    figure.supxlabel("epoch", fontsize=9)
+    figure.legend(
+        lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
+    )
+    return svg(figure)
+
+
+def _friction_rows(predictions, split: str, network: str) -> tuple[np.ndarray, np.ndarray]:
+    rows = [row for row in predictions or () if row["split"] == split and row["network"] == network]
+    return (
+        np.array([row["true_value"] for row in rows], float),
+        np.array([row["predicted_value"] for row in rows], float),
+    )
+
+
+def confusion_counts(
+    predictions, split: str, network: str, frictions: Sequence[float]
+) -> np.ndarray:
+    """Counts of (true, predicted) friction coefficients; rows are true.
+
+    Returns
+    -------
+    ndarray of int, shape (len(frictions), len(frictions))
+    """
+    counts = np.zeros((len(frictions), len(frictions)), int)
+    number = {round(value, 9): index for index, value in enumerate(frictions)}
+    for true, predicted in zip(*_friction_rows(predictions, split, network), strict=True):
+        counts[number[round(true, 9)], number[round(predicted, 9)]] += 1
+    return counts
+
+
+def _draw_confusion(axes: Axes, counts: np.ndarray, frictions: Sequence[float]) -> None:
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0)
+    labels = [f"{value:g}" for value in frictions]
+    axes.set_xticks(range(len(labels)), labels, fontsize=7.5)
+    axes.set_yticks(range(len(labels)), labels, fontsize=7.5)
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    if len(frictions) <= 8:
+        for (row, column), count in np.ndenumerate(counts):
+            axes.text(
+                column, row, str(count), ha="center", va="center", fontsize=8,
+                color="white" if shares[row, column] > 0.55 else INK,
+            )  # fmt: skip
+
+
+@styled
+def confusions(predictions, frictions: Sequence[float]) -> str | None:
+    """True against predicted friction, for both splits and both friction networks."""
+    networks = ("friction_baseline", "friction_conditional")
+    found = [
+        (split, network, confusion_counts(predictions, split, network, frictions))
+        for split in SPLIT_NAMES
+        for network in networks
+    ]
+    found = [item for item in found if item[2].sum()]
+    if not found:
+        return None
+    splits = [name for name in SPLIT_NAMES if any(item[0] == name for item in found)]
+    figure = new_figure(2.7 * len(networks) + 0.6, 2.6 * len(splits) + 0.3)
+    panels = figure.subplots(len(splits), len(networks), squeeze=False)
+    for axes in panels.flat:
+        axes.set_axis_off()
+    for split, network, counts in found:
+        axes = panels[splits.index(split)][networks.index(network)]
+        axes.set_axis_on()
+        _draw_confusion(axes, counts, frictions)
+        axes.set_title(NETWORK_NAMES[network])
+        if network == networks[0]:
+            axes.set_ylabel(f"{SPLIT_NAMES[split]}\ntrue µ", fontsize=8)
+    for axes in panels[-1]:
+        axes.set_xlabel("predicted µ", fontsize=8)
+    return svg(figure)
+
+
+def cumulative_error(true: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct errors in increasing order, and the share of videos with at most that error."""
+    errors = np.round(np.abs(predicted - true), 9)
+    values, counts = np.unique(errors, return_counts=True)
+    return values, np.cumsum(counts) / len(errors)
+
+
+@styled
+def cumulative(predictions, frictions: Sequence[float]) -> str | None:
+    """Share of test videos against the error allowed, with a uniform guess for comparison."""
+    splits = [
+        name
+        for name in SPLIT_NAMES
+        if len(_friction_rows(predictions, name, "friction_baseline")[0])
+    ]
+    if not splits:
+        return None
+    figure = new_figure(3.9 * len(splits) + 0.3, 2.9)
+    panels = figure.subplots(1, len(splits), sharey=True, squeeze=False)[0]
+    widest = max(frictions) - min(frictions)
+    for axes, split in zip(panels, splits, strict=True):
+        for network, colour in (
+            ("friction_baseline", BLUE),
+            ("friction_conditional", MEASURED),
+            ("instrument", INK),
+        ):
+            true, predicted = _friction_rows(predictions, split, network)
+            if not len(true):
+                continue
+            errors, shares = cumulative_error(true, predicted)
+            axes.step(
+                [0, *errors, widest], [0, *shares, 1.0], where="post", color=colour, lw=1.6,
+                label=NETWORK_NAMES[network],
+            )  # fmt: skip
+        true, _ = _friction_rows(predictions, split, "friction_baseline")
+        guess = np.abs(np.asarray(frictions)[None, :] - true[:, None]).ravel()
+        errors, shares = cumulative_error(np.zeros_like(guess), guess)
+        axes.step(
+            [0, *errors, widest], [0, *shares, 1.0], where="post", color=THEORY, lw=0.9, ls=":",
+            label="uniform guess",
+        )  # fmt: skip
+        axes.set(title=SPLIT_NAMES[split], xlabel="error of µ", xlim=(0, widest), ylim=(0, 1.02))
+    panels[0].set_ylabel("share of test videos")
+    panels[-1].legend(frameon=False, fontsize=8, loc="lower right")
+    return svg(figure)
