@@ -17,7 +17,13 @@ from slipstitch.provenance import attach_metadata, read_sidecar
 from slipstitch.sample.dataset import dataset_digest, write_dataset
 from slipstitch.train.model_file import load_model
 from slipstitch.train.settings import TrainSettings
-from slipstitch.train.training import DivergedError, PlateauError, schedule, train_network
+from slipstitch.train.training import (
+    DivergedError,
+    PlateauError,
+    Stage,
+    schedule,
+    train_network,
+)
 from slipstitch.train.videos import read_videos
 
 
@@ -101,6 +107,25 @@ def test_the_conditional_network_listens_to_the_material_network(dataset, materi
     assert card["condition_sha256"] == load_model(material).card["weights_sha256"]
     assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
     assert card["train_loss"] < 0.5 * card["chance_loss"]
+
+
+def test_a_network_may_be_told_the_true_materials(dataset, tmp_path):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None}
+    card = train(dataset, tmp_path, "friction_conditional", true_materials=True, changes=few)
+    assert card["true_materials"] and card["condition_sha256"] is None
+    assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
+
+
+def test_a_training_may_use_part_of_the_videos_in_stages_of_its_own(dataset, tmp_path):
+    card = train(
+        dataset,
+        tmp_path,
+        stages=[Stage("joint", ("calibrated", "side"), 2)],
+        uses=lambda row: row["texture"] == "tartan",
+        changes={"plateau_margin": None},
+    )
+    assert card["training_videos"] == 4 * 2  # simulations, viewpoints
+    assert [(row["stage"], row["videos"]) for row in history(tmp_path)] == [("joint", "8")] * 2
 
 
 def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp_path):

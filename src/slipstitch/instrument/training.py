@@ -34,6 +34,7 @@ from slipstitch.train.training import (
     PlateauError,
     classes_of,
     labels_of,
+    names_digest,
     set_up_torch,
     write_history,
 )
@@ -49,8 +50,11 @@ def read_training_videos(
     split: str,
     viewpoint: str,
     frames: int,
+    uses: Callable[[dict[str, Any]], bool] | None = None,
 ) -> tuple[Videos, np.ndarray]:
     """The videos of one viewpoint that train or calibrate, and which of them train.
+
+    `uses` says of a manifest row whether its video may do either; by default all may.
 
     Raises
     ------
@@ -62,7 +66,12 @@ def read_training_videos(
     column = f"split_{split}"
     videos = read_videos(
         dataset,
-        lambda row: takes_part(row) and row[column] != "test" and row["viewpoint"] == viewpoint,
+        lambda row: (
+            takes_part(row)
+            and row[column] != "test"
+            and row["viewpoint"] == viewpoint
+            and (uses is None or uses(row))
+        ),
         settings.pixels,
     )
     training = np.array([row[column] == "train" for row in videos.rows])
@@ -150,6 +159,7 @@ def train_instrument(
     *,
     viewpoint: str,
     frames: int = 30,
+    uses: Callable[[dict[str, Any]], bool] | None = None,
     threads: int = 1,
     after_step: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -171,6 +181,8 @@ def train_instrument(
         Name of the one viewpoint that it measures from.
     frames : int
         Frames of a video that it sees; where the dataset has more, at a random phase in training.
+    uses : callable, optional
+        Says of a manifest row whether its video may train or calibrate; by default all may.
     threads : int
     after_step : callable, optional
         Called after every step with the progress; what it raises stops the training.
@@ -191,7 +203,7 @@ def train_instrument(
     """
     started = start_clock()
     set_up_torch(threads)
-    videos, training = read_training_videos(settings, dataset, split, viewpoint, frames)
+    videos, training = read_training_videos(settings, dataset, split, viewpoint, frames, uses)
     materials = classes_of(videos.rows, "material")
     labels = torch.from_numpy(labels_of(videos.rows, materials, "material"))
     friction = torch.tensor([row["friction"] for row in videos.rows])
@@ -206,6 +218,7 @@ def train_instrument(
     identity = {
         "settings": settings.model_dump(mode="json"),
         "dataset_digest": videos.digest,
+        "videos_sha256": names_digest(videos.rows),
         "network": "instrument",
         "viewpoint": viewpoint,
         "frames": frames,

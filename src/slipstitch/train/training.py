@@ -1,6 +1,7 @@
 """Training one network: cycles of one viewpoint more, then the calibrated viewpoint alone."""
 
 import csv
+import hashlib
 import math
 import os
 import sys
@@ -64,6 +65,11 @@ def schedule(settings: TrainSettings, view_order: list[str]) -> list[Stage]:
     if settings.fine_tuning_epochs:
         stages.append(Stage("fine-tuning", (view_order[0],), settings.fine_tuning_epochs))
     return stages
+
+
+def names_digest(rows: list[dict[str, Any]]) -> str:
+    """SHA-256 of the videos' names: which part of a dataset a training uses."""
+    return hashlib.sha256("\n".join(row["video"] for row in rows).encode()).hexdigest()
 
 
 def set_up_torch(threads: int) -> None:
@@ -169,6 +175,9 @@ def train_network(
     frames: int | None = None,
     material_model: str | os.PathLike | None = None,
     expected_classes: dict[str, list] | None = None,
+    stages: list[Stage] | None = None,
+    uses: Callable[[dict[str, Any]], bool] | None = None,
+    true_materials: bool = False,
     threads: int = 1,
     after_step: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -195,6 +204,12 @@ def train_network(
         friction_conditional only.
     expected_classes : dict, optional
         ``{"material": [names], "friction": [coefficients]}`` that the dataset must have.
+    stages : list of Stage, optional
+        Epochs by viewpoints; by default the progressive `schedule`.
+    uses : callable, optional
+        Says of a manifest row whether its video may train or validate; by default all may.
+    true_materials : bool
+        Condition friction_conditional on the true materials instead of predicted ones.
     threads : int
     after_step : callable, optional
         Called after every step with the progress; what it raises stops the training.
@@ -220,12 +235,16 @@ def train_network(
     if split not in SPLITS:
         raise BadInput(f"no split {split!r}; there are: {', '.join(SPLITS)}")
     conditional = network_name == "friction_conditional"
-    if conditional != (material_model is not None):
-        raise BadInput(f"{network_name} {'needs' if conditional else 'takes no'} --material-model")
+    listens = conditional and not true_materials
+    if listens != (material_model is not None):
+        raise BadInput(f"{network_name} {'needs' if listens else 'takes no'} --material-model")
     set_up_torch(threads)
     column = f"split_{split}"
     videos = read_videos(
-        dataset, lambda row: takes_part(row) and row[column] != "test", settings.pixels, frames
+        dataset,
+        lambda row: takes_part(row) and row[column] != "test" and (uses is None or uses(row)),
+        settings.pixels,
+        frames,
     )
     target = network_name.split("_")[0]
     classes = classes_of(videos.rows, target)
@@ -234,7 +253,10 @@ def train_network(
     views = np.array([row["viewpoint"] for row in videos.rows])
     _check(videos, labels, classes, training, view_order, target, expected_classes)
     condition, condition_classes, condition_digest = None, [], None
-    if conditional:
+    if true_materials:
+        condition_classes = classes_of(videos.rows, "material")
+        condition = labels_of(videos.rows, condition_classes, "material")
+    elif conditional:
         model = load_model(material_model)
         check_material_model(model, split, seed, videos.digest)
         condition = predicted_materials(model, videos, settings.batch_size)
@@ -255,7 +277,7 @@ def train_network(
     )
     bfloat16 = computes_bfloat16(settings.precision)
 
-    stages = schedule(settings, view_order)
+    stages = stages or schedule(settings, view_order)
     of_epoch = [stage for stage in stages for _ in range(stage.epochs)]
     out = Path(out_dir)
     checkpoint = out / CHECKPOINT
@@ -265,8 +287,11 @@ def train_network(
         "seed": seed,
         "settings": settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
         "view_order": view_order,
+        "stages": [[stage.name, *stage.viewpoints, stage.epochs] for stage in stages],
         "dataset_digest": videos.digest,
+        "videos_sha256": names_digest(videos.rows),
         "condition_sha256": condition_digest,
+        "true_materials": true_materials,
         "bfloat16": bfloat16,
         "code_digest": code_digest("train"),
     }
@@ -354,6 +379,7 @@ def train_network(
             "classes": classes,
             "condition_classes": condition_classes,
             "condition_sha256": condition_digest,
+            "true_materials": true_materials,
             "pixels": pixels,
             "frames": videos.pixels.shape[1],
             "viewpoints": view_order,
