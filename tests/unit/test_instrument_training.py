@@ -159,6 +159,20 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_pa
         assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
+def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_path, capsys):
+    def kill(progress):
+        if progress.step == 2:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        train(dataset, tmp_path, after_step=kill, **FEW)
+    train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
+    assert "going on from" in capsys.readouterr().err
+    weights = load_instrument(tmp_path).network.state_dict()
+    for name, value in load_instrument(undisturbed).network.state_dict().items():
+        assert torch.equal(value, weights[name]), name
+
+
 def test_a_loss_that_is_no_number_stops_it(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(training_module, "learning_rate", lambda settings, done: 1e30)
     with pytest.raises(DivergedError, match="the loss became nan in epoch 1, step"):

@@ -185,6 +185,34 @@ def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys)
     assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
 
 
+def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_path, capsys):
+    """Sums over several threads round otherwise: the result would be neither run's."""
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+    def kill(progress):
+        if progress.step == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path, changes=few, after_step=kill, threads=2)
+    train(dataset, tmp_path, changes=few)
+    assert "of another training" in capsys.readouterr().err
+
+
+def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None}
+
+    def kill(progress):
+        if progress.step == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        often = {**few, "checkpoint_interval_s": 0.0}
+        train(dataset, tmp_path, changes=often, after_step=kill)
+    train(dataset, tmp_path, changes={**few, "checkpoint_interval_s": 1e3})
+    assert "going on from" in capsys.readouterr().err
+
+
 def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
     (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
     train(dataset, tmp_path, changes={"epochs_per_cycle": 1, "plateau_margin": None})

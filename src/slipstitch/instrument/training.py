@@ -216,7 +216,7 @@ def train_instrument(
     out = Path(out_dir)
     checkpoint = out / CHECKPOINT
     identity = {
-        "settings": settings.model_dump(mode="json"),
+        "settings": settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
         "dataset_digest": videos.digest,
         "videos_sha256": names_digest(videos.rows),
         "network": "instrument",

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from slipstitch.errors import BadInput
+from slipstitch.train.convolution import Convolution
 from slipstitch.train.settings import TrainSettings
 
 
@@ -31,7 +32,7 @@ class Block(nn.Sequential):
         layers: list[nn.Module] = []
         for number in range(convolutions):
             padding = 1 if s.padding == "same" else 0
-            layers.append(nn.Conv2d(inputs, outputs, 3, padding=padding, bias=not s.batch_norm))
+            layers.append(Convolution(inputs, outputs, 3, padding=padding, bias=not s.batch_norm))
             if s.batch_norm:
                 layers.append(nn.BatchNorm2d(outputs))
             if pool and number == convolutions - 1:
@@ -39,6 +40,12 @@ class Block(nn.Sequential):
             layers.append(nn.ReLU(inplace=True))
             inputs = outputs
         super().__init__(*layers)
+
+    def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
+        """Maps of half the side; `bfloat16` as in `Convolution`."""
+        for layer in self:
+            maps = layer(maps, bfloat16) if isinstance(layer, Convolution) else layer(maps)
+        return maps
 
 
 class LRCN(nn.Module):
@@ -144,7 +151,8 @@ class LRCN(nn.Module):
         condition : int64 tensor, shape (videos,), optional
             Class numbers for the one-hot vector.
         bfloat16 : bool
-            Compute the convolutions in bfloat16; the rest stays float32.
+            Derive the convolutions in bfloat16; without gradients, compute them so too. The rest
+            stays float32.
 
         Returns
         -------
@@ -152,10 +160,9 @@ class LRCN(nn.Module):
             One output (after the last frame), or one after every frame.
         """
         videos, count = frames.shape[:2]
-        images = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
-        images = (images.float() - self.mean[:, None, None]) / self.deviation[:, None, None]
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=bfloat16):
-            maps = self.convolutions(images)
+        maps = self._standardised(frames).permute(0, 3, 1, 2)  # NHWC in memory: channels last
+        for block in self.convolutions:
+            maps = block(maps, bfloat16)
         maps = maps.float()
         features = maps.mean((2, 3)) if self.settings.readout == "pool" else maps.flatten(1)
         features = self.dropout(features).view(videos, count, -1)
@@ -166,6 +173,13 @@ class LRCN(nn.Module):
         if self.settings.outputs == "last":
             states = states[:, -1:]
         return self.fully_connected(self.dropout(states))
+
+    def _standardised(self, frames: Tensor) -> Tensor:
+        """Images (n, side, side, 3) from bytes; whole rows at a time, three numbers are slow."""
+        side = frames.shape[2]
+        rows = frames.reshape(-1, side, side * 3).float()
+        rows = rows.sub_(self.mean.repeat(side)).div_(self.deviation.repeat(side))
+        return rows.view(-1, side, side, 3)
 
 
 def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
