@@ -10,7 +10,7 @@ import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config
-from slipstitch.evaluate.captures import Predictions, capture_scores, distance, subsets
+from slipstitch.evaluate.capture_scores import Predictions, capture_scores, distance, subsets
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument
 from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.render.camera import pose
@@ -64,6 +64,8 @@ def test_scores_of_classes():
     # Distances: five zeros; 0.10, 0, 0, 0.06, 0.26. Half a step is 0.05, one and a half 0.15.
     assert scores["friction_lt_0.1"] == 0.7
     assert scores["friction_lt_0.2"] == 0.9
+    # The paper's abstract counts whole tenths: 0.10 is within, 0.26 is not.
+    assert scores["within_0.1"] == 0.9
     assert scores["mean_distance"] == pytest.approx(0.042)
     # Medians 0.3 and 0.6: both inside their intervals; only the first pair's repeats agree.
     assert scores["median_error"] == pytest.approx(0)
@@ -176,6 +178,10 @@ def test_captures_go_through_all_networks(bench, capsys):
     body = page[page.index("<body>") :]
     assert body.split("<p")[1].startswith(' class="first">Surrogate captures: films of simulations')
     assert "Real captures" not in page
+    assert "one seed only" in page and all(
+        row["spread"] is None for models in metrics.values() for row in models.values()
+    )
+    assert "93.6 %" in page and "not available to us" in page
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):

@@ -150,6 +150,12 @@ def test_the_tables_follow_from_the_predictions(evaluated):
             right = np.mean(abs(error) < 0.05)
             assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
             assert metrics[split][model]["n"] == len(chosen)
+            views = details[split][network]["viewpoints"]
+            for view, scores in views.items():
+                seen = np.array([row["viewpoint"] == view for row in chosen])
+                mean = np.mean(abs(error[seen]) < 0.05)
+                assert scores["mean"]["friction_lt_0.1"] == pytest.approx(mean)
+                assert (scores["n"], scores["spread"]) == (seen.sum(), None)
             if split == "off_grid":
                 assert details[split][network]["confusion"] is None
                 continue

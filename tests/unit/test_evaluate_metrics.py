@@ -12,9 +12,12 @@ from slipstitch.evaluate.metrics import (
     entry,
     friction_scores,
     material_scores,
+    mean_over_seeds,
+    spread_over_seeds,
     steps_off,
     top_k,
 )
+from slipstitch.evaluate.wording import number, percent, seeds_in_words
 
 GRID = np.arange(16) * 0.1
 
@@ -86,3 +89,18 @@ def test_an_entry_has_every_field_and_null_where_nothing_is_known():
 def test_what_is_no_prediction_is_refused(shares, truth):
     with pytest.raises(BadInput):
         material_scores(shares, truth)
+
+
+def test_seeds_give_a_mean_and_their_standard_deviation():
+    seeds = [{"right": 0.5, "fabric": 0.1}, {"right": 0.7}, {"right": 0.9}]
+    assert mean_over_seeds(seeds) == {"right": pytest.approx(0.7)}
+    assert spread_over_seeds(seeds) == {"right": pytest.approx(0.2)}
+    assert spread_over_seeds(seeds[:1]) is None
+
+
+def test_a_score_is_written_with_its_spread_and_nothing_with_a_dash():
+    assert percent(0.9876, 0.0123) == "98.8 ± 1.2 %"
+    assert percent(0.9876) == "98.8 %"
+    assert percent(None, 0.1) == number(None) == "–"
+    assert number(0.05, 0.005) == "0.050 ± 0.005"
+    assert (seeds_in_words(1), seeds_in_words(3)) == ("one seed only", "3 seeds")

@@ -1,15 +1,9 @@
-"""Trained networks on captures: the paper's protocol for real videos (Sec. 6.3).
-
-The reference of a pair is an interval, r +- e: the error of a prediction is its distance from the
-interval, 0 inside. Of a pair's repeats the median counts; pairs whose repeats are all given the
-same friction, to half a grid step, are counted. Substrates that mirror are looked at apart.
-"""
+"""Trained networks on captures, real or surrogate: predictions, tables, page."""
 
 import json
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +12,9 @@ import pyarrow as pa
 
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
 from slipstitch.errors import BadInput
+from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
 from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_shares
-from slipstitch.evaluate.metrics import entry, mean_over_seeds, steps_off
+from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument import load_instrument
 from slipstitch.provenance import (
@@ -35,42 +30,6 @@ from slipstitch.train.training import set_up_torch
 from slipstitch.train.videos import Videos, read_videos
 
 INSTRUMENT_WEIGHTS = "instrument.safetensors"
-
-
-@dataclass(frozen=True)
-class Predictions:
-    """What one trained model says of all captures.
-
-    Attributes
-    ----------
-    model : str
-        lrcn_baseline, lrcn_conditional, instrument.
-    trained_on : str
-        The split.
-    seed : int
-    friction : ndarray (n,)
-    intervals : ndarray (n, 2), optional
-    materials : list of list of str
-        Fabrics of each video from the likeliest on; empty if the model does not tell.
-    known_materials : list of str
-        The fabrics it can tell.
-    alarms : list of str
-        Why each video is unlike the training data; empty without alarm.
-    """
-
-    model: str
-    trained_on: str
-    seed: int
-    friction: np.ndarray
-    intervals: np.ndarray | None = None
-    materials: list[list[str]] = field(default_factory=list)
-    known_materials: list[str] = field(default_factory=list)
-    alarms: list[str] = field(default_factory=list)
-
-
-def distance(friction: np.ndarray, reference: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Distance of predictions from the intervals reference +- error."""
-    return np.maximum(np.abs(friction - reference) - error, 0.0)
 
 
 def predict_captures(
@@ -175,93 +134,6 @@ def _instruments(dataset, folder) -> list[Predictions]:
     return found
 
 
-def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Name -> which captures: all, without reflective substrates, reflective only."""
-    reflective = np.array([row["reflective"] for row in known])
-    prefix = "surrogate" if known[0]["surrogate"] else "real"
-    parts = {"all": np.ones(len(known), bool), "matte": ~reflective, "reflective": reflective}
-    return {f"{prefix}_{name}": chosen for name, chosen in parts.items() if chosen.any()}
-
-
-def pair_medians(
-    known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
-) -> list[dict[str, Any]]:
-    """A row a pair: its reference, the predictions of its repeats, their median and its error."""
-    members: dict[str, list[int]] = defaultdict(list)
-    for k in np.flatnonzero(chosen):
-        members[known[k]["pair"]].append(int(k))
-    rows = []
-    for pair, repeats in sorted(members.items()):
-        one = known[repeats[0]]
-        friction = predictions.friction[repeats]
-        median = float(np.median(friction))
-        # The class of an instrument's continuous answer is the nearest multiple of the grid's step.
-        classes = np.round(friction / step) if predictions.model == "instrument" else friction
-        rows.append(
-            {
-                "pair": pair,
-                "material": one["material"],
-                "substrate": one["substrate"],
-                "reflective": one["reflective"],
-                "mu_ref": one["mu_ref"],
-                "mu_ref_error": one["mu_ref_error"],
-                "predictions": friction.tolist(),
-                "median": median,
-                "error": float(distance(median, one["mu_ref"], one["mu_ref_error"])),
-                "equal": bool(np.ptp(classes) == 0),
-            }
-        )
-    return rows
-
-
-def capture_scores(
-    known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
-) -> dict[str, float | None]:
-    """Scores of one model on some captures.
-
-    Returns
-    -------
-    dict
-        Those of `slipstitch.evaluate.metrics.FIELDS` (errors from the reference's interval), and
-        ``median_lt_0.1``, ``median_error`` (of the pairs' medians), ``equal_predictions`` (share of
-        the pairs), ``alarms``, ``pairs``.
-    """
-    reference = np.array([row["mu_ref"] for row in known])[chosen]
-    error = np.array([row["mu_ref_error"] for row in known])[chosen]
-    friction = predictions.friction[chosen]
-    off = distance(friction, reference, error)
-    steps = steps_off(off, np.zeros_like(off), step)
-    pairs = pair_medians(known, predictions, chosen, step)
-    medians = np.array([row["error"] for row in pairs])
-    scores: dict[str, float | None] = {
-        "friction_lt_0.1": float((steps == 0).mean()),
-        "friction_lt_0.2": float((steps <= 1).mean()),
-        "mean_absolute_error": float(np.abs(friction - reference).mean()),
-        "mean_distance": float(off.mean()),
-        "median_error": float(medians.mean()),
-        "median_lt_0.1": float((steps_off(medians, np.zeros_like(medians), step) == 0).mean()),
-        "equal_predictions": float(np.mean([row["equal"] for row in pairs])),
-        "pairs": float(len(pairs)),
-    }
-    if predictions.intervals is not None:
-        low, high = predictions.intervals[chosen].T
-        scores["coverage_90"] = float(
-            ((low <= reference + error) & (high >= reference - error)).mean()
-        )
-        scores["interval_width"] = float((high - low).mean())
-        scores["alarms"] = float(np.mean([bool(predictions.alarms[k]) for k in _places(chosen)]))
-    named = [k for k in _places(chosen) if known[k]["material"] in predictions.known_materials]
-    if named and predictions.materials:
-        for count in (1, 2):
-            hits = [known[k]["material"] in predictions.materials[k][:count] for k in named]
-            scores[f"material_top{count}"] = float(np.mean(hits))
-    return scores
-
-
-def _places(chosen: np.ndarray) -> list[int]:
-    return np.flatnonzero(chosen).tolist()
-
-
 def evaluate_captures(
     settings: EvaluateSettings, dataset: str | os.PathLike, found: Sequence[Predictions]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -270,7 +142,8 @@ def evaluate_captures(
     Returns
     -------
     metrics : dict
-        ``{subset: {"model, trained on split": {field: number}}}``.
+        ``{subset: {"model, trained on split": {field: number}}}``; ``spread`` holds the standard
+        deviations over seeds, null of one seed.
     rows : list of dict
         Single predictions.
     """
@@ -286,7 +159,12 @@ def evaluate_captures(
             mean = mean_over_seeds(scores)
             seeds = sorted(one.seed for one in members)
             whole = entry(int(chosen.sum()), seeds, mean)
-            metrics[name][label] = {**mean, **whole, "pairs": int(mean["pairs"])}
+            metrics[name][label] = {
+                **mean,
+                **whole,
+                "pairs": int(mean["pairs"]),
+                "spread": spread_over_seeds(scores),
+            }
     rows = [
         {
             **{key: row[key] for key in ("video", "pair", "material", "substrate", "repeat")},

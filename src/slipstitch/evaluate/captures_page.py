@@ -15,23 +15,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch import __version__
-from slipstitch.evaluate.captures import Predictions, distance, pair_medians, subsets
+from slipstitch.evaluate import paper
+from slipstitch.evaluate.capture_scores import (
+    Predictions,
+    distance,
+    pair_medians,
+    subsets,
+    what_they_are,
+)
+from slipstitch.evaluate.cumulative import draw_cumulative
+from slipstitch.evaluate.wording import number, percent, seeds_in_words
 from slipstitch.provenance import read_parquet
 
 # Okabe & Ito 2008.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000")
 _DASHES = {"all": "-", "matte": "--", "reflective": ":"}
 _FRAMES_SHOWN = 10
-
-
-def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
-    """The first line: what the videos are."""
-    if known[0]["surrogate"]:
-        return (
-            "Surrogate captures: films of simulations, made unlike the training data. Nothing on "
-            "this page was measured on a real bench."
-        )
-    return "Real captures: films of a bench, with friction measured on an inclined plane."
 
 
 def captures_page(
@@ -65,8 +64,12 @@ def captures_page(
         first_line=what_they_are(known),
         version=__version__,
         metrics=metrics,
-        percent=lambda share: "–" if share is None else f"{100 * share:.0f} %",
-        number=lambda value: "–" if value is None else f"{value:.3f}",
+        paper=paper,
+        percent=percent,
+        number=number,
+        share=lambda row, key: percent(row.get(key), (row["spread"] or {}).get(key)),
+        value=lambda row, key: number(row.get(key), (row["spread"] or {}).get(key)),
+        seeds_in_words=seeds_in_words,
         plot=_svg(_cumulative(known, found)),
         models=[
             {"label": _label(one), "rows": pair_medians(known, one, whole, step)} for one in shown
@@ -96,21 +99,21 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
     with matplotlib.rc_context({"svg.hashsalt": "slipstitch", "font.size": 9}):
         figure = Figure(figsize=(7.6, 3.6), layout="constrained")
         axes = figure.subplots()
-        largest = 0.3
         groups: dict[str, list[Predictions]] = {}
         for one in found:
             groups.setdefault(f"{one.model}, trained {one.trained_on}", []).append(one)
-        for colour, (label, members) in zip(_COLOURS, groups.items(), strict=False):
-            off = np.concatenate([distance(one.friction, reference, error) for one in members])
-            largest = max(largest, float(off.max()))
+        off = {
+            label: np.concatenate([distance(one.friction, reference, error) for one in members])
+            for label, members in groups.items()
+        }
+        largest = max(0.3, *(float(one.max()) for one in off.values()))
+        for colour, (label, errors) in zip(_COLOURS, off.items(), strict=False):
             for name, chosen in subsets(known).items():
                 kind = name.split("_")[1]
-                part = np.sort(off[np.tile(chosen, len(members))])
-                shares = np.arange(1, len(part) + 1) / len(part)
-                axes.step(
-                    np.concatenate([[0], part, [2]]),
-                    np.concatenate([[np.mean(part == 0)], shares, [1]]),
-                    where="post",
+                draw_cumulative(
+                    axes,
+                    errors[np.tile(chosen, len(groups[label]))],
+                    largest,
                     color=colour,
                     linestyle=_DASHES[kind],
                     label=f"{label}: {kind}",

@@ -27,6 +27,7 @@ from slipstitch.evaluate.metrics import (
     friction_scores,
     material_scores,
     mean_over_seeds,
+    spread_over_seeds,
 )
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
@@ -359,12 +360,13 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         "trained_on": split,
         "classes": card["classes"],
         "chance": {} if truth is None else chance(truth, len(card["classes"])),
-        "mean": mean_over_seeds(list(each.values())),
+        **_over_seeds(list(each.values())),
         "seeds": {str(seed): score for seed, score in sorted(each.items())},
         "viewpoints": {
             str(view): {
                 "n": int((views == view).sum()),
-                **mean_over_seeds(
+                "simulations": len({row["simulation"] for row in _of(part.rows, views == view)}),
+                **_over_seeds(
                     [
                         _score(settings, card, shares[views == view], _of(part.rows, views == view))
                         for shares in of_seed.values()
@@ -382,6 +384,10 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         true = np.array([row["friction"] for row in part.rows])
         result["chance"]["mean_absolute_error"] = constant_error(true)
     return result
+
+
+def _over_seeds(scores: list[dict[str, float]]) -> dict[str, Any]:
+    return {"mean": mean_over_seeds(scores), "spread": spread_over_seeds(scores)}
 
 
 def _of(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[dict[str, Any]]:

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.metrics import constant_error, friction_scores, material_scores
+from slipstitch.evaluate.metrics import (
+    constant_error,
+    friction_scores,
+    material_scores,
+    mean_over_seeds,
+    spread_over_seeds,
+)
 from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
@@ -122,20 +128,14 @@ def evaluate_instruments(
         ]
     if not each:
         return None, []
-    names = [
-        name for name in next(iter(each.values())) if all(name in one for one in each.values())
-    ]
-    values = {name: [one[name] for one in each.values()] for name in names}
     true = np.array([row["friction"] for row in rows])
     return {
         "n": len(rows),
         "simulations": len({row["simulation"] for row in rows}),
         "trained_on": test.trained_on,
         "chance": {"mean_absolute_error": constant_error(true)},
-        "mean": {name: float(np.mean(value)) for name, value in values.items()},
-        "spread": {name: float(np.std(value, ddof=1)) for name, value in values.items()}
-        if len(each) > 1
-        else None,
+        "mean": mean_over_seeds(list(each.values())),
+        "spread": spread_over_seeds(list(each.values())),
         "seeds": each,
     }, predictions
 

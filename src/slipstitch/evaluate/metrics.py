@@ -1,5 +1,6 @@
 """The numbers of the tables, from true classes and predicted probabilities."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -109,9 +110,22 @@ def confusion(shares: np.ndarray, truth: np.ndarray) -> list[list[int]]:
     return counts.tolist()
 
 
-def mean_over_seeds(scores: list[dict[str, float]]) -> dict[str, float]:
+def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Score -> its values, of those that all trainings have."""
+    names = [name for name in scores[0] if all(name in one for one in scores)]
+    return {name: [one[name] for one in scores] for name in names}
+
+
+def mean_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """The mean of every score over trainings that differ by the seed."""
-    return {name: float(np.mean([one[name] for one in scores])) for name in scores[0]}
+    return {name: float(np.mean(values)) for name, values in _common(scores).items()}
+
+
+def spread_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float] | None:
+    """Standard deviation (n - 1) of every score over the seeds; None of one seed only."""
+    if len(scores) < 2:
+        return None
+    return {name: float(np.std(values, ddof=1)) for name, values in _common(scores).items()}
 
 
 def entry(n: int, seeds: list[int], *scores: dict[str, float]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.report import paper
+from slipstitch.evaluate import paper
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",

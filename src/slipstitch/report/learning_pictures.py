@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipstitch.calibrate.picture import MEASURED, THEORY
+from slipstitch.evaluate.cumulative import draw_cumulative
 from slipstitch.report.drawing import BLUE, INK, new_figure, styled, svg
 from slipstitch.report.results import History
 
@@ -142,13 +143,6 @@ def confusions(predictions, frictions: Sequence[float]) -> str | None:
     return svg(figure)
 
 
-def cumulative_error(true: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct errors in increasing order, and the share of videos with at most that error."""
-    errors = np.round(np.abs(predicted - true), 9)
-    values, counts = np.unique(errors, return_counts=True)
-    return values, np.cumsum(counts) / len(errors)
-
-
 @styled
 def cumulative(predictions, frictions: Sequence[float]) -> str | None:
     """Share of test videos against the error allowed, with a uniform guess for comparison."""
@@ -171,18 +165,13 @@ def cumulative(predictions, frictions: Sequence[float]) -> str | None:
             true, predicted = _friction_rows(predictions, split, network)
             if not len(true):
                 continue
-            errors, shares = cumulative_error(true, predicted)
-            axes.step(
-                [0, *errors, widest], [0, *shares, 1.0], where="post", color=colour, lw=1.6,
+            draw_cumulative(
+                axes, np.abs(predicted - true), widest, color=colour, lw=1.6,
                 label=NETWORK_NAMES[network],
             )  # fmt: skip
         true, _ = _friction_rows(predictions, split, "friction_baseline")
         guess = np.abs(np.asarray(frictions)[None, :] - true[:, None]).ravel()
-        errors, shares = cumulative_error(np.zeros_like(guess), guess)
-        axes.step(
-            [0, *errors, widest], [0, *shares, 1.0], where="post", color=THEORY, lw=0.9, ls=":",
-            label="uniform guess",
-        )  # fmt: skip
+        draw_cumulative(axes, guess, widest, color=THEORY, lw=0.9, ls=":", label="uniform guess")
         axes.set(title=SPLIT_NAMES[split], xlabel="error of µ", xlim=(0, widest), ylim=(0, 1.02))
     panels[0].set_ylabel("share of test videos")
     panels[-1].legend(frameon=False, fontsize=8, loc="lower right")

@@ -13,14 +13,16 @@ import yaml
 from slipstitch import __version__
 from slipstitch.config import Config
 from slipstitch.config.grid import simulations, viewpoints
+from slipstitch.evaluate import paper
+from slipstitch.evaluate.wording import percent
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
-from slipstitch.report import learning_pictures, paper, pictures
+from slipstitch.report import learning_pictures, pictures
 from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import alarms, headline, table_2, test_sets
 from slipstitch.report.physics import convergence, physics
 from slipstitch.report.results import Benchmark, Results
 from slipstitch.report.simulations import simulation_section
-from slipstitch.report.wording import counted, duration, percent, svg_uri
+from slipstitch.report.wording import counted, duration, svg_uri
 from slipstitch.status.runs import Failure
 
 

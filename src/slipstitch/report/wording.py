@@ -30,11 +30,6 @@ def evenly(items: Sequence[Any], most: int) -> list[Any]:
     return [items[round(index * (len(items) - 1) / (most - 1))] for index in range(most)]
 
 
-def percent(share: float | None) -> str:
-    """A share as the tables show it; a dash where there is none."""
-    return "–" if share is None else f"{100 * share:.1f} %"
-
-
 def duration(seconds: float | None) -> str:
     """A time in the unit that reads best."""
     if seconds is None or seconds != seconds:
