@@ -23,6 +23,7 @@ include: "rules/sample.smk"
 include: "rules/train.smk"
 include: "rules/instrument.smk"
 include: "rules/evaluate.smk"
+include: "rules/ablate.smk"
 include: "rules/report.smk"
 include: "rules/release.smk"
 include: "rules/criticise.smk"
@@ -41,6 +42,7 @@ localrules:
     train,
     instrument,
     evaluate,
+    ablate,
     report,
     release,
     criticise,

@@ -27,6 +27,7 @@ ORDER = (
     "train",
     "instrument",
     "evaluate",
+    "ablate",
     "report",
     "status",
     "release",

@@ -6,6 +6,7 @@ The table `COSTS` is the only place with measured numbers; the rest scales them.
 import math
 from dataclasses import dataclass
 
+from slipstitch.ablate.settings import QUESTIONS
 from slipstitch.calibrate.settings import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
@@ -266,6 +267,49 @@ def estimate_release(config: Config) -> StageEstimate:
     )
 
 
+def _training_simulations(config: Config) -> float:
+    """Those that neither test nor watch."""
+    held = config.sample.validation_fraction + config.sample.test_fraction
+    grid = config.grid
+    return len(grid.materials) * len(grid.frictions) * grid.replicates * (1.0 - held)
+
+
+def estimate_ablate(config: Config) -> StageEstimate:
+    """Cost of the ablations, were all answered; they are not part of the chain.
+
+    In units of one network passing once through one video of each training simulation: three ways
+    to condition and a material network, two schedules of all viewpoints, three initialisations,
+    twice two variants of about as many videos with either network.
+    """
+    ablate = config.ablate
+    trained = config.train.model_copy(update=ablate.train)
+    looked = config.instrument.model_copy(update=ablate.instrument)
+    textures_each = ablate.textures_per_simulation or len(config.render.textures)
+    frames = _training_simulations(config) * textures_each * config.sample.frames
+    factor = _frame_factor(config.model_copy(update={"train": trained}))
+    lrcn = frames * ablate.passes * _cost("train_frame_s") * factor
+    side = (looked.pixels or config.render.pixels) / 64
+    instrument = frames * ablate.instrument_passes * _cost("instrument_frame_s") * side**2
+    trainings = {
+        "diversity": (2, 2),
+        "conditioning": (4, 0),
+        "schedule": (2 * len(config.render.viewpoints), 0),
+        "initialisation": (3, 0),
+        "floors": (2, 2),
+    }
+    asked = [trainings[name] for name in ablate.questions or QUESTIONS]
+    of_kind = [sum(column) for column in zip(*asked, strict=True)]
+    cpu_s = sum(
+        count * cost
+        for count, cost, name in zip(
+            of_kind, (lrcn, instrument), ("lrcn", "instrument"), strict=True
+        )
+        if name in ablate.networks
+    )
+    seeds = len(ablate.seeds)
+    return StageEstimate("ablate", len(asked) * seeds + 1, seeds * cpu_s, seeds * 16 * 4e6)
+
+
 def estimate_captures(config: Config) -> StageEstimate:
     """Cost of surrogate captures and what is made of them; they are not part of the chain."""
     settings, training = config.captures, config.simulation
@@ -339,7 +383,7 @@ def job_cpu_s(kind: str, config: Config) -> float:
         return _compose_cpu_s(config)
     if kind == "verify":
         return verification_cpu_s(config)
-    stages = [*estimate(config), estimate_release(config)]
+    stages = [*estimate(config), estimate_release(config), estimate_ablate(config)]
     whole = next(one for one in stages if one.stage == kind)
     return whole.cpu_s / whole.jobs
 
@@ -372,9 +416,10 @@ def estimate_line(config: Config) -> str:
 
 def estimate_table(config: Config) -> str:
     """`estimate` as aligned text; release, captures and the line of the whole chain last."""
+    apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
         (one.stage, str(one.jobs), _time(one.cpu_s), _size(one.disk_bytes))
-        for one in [*estimate(config), estimate_release(config), estimate_captures(config)]
+        for one in [*estimate(config), *apart]
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from slipstitch.ablate.settings import AblateSettings
 from slipstitch.calibrate.settings import CalibrateSettings
 from slipstitch.capture.settings import CaptureSettings
 from slipstitch.convergence.settings import ConvergenceSettings
@@ -97,6 +98,7 @@ class Config(BaseModel):
     train: TrainSettings = Field(default_factory=TrainSettings)
     instrument: InstrumentSettings = Field(default_factory=InstrumentSettings)
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
+    ablate: AblateSettings = Field(default_factory=AblateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
     captures: CaptureSettings = Field(default_factory=CaptureSettings)

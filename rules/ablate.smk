@@ -1,0 +1,75 @@
+"""What each choice in the training is worth, one at a time; not part of `all`."""
+
+from slipstitch.ablate.settings import QUESTIONS
+
+ASKED = CONFIG.ablate.questions or QUESTIONS
+
+
+wildcard_constraints:
+    question="|".join(QUESTIONS),
+
+
+rule ablate:
+    input:
+        "results/ablate/ablate.json",
+        "results/ablate/index.html",
+
+
+rule ablate_one:
+    input:
+        rules.sample.input,
+    output:
+        "results/ablate/{question}/seed{seed}.json",
+    log:
+        "results/logs/ablate/{question}_seed{seed}.log",
+    benchmark:
+        "results/benchmarks/ablate/{question}_seed{seed}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("train", CONFIG),
+        runtime=job_runtime_min("ablate", CONFIG),
+    params:
+        settings=settings("train", "instrument", "ablate", ablate={"seeds"}),
+        frames=CONFIG.sample.frames,
+        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        code=code_digest("ablate.training"),
+        config=CONFIG_FILE,
+    message:
+        "Ablation: {wildcards.question}, seed {wildcards.seed}"
+    shell:
+        "slipstitch ablate --config {params.config} --dataset results/sample"
+        " --question {wildcards.question} --seed {wildcards.seed} --threads {threads}"
+        " --out {output} > {log} 2>&1"
+
+
+rule ablate_summary:
+    input:
+        expand(
+            "results/ablate/{question}/seed{seed}.json",
+            question=ASKED,
+            seed=CONFIG.ablate.seeds,
+        ),
+    output:
+        summary="results/ablate/ablate.json",
+        page=report(
+            "results/ablate/index.html",
+            caption="../workflow/report/ablations.rst",
+            category="Tables",
+        ),
+    log:
+        "results/logs/ablate/summary.log",
+    benchmark:
+        "results/benchmarks/ablate/summary.tsv"
+    threads: 1
+    resources:
+        mem_mb=1024,
+        runtime=15,
+    params:
+        settings=settings("ablate", "evaluate"),
+        code=code_digest("ablate"),
+        config=CONFIG_FILE,
+    message:
+        "Sum up the ablations"
+    shell:
+        "slipstitch ablate --config {params.config} --summary results/ablate"
+        " --out {output.summary} --page {output.page} > {log} 2>&1"

@@ -1,0 +1,71 @@
+"""Reading the answers of all questions and seeds, writing their summary and its page."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from slipstitch.ablate.page import ablations_page
+from slipstitch.ablate.settings import QUESTIONS
+from slipstitch.ablate.summary import summarise
+from slipstitch.config import Config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import (
+    atomic_path,
+    provenance_record,
+    read_json,
+    start_clock,
+    write_sidecar,
+)
+
+KEYS = {"question", "seed", "asks", "left_out", "dataset_digest", "variants", "predictions"}
+
+
+def write_summary(
+    config: Config,
+    folder: str | os.PathLike,
+    out: str | os.PathLike,
+    page: str | os.PathLike | None = None,
+) -> dict[str, Any]:
+    """Sum up ``{question}/seed{seed}.json`` of the configured questions and seeds.
+
+    Raises
+    ------
+    BadInput
+        If an answer is missing, damaged, or of another question, seed or dataset.
+    """
+    started = start_clock()
+    paths = [
+        Path(folder) / question / f"seed{seed}.json"
+        for question in config.ablate.questions or QUESTIONS
+        for seed in config.ablate.seeds
+    ]
+    summary = summarise([_answer(path) for path in paths], config.evaluate.friction_step)
+    record = provenance_record(
+        "ablate",
+        inputs=paths,
+        config=config.model_dump(mode="json", include={"ablate", "evaluate"}),
+        started=started,
+    )
+    texts = {Path(out): json.dumps(summary, indent=1, allow_nan=False) + "\n"}
+    if page is not None:
+        texts[Path(page)] = ablations_page(summary)
+    for path, text in texts.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        write_sidecar(path, record)
+    return summary
+
+
+def _answer(path: Path) -> dict[str, Any]:
+    """One answer; BadInput if it is not what its place says."""
+    content = read_json(path)
+    if not isinstance(content, dict) or not set(content) >= KEYS:
+        raise BadInput(f"{path}: no answer of `slipstitch ablate`")
+    if (content["question"], f"seed{content['seed']}") != (path.parent.name, path.stem):
+        raise BadInput(
+            f"{path}: answers {content['question']} with seed {content['seed']}: "
+            "not what its place says"
+        )
+    return content
