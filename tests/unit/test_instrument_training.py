@@ -16,7 +16,12 @@ from slipstitch.instrument import training as training_module
 from slipstitch.instrument.augmentation import disordered, phased
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.instrument.training import chance_score, losses, train_instrument
+from slipstitch.instrument.training import (
+    chance_score,
+    losses,
+    train_instrument,
+    training_looks,
+)
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.curves import curve
 from slipstitch.train.training import DivergedError, PlateauError
@@ -209,7 +214,7 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
     settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, 2, 24)
-    looks, ordered = training_module._looks(frames[:8], 6, settings, np.random.default_rng(0))
+    looks, ordered = training_looks(frames[:8], 6, settings, np.random.default_rng(0))
     gradients = []
     for bfloat16 in (False, True):
         network.zero_grad()

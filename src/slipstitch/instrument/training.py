@@ -252,7 +252,7 @@ def train_instrument(
                 group["lr"] = learning_rate(settings, done)
             batch = order[progress.step * settings.batch_size :][: settings.batch_size]
             generator = np.random.default_rng([seed, progress.epoch, progress.step])
-            looks, ordered = _looks(videos.pixels[batch], frames, settings, generator)
+            looks, ordered = training_looks(videos.pixels[batch], frames, settings, generator)
             part = losses(network, looks, friction[batch], labels[batch], ordered, bfloat16)
             loss = (
                 part["friction"] / chance
@@ -346,7 +346,7 @@ def _simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
     return {row["simulation"] for row, use in zip(videos.rows, chosen, strict=True) if use}
 
 
-def _looks(
+def training_looks(
     pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Augmented videos at random phase, then some of them in disorder; and which are in order."""
