@@ -118,7 +118,7 @@ def test_the_floors_exchange_mirrors_for_matte_simulations_of_the_same_coefficie
     matte, mixed = (chosen(rows, one.videos) for one in found.variants)
     assert not any(row["floor_reflectance"] for row in matte)
     assert sum(row["floor_reflectance"] > 0 for row in mixed) == 6 == len(mixed) / 2
-    assert found.variants[1].phrase == "6 of 12 floors that mirror"
+    assert found.variants[1].phrase == "training with 6 mirroring floors of 12"
     for part in (matte, mixed):
         assert set(Counter((r["material_id"], r["friction_id"]) for r in part).values()) == {2}
     for name, reflecting in (("matte floors", False), ("mirroring floors", True)):

@@ -202,8 +202,8 @@ def schedule(videos: Videos, views: list[str], settings: AblateSettings, generat
         asks="Does it help to learn one viewpoint after another?",
         viewpoints=views,
         variants=[
-            Variant("progressive", "one viewpoint more each cycle", chosen),
-            Variant("joint", "all viewpoints from the first epoch", chosen, joint=True),
+            Variant("progressive", "adding a viewpoint each cycle", chosen),
+            Variant("joint", "training on all viewpoints from the first epoch", chosen, joint=True),
         ],
         tests={
             "calibrated viewpoint": _tests(videos, lambda row: row["viewpoint"] == views[0]),
@@ -276,10 +276,10 @@ def floors(videos: Videos, views: list[str], settings: AblateSettings, generator
         asks="Must floors that mirror be in training?",
         viewpoints=views,
         variants=[
-            Variant("matte", "matte floors only", _ids_of(videos, only, dealt)),
+            Variant("matte", "training on matte floors only", _ids_of(videos, only, dealt)),
             Variant(
                 "mixed",
-                f"{exchanged} of {len(mixed)} floors that mirror",
+                f"training with {exchanged} mirroring floors of {len(mixed)}",
                 _ids_of(videos, mixed, dealt),
             ),
         ],
