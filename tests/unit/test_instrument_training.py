@@ -2,9 +2,12 @@
 
 import csv
 import importlib.util
+import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 
@@ -22,7 +25,8 @@ from slipstitch.instrument.training import (
     train_instrument,
     training_looks,
 )
-from slipstitch.sample.dataset import write_dataset
+from slipstitch.provenance import attach_metadata
+from slipstitch.sample.dataset import dataset_digest, write_dataset
 from slipstitch.train.curves import curve
 from slipstitch.train.training import DivergedError, PlateauError
 from slipstitch.train.videos import read_videos
@@ -73,6 +77,18 @@ def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None
         frames=frames,
         after_step=after_step,
     )
+
+
+def altered_copy(dataset, folder, change):
+    """A copy of the dataset whose manifest rows went through `change`, with its digest anew."""
+    shutil.copytree(dataset, folder)
+    table = pq.read_table(folder / "manifest.parquet")
+    rows = table.to_pylist()
+    change(rows)
+    changed = pa.Table.from_pylist(rows, schema=table.schema)
+    changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(changed, folder / "manifest.parquet")
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +218,43 @@ def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
 def test_settings_that_do_not_fit_the_data_are_refused(dataset, tmp_path, changes, words):
     with pytest.raises(BadInput, match=words):
         train(dataset, tmp_path, **changes)
+
+
+def emptied(rows):
+    for row in rows:
+        if row["friction"] == 0.8:
+            row["split_by_simulation"] = "validation"
+
+
+def leaking(rows):
+    same = [row for row in rows if row["simulation"] == rows[0]["simulation"]]
+    same[0]["split_by_simulation"], same[1]["split_by_simulation"] = "train", "validation"
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "code", "words"),
+    [
+        (emptied, {}, 2, "friction 0.8 has no training video"),
+        (leaking, {}, 2, "stands in train and validation"),
+        (None, {"learning_rate": 1e30}, 1, "the loss became nan in epoch 1, step"),
+        (None, {"learning_rate": 1e-9}, 1, "at chance"),
+    ],
+    ids=["an empty class", "a leaking split", "no number", "a plateau"],
+)
+def test_what_cannot_be_learnt_stops_the_command_with_one_line(
+    dataset, tmp_path, capsys, change, settings, code, words
+):
+    data = dataset if change is None else altered_copy(dataset, tmp_path / "data", change)
+    section = InstrumentSettings(**{**SETTINGS.model_dump(), "epochs": 1, **settings})
+    config = CONFIG.model_copy(update={"instrument": section})
+    write_config(config, tmp_path / "c.json")
+    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(data)]
+    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *arguments]) == code
+    said = [line for line in capsys.readouterr().err.splitlines() if ": epoch 1/1: " not in line]
+    assert len(said) == 1 and words in said[0]
+    assert said[0].startswith("slipstitch instrument: ")
+    assert not (tmp_path / "out" / "instrument.safetensors").exists()
 
 
 def test_chance_is_the_score_of_the_labels_distribution():

@@ -98,6 +98,46 @@ def test_bad_input_is_one_line(bench, capsys, words, problem):
     assert problem in said
 
 
+def _text(bench, path):
+    path.write_text("no video\n" * 40)
+
+
+def _truncated(bench, path):
+    content = (bench / "video.mp4").read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def _ten_frames(bench, path):
+    times = np.arange(0, 1, 0.1)
+    stage.write_video(path, (np.zeros((240, 320, 3), np.uint8) for _ in times), times)
+
+
+def _portrait(bench, path):
+    times = np.arange(0, 1, 0.1)
+    stage.write_video(path, (np.zeros((320, 240, 3), np.uint8) for _ in times), times)
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (_text, "a text file, not a video"),
+        (_truncated, "not a video that OpenCV can read (damaged or cut off?)"),
+        (_ten_frames, "no start of the stage's motion found"),
+        (_portrait, "240x320 pixels (portrait: the camera was calibrated the other way round)"),
+        (lambda bench, path: None, "no such file"),
+    ],
+    ids=["text", "cut off", "ten frames", "portrait", "none"],
+)
+def test_a_bad_video_is_one_line(bench, tmp_path, capfd, make, problem):
+    path = tmp_path / "bad.mp4"
+    make(bench, path)
+    files = [str(path), "--camera", str(bench / "camera.json")]
+    assert main(["measure", *files, "--model", str(bench / "results/instrument/seed0")]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1, said
+    assert "bad.mp4: " in said and problem in said
+
+
 def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
     other = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 4}})
     write_config(other, tmp_path / "config.json")

@@ -1,0 +1,116 @@
+"""A training whose process is killed goes on, by the same command, to an undisturbed run's bits."""
+
+import importlib.util
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from safetensors import SafetensorError, safe_open
+
+from slipstitch.command import main
+from slipstitch.config import write_config
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.train.checkpoint import CHECKPOINT
+
+LIMIT_S = 300.0
+
+
+def _synthetic_videos():
+    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
+    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+SYNTHETIC = _synthetic_videos()
+CONFIG = SYNTHETIC.config(
+    render={"viewpoints": ["calibrated"], "pixels": 32},
+    train={
+        "epochs_per_cycle": 12,
+        "fine_tuning_epochs": 0,
+        "plateau_margin": None,
+        "checkpoint_interval_s": 0.0,
+    },
+    instrument={
+        "channels": [8, 8],
+        "features": 8,
+        "recurrent_units": 8,
+        "epochs": 12,
+        "batch_size": 2,
+        "plateau_margin": None,
+        "checkpoint_interval_s": 0.0,
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("training")
+    shards = SYNTHETIC.write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    write_config(CONFIG, folder / "config.json")
+    return folder
+
+
+def command(folder: Path, verb: str, out: Path) -> list[str]:
+    """The words of a training."""
+    words = [verb, "--config", str(folder / "config.json"), "--dataset", str(folder / "sample")]
+    words += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(out)]
+    return words + (["--network", "friction_baseline"] if verb == "train" else [])
+
+
+def place(checkpoint: Path) -> tuple[int, int]:
+    """Finished epochs and steps that a checkpoint holds; (0, 0) where there is none yet."""
+    try:
+        with safe_open(checkpoint, "pt") as file:
+            progress = json.loads(file.metadata()["progress"])
+    except (FileNotFoundError, SafetensorError):
+        return 0, 0
+    return progress["epoch"], progress["step"]
+
+
+def killed_in_mid_epoch(words: list[str], checkpoint: Path) -> None:
+    """Start a training in a process of its own and kill it (SIGKILL) after its first epoch."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "slipstitch", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until = time.monotonic() + LIMIT_S
+        while process.poll() is None and time.monotonic() < until:
+            epoch, step = place(checkpoint)
+            if epoch >= 1 and step >= 2:
+                break
+            time.sleep(0.01)
+    finally:
+        process.kill()
+    assert process.wait() == -signal.SIGKILL, "it had ended before it could be killed"
+
+
+@pytest.mark.parametrize(
+    ("verb", "files"),
+    [
+        ("train", ("model.safetensors", "model.json", "history.csv")),
+        ("instrument", ("instrument.safetensors", "instrument.json", "history.csv")),
+    ],
+)
+def test_kill_9_and_the_same_command_again_give_the_bits_of_an_undisturbed_run(
+    folder, capsys, verb, files
+):
+    out, undisturbed = folder / f"{verb} killed", folder / f"{verb} undisturbed"
+    words = command(folder, verb, out)
+    killed_in_mid_epoch(words, out / CHECKPOINT)
+    assert not (out / files[0]).exists()
+    epoch, step = place(out / CHECKPOINT)
+    assert main(words) == 0
+    assert f"epoch {epoch + 1}, step {step + 1}" in capsys.readouterr().err
+    assert main(command(folder, verb, undisturbed)) == 0
+    for name in files:
+        assert (out / name).read_bytes() == (undisturbed / name).read_bytes(), name
+    assert not (out / CHECKPOINT).exists()
