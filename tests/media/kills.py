@@ -94,6 +94,13 @@ def tree(process: psutil.Process) -> list[psutil.Process]:
     return []
 
 
+def remove(workflow: Workflow, *rules: str) -> None:
+    """Take away what the first job of each rule made."""
+    plan = jobs(workflow.folder)
+    for rule in rules:
+        remove_outputs(workflow.folder, next(job for job in plan if job["rule"] == rule))
+
+
 def kill(process: subprocess.Popen, victim: str) -> bool:
     """Kill without a warning; False if nothing was left to be killed."""
     everything = tree(psutil.Process(process.pid)) if process.poll() is None else []

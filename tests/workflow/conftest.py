@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import equal_results
+import kills
 import pytest
 from workflow_copy import Workflow
 
@@ -25,6 +27,27 @@ def chain(tmp_path_factory) -> Workflow:
     answer = workflow.snakemake("all")
     assert answer.returncode == 0, answer.stderr[-20000:]
     return workflow
+
+
+@pytest.fixture(scope="module")
+def pristine(chain, tmp_path_factory):
+    """The folder of the undisturbed run."""
+    folder = tmp_path_factory.mktemp("pristine") / "run"
+    kills.copy_run(chain.folder, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reference(pristine):
+    return equal_results.digests(pristine / "results")
+
+
+@pytest.fixture
+def undisturbed(chain, pristine):
+    """The chain, undisturbed again after every test."""
+    kills.copy_run(pristine, chain.folder)
+    yield chain
+    kills.copy_run(pristine, chain.folder)
 
 
 def pytest_terminal_summary(terminalreporter):

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import random
 import re
 import resource
 import shutil
@@ -12,7 +11,6 @@ import time
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import equal_results
 import kills
 import pytest
 
@@ -26,64 +24,10 @@ ONE = "m00_f00_r00"
 CONFIG = ("--config", "results/config.json")
 
 
-@pytest.fixture(scope="module")
-def pristine(chain, tmp_path_factory):
-    """The folder of the undisturbed run."""
-    folder = tmp_path_factory.mktemp("pristine") / "run"
-    kills.copy_run(chain.folder, folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def reference(pristine):
-    return equal_results.digests(pristine / "results")
-
-
-@pytest.fixture
-def workflow(chain, pristine):
-    """The chain, undisturbed again after every test."""
-    kills.copy_run(pristine, chain.folder)
-    yield chain
-    kills.copy_run(pristine, chain.folder)
-
-
-def remove(workflow, *rules):
-    """Take away what the first job of each rule made."""
-    plan = kills.jobs(workflow.folder)
-    for rule in rules:
-        kills.remove_outputs(workflow.folder, next(job for job in plan if job["rule"] == rule))
-
-
-def test_five_kills_on_the_way_and_the_result_is_the_same(workflow, reference):
-    """Everything is killed at a random moment, five times in one run of the chain."""
-    chance = random.Random(5)
-    remove(workflow, "calibrate_sweep", "simulate_one", "render_shading", "sample_all", "train_one")
-    words = workflow.snakemake_words("--quiet", "all", "--", "all")
-    for _ in range(5):
-        process = kills.start(workflow, words)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=chance.uniform(2.0, 25.0))
-        kills.kill(process, "machine")
-        process.wait()
-        assert kills.differences(workflow.folder, reference, partial=True) == []
-        assert workflow.snakemake("--unlock").returncode == 0
-    assert workflow.snakemake("all").returncode == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
-    assert equal_results.leftovers(workflow.folder / "results") == []
-
-
-@pytest.mark.parametrize("rule", ["simulate_one", "render_shading", "train_one"])
-@pytest.mark.parametrize("victim", ["worker", "snakemake"])
-def test_whoever_is_killed_the_same_command_goes_on(workflow, pristine, reference, rule, victim):
-    job = next(one for one in kills.jobs(pristine) if one["rule"] == rule)
-    done = kills.kill_and_resume(workflow, pristine, reference, job, victim, random.Random(rule))
-    assert done.problems == []
-
-
-def start_all(workflow) -> subprocess.Popen:
+def start_all(undisturbed) -> subprocess.Popen:
     """The whole chain, once a job of it runs."""
-    words = workflow.snakemake_words("--quiet", "all", "--", "all")
-    return kills.start_until_a_job_runs(workflow, words)
+    words = undisturbed.snakemake_words("--quiet", "all", "--", "all")
+    return kills.start_until_a_job_runs(undisturbed, words)
 
 
 def image_shards(run: Path) -> list[str]:
@@ -129,8 +73,8 @@ WRITERS = {
 
 @ROOT_ONLY
 @pytest.mark.parametrize("stage", WRITERS)
-def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(workflow, stage, tmp_path):
-    run = workflow.folder
+def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(undisturbed, stage, tmp_path):
+    run = undisturbed.folder
     shards = sorted(
         f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*")
     )
@@ -139,7 +83,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(workflow, stage
         words = []
         for word in WRITERS[stage]:
             words += shards if word == "{shards}" else [word.format(out=disk)]
-        answer = workflow.run(*words)
+        answer = undisturbed.run(*words)
         there = sorted(path.name for path in disk.rglob("*") if path.is_file())
     assert answer.returncode == 1, answer.stderr
     assert re.search("no space left|room", answer.stderr.splitlines()[-1]), answer.stderr
@@ -148,98 +92,98 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(workflow, stage
 
 
 @ROOT_ONLY
-def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(workflow, reference, tmp_path):
-    remove(workflow, "simulate_one")
+def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(undisturbed, reference, tmp_path):
+    kills.remove(undisturbed, "simulate_one")
     with small_disk(tmp_path / "disk", "1M") as disk:
-        target = workflow.folder / "results/simulate"
+        target = undisturbed.folder / "results/simulate"
         shutil.copytree(target, disk, dirs_exist_ok=True)
         kept = target.with_name("simulate_kept")
         target.rename(kept)
         target.symlink_to(disk)
-        answer = workflow.snakemake("simulate")
+        answer = undisturbed.snakemake("simulate")
         assert answer.returncode == 1
         assert "no space left on the disk" in answer.stderr
         assert "Finished work is kept: the same command goes on" in answer.stderr
         target.unlink()
         kept.rename(target)
-    assert workflow.snakemake("all").returncode == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    assert undisturbed.snakemake("all").returncode == 0
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
 
-def test_the_command_that_is_named_makes_a_damaged_file_anew(workflow, reference):
-    damaged = workflow.folder / f"results/simulate/{ONE}.parquet"
+def test_the_command_that_is_named_makes_a_damaged_file_anew(undisturbed, reference):
+    damaged = undisturbed.folder / f"results/simulate/{ONE}.parquet"
     damaged.write_bytes(damaged.read_bytes()[:-100])
-    remove(workflow, "render_shading")
-    answer = workflow.snakemake("all")
+    kills.remove(undisturbed, "render_shading")
+    answer = undisturbed.snakemake("all")
     assert answer.returncode == 1
     last = answer.stderr[answer.stderr.index("failed: render_shading") :]
     command = re.search("make it anew with: snakemake --cores 2 (all --forcerun [^ \n]+)", last)
-    assert workflow.snakemake(*command[1].split()).returncode == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    assert undisturbed.snakemake(*command[1].split()).returncode == 0
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
 
-def test_two_runs_at_once_in_one_folder(workflow, reference):
+def test_two_runs_at_once_in_one_folder(undisturbed, reference):
     """The second is turned away and says how to go on; the first is not disturbed."""
-    remove(workflow, "simulate_one")
-    first = start_all(workflow)
-    second = workflow.snakemake("all")
+    kills.remove(undisturbed, "simulate_one")
+    first = start_all(undisturbed)
+    second = undisturbed.snakemake("all")
     assert second.returncode == 1
     assert "cannot be locked" in second.stdout + second.stderr
     assert "--unlock" in second.stdout + second.stderr
     assert first.wait(timeout=1200) == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
 
-def test_the_configuration_may_be_edited_during_a_run(workflow, reference):
+def test_the_configuration_may_be_edited_during_a_run(undisturbed, reference):
     """The run goes on with what it began with; the next one makes what has changed."""
-    remove(workflow, "simulate_one")
-    process = start_all(workflow)
-    file = workflow.project / "config/smoke.yaml"
+    kills.remove(undisturbed, "simulate_one")
+    process = start_all(undisturbed)
+    file = undisturbed.project / "config/smoke.yaml"
     before = file.read_text()
     try:
         file.write_text(before.replace("frames: 8", "frames: 7"))
         assert process.wait(timeout=1200) == 0
-        assert kills.differences(workflow.folder, reference, partial=False) == []
-        assert load_config(workflow.folder / "results/config.json").sample.frames == 8
-        assert any(name.startswith("sample/") for name in workflow.pending())
+        assert kills.differences(undisturbed.folder, reference, partial=False) == []
+        assert load_config(undisturbed.folder / "results/config.json").sample.frames == 8
+        assert any(name.startswith("sample/") for name in undisturbed.pending())
     finally:
         file.write_text(before)
-    assert workflow.pending() == set()
+    assert undisturbed.pending() == set()
 
 
-def test_a_clock_that_ran_ahead_is_mended_by_one_command(workflow, reference):
+def test_a_clock_that_ran_ahead_is_mended_by_one_command(undisturbed, reference):
     """Files from next year look newer than all that is made from them."""
     ahead = (datetime.now() + timedelta(days=365)).timestamp()
-    for one in simulations(load_config(workflow.folder / "results/config.json")):
-        os.utime(workflow.folder / f"results/simulate/{one.id}.parquet", (ahead, ahead))
-    assert any(name.startswith("render/") for name in workflow.pending())
-    assert workflow.snakemake("all", "--touch").returncode == 0
-    assert workflow.pending() == set()
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    for one in simulations(load_config(undisturbed.folder / "results/config.json")):
+        os.utime(undisturbed.folder / f"results/simulate/{one.id}.parquet", (ahead, ahead))
+    assert any(name.startswith("render/") for name in undisturbed.pending())
+    assert undisturbed.snakemake("all", "--touch").returncode == 0
+    assert undisturbed.pending() == set()
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
 
 @ROOT_ONLY
-def test_results_that_cannot_be_written_are_said_to_be_so(workflow, reference):
-    folder = workflow.folder / "results/simulate"
-    remove(workflow, "simulate_one")
+def test_results_that_cannot_be_written_are_said_to_be_so(undisturbed, reference):
+    folder = undisturbed.folder / "results/simulate"
+    kills.remove(undisturbed, "simulate_one")
     subprocess.run(["mount", "--bind", folder, folder], check=True)
     subprocess.run(["mount", "-o", "remount,ro,bind", folder], check=True)
     try:
-        answer = workflow.snakemake("simulate")
+        answer = undisturbed.snakemake("simulate")
     finally:
         subprocess.run(["umount", "-l", folder], check=True)
     assert answer.returncode == 1
     assert "the file system cannot be written to" in answer.stderr
     assert "Traceback" not in answer.stderr
-    assert workflow.snakemake("all").returncode == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    assert undisturbed.snakemake("all").returncode == 0
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
 
 @pytest.mark.parametrize("limit_mb", [300, 600, 1200])
 @pytest.mark.parametrize("stage", ["simulate", "compose", "sample", "train"])
-def test_a_memory_limit_leaves_nothing_half_written(workflow, stage, limit_mb, tmp_path):
+def test_a_memory_limit_leaves_nothing_half_written(undisturbed, stage, limit_mb, tmp_path):
     """Done or failed, never half; libraries may end the process before we can say why."""
-    run = workflow.folder
+    run = undisturbed.folder
     shards = sorted(
         f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*")
     )
@@ -248,7 +192,7 @@ def test_a_memory_limit_leaves_nothing_half_written(workflow, stage, limit_mb, t
         words += shards if word == "{shards}" else [word.format(out=tmp_path / "out")]
     limit = limit_mb * 2**20
     answer = subprocess.run(
-        words, cwd=run, env=workflow.environment(), capture_output=True, text=True,
+        words, cwd=run, env=undisturbed.environment(), capture_output=True, text=True,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
     )  # fmt: skip
     there = [path for path in tmp_path.rglob("*") if path.is_file()]
@@ -258,11 +202,11 @@ def test_a_memory_limit_leaves_nothing_half_written(workflow, stage, limit_mb, t
     assert [path for path in there if path.suffix in (".parquet", ".json", ".safetensors")] == []
 
 
-def test_an_interrupt_by_hand_leaves_no_lock(workflow, reference):
-    remove(workflow, "simulate_one")
-    process = start_all(workflow)
+def test_an_interrupt_by_hand_leaves_no_lock(undisturbed, reference):
+    kills.remove(undisturbed, "simulate_one")
+    process = start_all(undisturbed)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=600) != 0
-    assert workflow.snakemake("all").returncode == 0
-    assert kills.differences(workflow.folder, reference, partial=False) == []
+    assert undisturbed.snakemake("all").returncode == 0
+    assert kills.differences(undisturbed.folder, reference, partial=False) == []
