@@ -65,6 +65,11 @@ WRITERS = {
               "material_baseline", "--split", "by_video", "--seed", "0", "--out-dir", "{out}"],
     "evaluate": ["slipstitch", "evaluate", *CONFIG, "--dataset", "results/sample", "--models",
                  "results/train", "--out", "{out}/m.json", "--predictions", "{out}/p.parquet"],
+    "instrument": ["slipstitch", "instrument", *CONFIG, "--dataset", "results/sample", "--split",
+                   "by_video", "--seed", "0", "--out-dir", "{out}"],
+    "capture": ["slipstitch", "capture", "surrogate", *CONFIG, "--bench", "{out}"],
+    "criticise": ["slipstitch", "criticise", "{project}/data/cases/surrogate_anisotropic",
+                  "--replicates", "50", "--out", "{out}/v.json", "--report", "{out}/v.html"],
     "report": ["slipstitch", "report", *CONFIG, "--results", "results", "--out", "{out}/i.html"],
     "release": ["slipstitch", "release", *CONFIG, "--results", "results", "--out-dir",
                 "{out}/release"],
@@ -82,7 +87,11 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(undisturbed, st
         (disk / "ballast").write_bytes(bytes(16 * 1024))
         words = []
         for word in WRITERS[stage]:
-            words += shards if word == "{shards}" else [word.format(out=disk)]
+            words += (
+                shards
+                if word == "{shards}"
+                else [word.format(out=disk, project=undisturbed.project)]
+            )
         answer = undisturbed.run(*words)
         there = sorted(path.name for path in disk.rglob("*") if path.is_file())
     assert answer.returncode == 1, answer.stderr
