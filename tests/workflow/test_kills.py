@@ -14,9 +14,7 @@ pytestmark = pytest.mark.xdist_group("chain")
 def test_five_kills_on_the_way_and_the_result_is_the_same(undisturbed, reference):
     """Everything is killed at a random moment, five times in one run of the chain."""
     chance = random.Random(5)
-    kills.remove(
-        undisturbed, "calibrate_sweep", "simulate_one", "render_shading", "sample_all", "train_one"
-    )
+    kills.remove(undisturbed, "simulate_one", "render_shading", "sample_all", "train_one")
     words = undisturbed.snakemake_words("--quiet", "all", "--", "all")
     for _ in range(5):
         process = kills.start(undisturbed, words)
