@@ -12,12 +12,15 @@ from slipstitch.errors import BadInput
 ROOT = Path(__file__).parents[2]
 
 
+SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml"))
+
+
 def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
 
 
-@pytest.mark.parametrize("scale", ["config.yaml", "config/smoke.yaml", "config/paper.yaml"])
+@pytest.mark.parametrize("scale", ["config.yaml", *SCALES])
 def test_scales_of_the_project_are_valid_over_the_default(scale):
     config = load_config(ROOT / "config.yaml", ROOT / scale)
     assert config.grid.materials
@@ -34,7 +37,7 @@ def test_paper_scale_is_the_grid_of_the_paper():
     assert (config.simulation.frames, config.sample.frames) == (300, 30)
 
 
-@pytest.mark.parametrize("scale", ["config/smoke.yaml", "config/paper.yaml"])
+@pytest.mark.parametrize("scale", SCALES)
 def test_scales_hold_only_what_differs_from_the_default(scale):
     default = load_config(ROOT / "config.yaml").model_dump(mode="json")
     for section, keys in read_mapping(ROOT / scale).items():
@@ -169,7 +172,7 @@ def test_schema_accepts_the_scales_and_refuses_what_the_types_refuse():
     import jsonschema
 
     validator = jsonschema.Draft202012Validator(json.loads(schema_text()))
-    for scale in ("config.yaml", "config/smoke.yaml", "config/paper.yaml"):
+    for scale in ("config.yaml", *SCALES):
         validator.validate(read_mapping(ROOT / scale))
     for bad in ({"grid": {"friction": [0.1]}}, {"grid": {"frictions": [-0.1]}}, {"seed": "one"}):
         assert not validator.is_valid(bad)
