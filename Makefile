@@ -20,7 +20,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
-	@echo 'make captures   films ingested and scored; surrogates by default, 1 to 2 CPU h'
+	@echo 'make captures   films ingested, scored, shown in the report; surrogates by default, 1 to 2 CPU h'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
 	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'
@@ -65,6 +65,7 @@ benchmark-criticise: setup
 
 captures: setup
 	$(BIN)/snakemake --cores $(CORES) captures
+	$(BIN)/snakemake --cores $(CORES) report
 
 convergence: setup
 	$(BIN)/snakemake --cores $(CORES) convergence

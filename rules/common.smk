@@ -8,7 +8,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
-from slipstitch.provenance import code_digest
+from slipstitch.provenance import code_digest, file_digest
 
 CONFIG_FILE = "results/config.json"
 
@@ -39,6 +39,11 @@ wildcard_constraints:
 def settings(*sections, **exclude):
     """Sections of the configuration as a rule's parameter: the rule reruns when they change."""
     return json.dumps(CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude))
+
+
+def digest_if_there(path):
+    """A file that a rule shows where there is one, as its parameter: the rule reruns with it."""
+    return file_digest(path) if os.path.exists(path) else None
 
 
 rule grid:

@@ -32,6 +32,7 @@ rule report_page:
     params:
         settings=settings(*type(CONFIG).model_fields),
         code=code_digest("report"),
+        captures=digest_if_there("results/captures/metrics.json"),
         config=CONFIG_FILE,
     message:
         "Write the report"

@@ -1,6 +1,7 @@
 """The report on a made-up results folder, whole, partial, empty and damaged."""
 
 import base64
+import html
 import io
 import json
 import re
@@ -16,6 +17,9 @@ from slipstitch.command import main
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
 from slipstitch.evaluate.wording import percent
+from slipstitch.provenance import provenance_record, write_sidecar
+from slipstitch.report import learning_pictures
+from slipstitch.report.captures import floors_in_words, training_floors
 from slipstitch.report.learning_pictures import confusion_counts
 from slipstitch.report.page import (
     closest_frictions,
@@ -82,18 +86,155 @@ def test_the_result_is_that_of_held_out_simulations_beside_chance(page, whole):
     assert "A uniform guess is right for 33.3 %" in text
 
 
+def table(page, heading):
+    """Rows of the first table under a heading, as lists of what the cells say."""
+    after = page[page.index(f"<h3>{heading}") :]
+    rows = re.findall(r"<tr.*?</tr>", after[: after.index("</table>")], flags=re.S)
+    return [
+        [html.unescape(text_of(cell)) for cell in re.findall(r"<t[dh].*?</t[dh]>", row, flags=re.S)]
+        for row in rows
+    ]
+
+
+def page_of(folder, config=CONFIG):
+    return render_page(page_context(Results(folder, config), NOW))
+
+
 def test_table_2_shows_the_paper_where_known_and_says_where_not(page):
-    rows = {
-        re.sub(r"<[^>]+>", "", cells[0]): [re.sub(r"<[^>]+>", "", cell) for cell in cells[1:]]
-        for cells in (re.findall(r"<td.*?</td>", row) for row in page.split("<tr>"))
-        if len(cells) == 4
-    }
+    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
     assert rows["Material, first guess"][0] == "99.5 %"
-    assert rows["Friction, error &lt; 0.1, given the material"][0] == "95.5 %"
-    assert rows["Friction, error &lt; 0.2, given the material"][0] == "99.2 %"
-    assert rows["Friction, error &lt; 0.1, baseline"][0] == "not available"
-    assert rows["Material, first two guesses"][0] == "not available"
+    assert rows["Friction, error < 0.1, given the material"][0] == "95.5 %"
+    assert rows["Friction, error < 0.2, given the material"][0] == "99.2 %"
+    assert rows["Friction, error < 0.1, baseline"][0] == "not available to us"
+    assert rows["Material, first two guesses"][0] == "not available to us"
     assert rows["Material, first guess"][1:] == ["75.0 %", "75.0 %"]
+    # 32 and 33 of 36 by video, 22 and 23 by simulation.
+    assert rows["Friction, error < 0.1, baseline"][1:] == ["88.9 %", "61.1 %"]
+    assert rows["Friction, error < 0.1, given the material"][1:] == ["91.7 %", "63.9 %"]
+
+
+def test_one_seed_is_said_to_be_one_beside_the_number_of_videos(page):
+    assert table(page, "Table 2")[0][2:] == [
+        f"ours, by {split} 36 videos of 6 simulations one seed only"
+        for split in ("video", "simulation")
+    ]
+    assert "±" not in " ".join(map(" ".join, table(page, "Table 2")))
+
+
+def test_several_seeds_have_their_spread(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_simulation": 22}, seeds=(0, 1, 2))
+    page = page_of(tmp_path)
+    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
+    assert rows["share of test videos"][1].endswith("36 videos of 6 simulations 3 seeds")
+    # 22, 24 and 20 of 36: a standard deviation of 2 / 36.
+    assert rows["Friction, error < 0.1, baseline"][1:] == ["61.1 ± 5.6 %"]
+    assert "61.1 ± 5.6 %" in table(page, "Every test set")[1]
+
+
+def test_an_unseen_texture_stands_beside_the_papers_and_beside_seen_ones(page):
+    rows = {row[0]: row[1:] for row in table(page, "Sec. 6.2.1")}
+    assert rows["Friction, error < 0.1, given the material"] == ["87.2 %", "83.3 %", "91.7 %"]
+    assert rows["Friction, error < 0.2, given the material"][0] == "95.0 %"
+    assert rows["Friction, error < 0.1, baseline"] == ["not available to us", "80.6 %", "88.9 %"]
+
+
+TURNED = {"view_-15": 6, "view_-10": 11, "view_+5": 30, "view_+15": 9}
+
+
+def test_every_turn_of_the_camera_has_its_own_scores(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, **TURNED}, (0, 1, 2))
+    rows = {row[0]: row for row in table(page_of(tmp_path), "Table 3")}
+    head = ["turn", "videos", "sim.", "paper", "material network", "baseline network"]
+    assert list(rows["turn"])[:6] == head
+    shown = {turn: row for turn, row in rows.items() if turn.endswith("°")}
+    assert list(shown) == ["−15°", "−10°", "0°", "+5°", "+15°"]
+    assert [row[5] for row in shown.values()] == [
+        f"{share} ± 5.6 %" for share in ("16.7", "30.6", "88.9", "83.3", "25.0")
+    ]
+    # The network given the material: one video more.
+    assert rows["−10°"][7] == "33.3 ± 5.6 %"
+    assert {row[3] for row in shown.values()} == {"not available to us"}
+    assert (rows["0°"][1:3], rows["+5°"][1:3]) == (["12", "5"], ["36", "6"])
+
+
+def test_the_picture_of_the_turns_has_the_scores_at_their_turns(tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(learning_pictures, "accuracy_by_turn", lambda curves: drawn.update(curves))
+    synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, **TURNED})
+    page_of(tmp_path)
+    means = {turn: one.mean for turn, one in drawn["friction_baseline", "friction_lt_0.1"].items()}
+    assert means == pytest.approx({-15: 6 / 36, -10: 11 / 36, 0: 32 / 36, 5: 30 / 36, 15: 9 / 36})
+
+
+def test_captures_stand_beside_the_simulated_test_set(whole, tmp_path):
+    shutil.copytree(whole / "sample", tmp_path / "sample")
+    synthetic_results.write_evaluate(CONFIG, tmp_path)
+    synthetic_results.write_captures(tmp_path, seeds=(0, 1))
+    page = page_of(tmp_path)
+    rows = {row[0]: row[1:] for row in table(page, "Fig. 6")}
+    assert rows["paper, real films"][2:4] == ["not available to us", "93.6 %"]
+    group = "network given the material, videos held out (the paper’s split)"
+    assert [key for key in rows if key.startswith(group)] == [
+        f"{group} , trained on matte floors only; 2 seeds"
+    ]
+    assert rows["simulated test set"][:3] == ["36", "–", "91.7 %"]
+    assert rows["captures without reflective"][:3] == ["5", "1", "100.0 ± 0.0 %"]
+    # Of the mirror's five films two and three are within half a step, four and three within 0.1.
+    assert rows["captures, reflective only"][2] == "50.0 ± 14.1 %"
+    assert rows["captures, reflective only"][4] == "70.0 ± 14.1 %"
+    assert rows["captures, reflective only"][8] == "0.0 ± 0.0 %"  # of the pairs, all five equal
+    assert rows["all captures"][8] == "50.0 ± 0.0 %"
+    assert "Surrogate captures: films of simulations" in text_of(page)
+    assert "No real video comes with the project" in text_of(page)
+
+
+def test_real_captures_are_called_real(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path)
+    synthetic_results.write_captures(tmp_path, surrogate=False)
+    text = text_of(page_of(tmp_path))
+    assert "Real captures: films of a bench" in text
+    assert "Surrogate captures" not in text and "No real video" not in text
+
+
+def test_captures_scored_with_other_networks_are_said_to_be(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path)
+    synthetic_results.write_captures(tmp_path)
+    weights = tmp_path / "model.safetensors"
+    said = []
+    for folder, content in (("captures", "old"), ("evaluate", "new"), ("captures", "new")):
+        weights.write_text(content)
+        record = provenance_record("evaluate", inputs=[weights])
+        write_sidecar(tmp_path / folder / "metrics.json", record)
+        said.append("Not of these networks." in text_of(page_of(tmp_path)))
+    assert said == [True, True, False]
+
+
+def test_floors_of_the_training_simulations_are_counted():
+    def row(simulation, floor, reflectance, side="train", view="train"):
+        roles = dict.fromkeys(("material_role", "friction_role", "texture_role"), "train")
+        return {"simulation": simulation, "floor": floor, "floor_reflectance": reflectance,
+                "split_by_video": side, "viewpoint_role": view, **roles}  # fmt: skip
+
+    rows = [row("a", "matte", 0.0), row("a", "matte", 0.0), row("b", "ceramic", 0.04)]
+    rows += [row("c", "ceramic", 0.05), row("d", "rough-glass", 0.04, side="test")]
+    rows += [row("e", "rough-glass", 0.04, view="test")]
+    floors = training_floors(rows, "by_video")
+    assert floors == {"ceramic": (2, True), "matte": (1, False)}
+    assert floors_in_words(floors) == (
+        "trained with reflective floors: 2 of 3 simulations (ceramic 2)"
+    )
+    assert floors_in_words({"matte": (1, False)}) == "trained on matte floors only"
+
+
+def test_what_was_not_tested_has_no_heading_and_is_named(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, "by_simulation": 22})
+    page = page_of(tmp_path)
+    for heading in ("Sec. 6.2.1", "Table 3", "Fig. 6"):
+        assert f"<h3>{heading}" not in page
+    assert (
+        "not tested in this run, for want of videos: an unseen texture (Sec. 6.2.1; "
+        "render.test_textures); turned viewpoints (Table 3; render.test_viewpoints); captures"
+    ) in text_of(page)
 
 
 def test_a_coarse_grid_is_said_to_make_both_error_columns_the_same(page):

@@ -1,9 +1,11 @@
-"""The networks' tables beside the paper's."""
+"""The networks' tables: the paper's Table 2 and Sec. 6.2.1 beside ours, and every test set."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from slipstitch.config import Config
 from slipstitch.evaluate import paper
+from slipstitch.evaluate.wording import number, percent, seeds_in_words
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",
@@ -18,6 +20,51 @@ MODEL_TITLES = {
     "instrument": "instrument",
 }
 NETWORKS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
+# Which entry of metrics.json holds a network's scores.
+ENTRIES = {
+    "material_baseline": "lrcn_baseline",
+    "friction_baseline": "lrcn_baseline",
+    "friction_conditional": "lrcn_conditional",
+    "instrument": "instrument",
+}
+MEASURES = (
+    ("material_baseline", "material_top1", "Material, first guess"),
+    ("material_baseline", "material_top2", "Material, first two guesses"),
+    ("friction_baseline", "friction_lt_0.1", "Friction, error < 0.1, baseline"),
+    ("friction_baseline", "friction_lt_0.2", "Friction, error < 0.2, baseline"),
+    ("friction_conditional", "friction_lt_0.1", "Friction, error < 0.1, given the material"),
+    ("friction_conditional", "friction_lt_0.2", "Friction, error < 0.2, given the material"),
+)
+TURNED = "view_"
+
+
+class Score(NamedTuple):
+    """A mean over seeds and their standard deviation; None where there is none."""
+
+    mean: float | None
+    spread: float | None
+
+
+def score(metrics, details, test_set: str, network: str, measure: str) -> Score:
+    """A network's score on a test set.
+
+    Parameters
+    ----------
+    metrics, details : mapping
+        metrics.json and details.json.
+    """
+    entry = metrics.get(test_set, {}).get(ENTRIES[network]) or {}
+    detail = details.get(test_set, {}).get(network) or {}
+    return Score(entry.get(measure), (detail.get("spread") or {}).get(measure))
+
+
+def seeds_of(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """How many seeds the models of a test set have, in words."""
+    counts = sorted({len(row["seeds"]) for row in entries.values() if row.get("seeds")})
+    if not counts:
+        return ""
+    most = seeds_in_words(counts[-1])
+    return most if len(counts) == 1 else f"{counts[0]} to {most}"
 
 
 def headline(config: Config, metrics, details) -> dict[str, Any] | None:
@@ -45,84 +92,113 @@ def headline(config: Config, metrics, details) -> dict[str, Any] | None:
     return None
 
 
-def table_2(metrics) -> list[dict[str, Any]]:
-    """The paper's Table 2 with ours for both splits."""
-    rows = []
-    for network, model, measure, title in (
-        ("material_baseline", "lrcn_baseline", "material_top1", "Material, first guess"),
-        ("material_baseline", "lrcn_baseline", "material_top2", "Material, first two guesses"),
-        (
-            "friction_baseline",
-            "lrcn_baseline",
-            "friction_lt_0.1",
-            "Friction, error < 0.1, baseline",
-        ),
-        (
-            "friction_baseline",
-            "lrcn_baseline",
-            "friction_lt_0.2",
-            "Friction, error < 0.2, baseline",
-        ),
-        (
-            "friction_conditional",
-            "lrcn_conditional",
-            "friction_lt_0.1",
-            "Friction, error < 0.1, given the material",
-        ),
-        (
-            "friction_conditional",
-            "lrcn_conditional",
-            "friction_lt_0.2",
-            "Friction, error < 0.2, given the material",
-        ),
-    ):
-        rows.append(
+def beside_paper(
+    metrics, details, titles: Mapping[str, str], quoted: Mapping[tuple[str, str], float]
+) -> dict[str, Any]:
+    """A table of the paper's measures: its own figures, then a column a test set of ours.
+
+    Parameters
+    ----------
+    titles : mapping
+        Test set -> heading of its column; those that were not run are left out.
+    quoted : mapping
+        (network, measure) -> the paper's figure.
+    """
+    shown = [name for name in titles if metrics.get(name)]
+    return {
+        "columns": [
+            {
+                "title": titles[name],
+                "n": max(row["n"] for row in metrics[name].values()),
+                "simulations": max(
+                    (one.get("simulations") or 0 for one in details.get(name, {}).values()),
+                    default=0,
+                ),
+                "seeds": seeds_of(
+                    {key: metrics[name][key] for key in NETWORKS if key in metrics[name]}
+                ),
+            }
+            for name in shown
+        ],
+        "rows": [
             {
                 "title": title,
-                "paper": paper.TABLE_2.get((network, measure)),
-                **{
-                    split: ((metrics or {}).get(split, {}).get(model) or {}).get(measure)
-                    for split in ("by_video", "by_simulation")
-                },
+                "paper": quoted.get((network, measure)),
+                "cells": [
+                    percent(*score(metrics, details, name, network, measure)) for name in shown
+                ],
             }
-        )
-    return rows
+            for network, measure, title in MEASURES
+        ],
+    }
+
+
+def table_2(metrics, details) -> dict[str, Any] | None:
+    """The paper's Table 2: the paper's split, and the honest one."""
+    titles = {"by_video": "ours, by video", "by_simulation": "ours, by simulation"}
+    if not any((metrics or {}).get(name) for name in titles):
+        return None
+    return beside_paper(metrics, details, titles, paper.TABLE_2)
+
+
+def unseen_texture(metrics, details) -> dict[str, Any] | None:
+    """The paper's Sec. 6.2.1, and the same networks on textures that they trained on."""
+    if not (metrics or {}).get("unseen_texture"):
+        return None
+    titles = {"unseen_texture": "ours, unseen texture", "by_video": "ours, trained textures"}
+    return beside_paper(metrics, details, titles, paper.UNSEEN_TEXTURE)
+
+
+def not_tested(metrics, captures) -> list[str]:
+    """What of the paper's Sec. 6 this run has no videos for, and where they would come from."""
+    wanted = {
+        "an unseen texture (Sec. 6.2.1; render.test_textures)": "unseen_texture" in metrics,
+        "turned viewpoints (Table 3; render.test_viewpoints)": any(
+            name.startswith(TURNED) for name in metrics
+        ),
+        "captures (Fig. 6; snakemake captures)": captures is not None,
+    }
+    return [what for what, there in wanted.items() if not there]
 
 
 def test_sets(metrics, details) -> list[dict[str, Any]]:
-    """Every test set of metrics.json with its models, and what chance would give."""
+    """Every test set of metrics.json but the turned viewpoints, and what chance would give."""
     groups = []
     for split, models in (metrics or {}).items():
-        rows = []
-        trained_on = None
-        for model, row in models.items():
-            network = NETWORKS.get(model, model)
-            detail = details.get(split, {}).get(network, {})
-            trained_on = detail.get("trained_on")
-            quoted = paper.UNSEEN_TEXTURE if split == "unseen_texture" else {}
-            rows.append(
-                {
-                    "model": MODEL_TITLES.get(model, model).replace("network", "").strip(),
-                    **row,
-                    "simulations": detail.get("simulations"),
-                    "seeds": len(row.get("seeds") or []) or None,
-                    "chance": detail.get("chance", {}),
-                    "paper": {
-                        measure: quoted.get((network, measure))
-                        for measure in ("friction_lt_0.1", "friction_lt_0.2")
-                    },
-                }
-            )
+        if split.startswith(TURNED):
+            continue
+        of_split = details.get(split, {})
+        trained_on = next((one.get("trained_on") for one in of_split.values()), None)
         groups.append(
             {
                 "split": SPLIT_TITLES.get(split, split.replace("_", " ")),
                 "trained_on": trained_on.replace("_", " ")
                 if trained_on and trained_on != split
                 else None,
-                "rows": rows,
+                "rows": [
+                    _test_row(model, row, of_split.get(NETWORKS.get(model, model), {}), of_split)
+                    for model, row in models.items()
+                ],
             }
         )
     return groups
+
+
+def _test_row(model: str, row, detail, of_split) -> dict[str, Any]:
+    # The baseline's row holds the scores of two networks.
+    fabric = of_split.get("material_baseline", {}) if model == "lrcn_baseline" else detail
+    spread = (fabric.get("spread") or {}) | (detail.get("spread") or {})
+    shares = ("friction_lt_0.1", "friction_lt_0.2", "material_top1", "material_top2", "coverage_90")
+    return {
+        "model": MODEL_TITLES.get(model, model).replace("network", "").strip(),
+        "n": row["n"],
+        "simulations": detail.get("simulations"),
+        "seeds": len(row.get("seeds") or []) or None,
+        "chance": percent(detail.get("chance", {}).get("uniform")),
+        "shares": {name: percent(row.get(name), spread.get(name)) for name in shares},
+        "error": number(row.get("mean_absolute_error"), spread.get("mean_absolute_error")),
+        "width": number(row.get("interval_width"), spread.get("interval_width"), 2),
+    }
 
 
 def alarms(details) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from slipstitch.calibrate.picture import MEASURED, THEORY
 from slipstitch.evaluate.cumulative import draw_cumulative
-from slipstitch.report.drawing import BLUE, INK, new_figure, styled, svg
+from slipstitch.report.drawing import BLUE, GREEN, INK, ORANGE, new_figure, styled, svg
 from slipstitch.report.results import History
 
 NETWORK_NAMES = {
@@ -175,4 +175,91 @@ def cumulative(predictions, frictions: Sequence[float]) -> str | None:
         axes.set(title=SPLIT_NAMES[split], xlabel="error of µ", xlim=(0, widest), ylim=(0, 1.02))
     panels[0].set_ylabel("share of test videos")
     panels[-1].legend(frameon=False, fontsize=8, loc="lower right")
+    return svg(figure)
+
+
+_LINES = {
+    "material_baseline": ("fabric, first guess", GREEN),
+    "friction_baseline": ("friction, baseline", BLUE),
+    "friction_conditional": ("friction, given the material", MEASURED),
+    "instrument": ("instrument", INK),
+}
+
+
+@styled
+def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> str | None:
+    """Share of right answers against the camera's turn, with the spread over seeds.
+
+    Parameters
+    ----------
+    curves : mapping
+        (network, measure) -> turn in degrees -> (mean, spread or None).
+    """
+    figure = new_figure(7.8, 2.9)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    lines = {}
+    for axes, measures in zip(
+        panels, (("friction_lt_0.1", "material_top1"), ("friction_lt_0.2",)), strict=True
+    ):
+        for (network, measure), values in curves.items():
+            known = {turn: one for turn, one in values.items() if one[0] is not None}
+            if measure not in measures or not known:
+                continue
+            name, colour = _LINES[network]
+            lines[name] = axes.errorbar(
+                list(known), [one[0] for one in known.values()],
+                yerr=[one[1] or 0.0 for one in known.values()], color=colour, lw=1.4, marker="o",
+                ms=3.5, capsize=2.5, ls="--" if network == "material_baseline" else "-",
+            )  # fmt: skip
+        axes.set(xlabel="turn of the camera, degrees", ylim=(0, 1.04))
+        axes.set_xticks(sorted({turn for values in curves.values() for turn in values}))
+    panels[0].set(title="exact step of friction (< 0.1); fabric", ylabel="share of test videos")
+    panels[1].set_title("one step off at most (< 0.2)")
+    figure.legend(
+        lines.values(), lines.keys(), loc="outside upper center", ncols=4, frameon=False, fontsize=8
+    )
+    return svg(figure)
+
+
+_CURVES = {
+    "simulated test set": {"color": BLUE, "lw": 1.5},
+    "all captures": {"color": INK, "lw": 1.9},
+    "captures without reflective": {"color": GREEN, "lw": 1.3, "ls": "--"},
+    "captures, reflective only": {"color": ORANGE, "lw": 1.3, "ls": "-."},
+}
+
+
+@styled
+def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> str | None:
+    """Share of videos against the error, simulated and captured, a panel a model.
+
+    Parameters
+    ----------
+    panels : sequence of mapping
+        ``title``, and ``curves``: name -> errors, shape (n,).
+    paper_share : float
+        The paper's share of real films with an error of 0.1 at most.
+    """
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = new_figure(max(3.0 * columns + 0.3, 7.6), 2.8 * rows + 0.7)
+    drawn = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in drawn.flat[len(panels) :]:
+        axes.set_axis_off()
+    curves = [one for panel in panels for one in panel["curves"].values() if len(one)]
+    widest = max(0.3, *(float(one.max()) for one in curves))
+    lines = {}
+    for axes, panel in zip(drawn.flat, panels, strict=False):
+        for name, errors in panel["curves"].items():
+            if len(errors):
+                draw_cumulative(axes, errors, widest, label=name, **_CURVES[name])
+        axes.plot(0.1, paper_share, "*", color=MEASURED, ms=8, label="the paper's real films")
+        axes.set(xlim=(0, widest), ylim=(0, 1.02))
+        axes.set_title(panel["title"], fontsize=8.5)
+        lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    figure.supxlabel("error of µ; of captures, distance from the reference’s interval", fontsize=9)
+    figure.supylabel("share of videos", fontsize=9)
+    figure.legend(
+        lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
+    )
     return svg(figure)

@@ -17,11 +17,20 @@ from slipstitch.evaluate import paper
 from slipstitch.evaluate.wording import percent
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.report import learning_pictures, pictures
+from slipstitch.report.captures import captures_section
 from slipstitch.report.dataset import dataset
-from slipstitch.report.learning import alarms, headline, table_2, test_sets
+from slipstitch.report.learning import (
+    alarms,
+    headline,
+    not_tested,
+    table_2,
+    test_sets,
+    unseen_texture,
+)
 from slipstitch.report.physics import convergence, physics
 from slipstitch.report.results import Benchmark, Results
 from slipstitch.report.simulations import simulation_section
+from slipstitch.report.viewpoints import table_3
 from slipstitch.report.wording import counted, duration, svg_uri
 from slipstitch.status.runs import Failure
 
@@ -121,6 +130,8 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     benchmarks = results.benchmarks()
     histories = results.histories()
     step = closest_frictions(frictions)
+    calibrated = (config.train.view_order or config.render.viewpoints)[0]
+    captures = captures_section(results, metrics, details, predictions)
     record = provenance_record("report")
     return {
         "version": __version__,
@@ -142,7 +153,11 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "dataset": dataset(results),
         "training": svg_uri(learning_pictures.training(histories)),
         "networks": len(histories),
-        "table_2": table_2(metrics) if metrics else None,
+        "table_2": table_2(metrics, details),
+        "unseen_texture": unseen_texture(metrics, details),
+        "table_3": table_3(metrics, details, calibrated),
+        "captures": captures,
+        "not_tested": not_tested(metrics, captures) if metrics else [],
         "test_sets": test_sets(metrics, details),
         "alarms": alarms(details),
         "paper": paper,
@@ -220,6 +235,8 @@ def write_report(
             found.folder / "sample" / "manifest.parquet",
             found.folder / "evaluate" / "metrics.json",
             found.folder / "evaluate" / "predictions.parquet",
+            found.folder / "captures" / "metrics.json",
+            found.folder / "captures" / "predictions.parquet",
         )
         if path.exists()
     ]

@@ -17,6 +17,7 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import (
     read_json,
     read_provenance,
+    read_sidecar,
     reading,
 )
 from slipstitch.simulate.trajectory import read_trajectory
@@ -245,6 +246,30 @@ class Results:
             return None
         columns = ["split", "network", "seed", "true", "true_value", "predicted_value", "predicted"]
         return _table(path, columns).to_pylist()
+
+    def capture_metrics(self) -> Mapping[str, Any] | None:
+        """Scores on captures, by subset and model."""
+        return _json_if_there(self.folder / "captures" / "metrics.json")
+
+    def capture_predictions(self) -> list[dict[str, Any]] | None:
+        """What every model says of every capture."""
+        path = self.folder / "captures" / "predictions.parquet"
+        if not path.exists():
+            return None
+        columns = ["mu_ref", "mu_ref_error", "reflective", "surrogate"]
+        columns += ["model", "trained_on", "seed", "friction"]
+        return _table(path, columns).to_pylist()
+
+    def captures_of_other_networks(self) -> bool:
+        """Whether the captures' scores are of a network that the test sets' are not of."""
+        weights = []
+        for stage in ("captures", "evaluate"):
+            try:
+                inputs = read_sidecar(self.folder / stage / "metrics.json")["inputs"]
+            except FileNotFoundError:
+                return False
+            weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
+        return not weights[0] <= weights[1]
 
     def benchmarks(self) -> list[Benchmark]:
         """Cost of every stage that has benchmark files, in the order of the chain."""

@@ -1,0 +1,163 @@
+"""The paper's Fig. 6: cumulative errors on the simulated test set and on captures."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from slipstitch.evaluate import paper
+from slipstitch.evaluate.capture_scores import distance, subsets, what_they_are
+from slipstitch.evaluate.metrics import mean_over_seeds, spread_over_seeds
+from slipstitch.evaluate.wording import number, percent
+from slipstitch.report import learning_pictures
+from slipstitch.report.learning import MODEL_TITLES, NETWORKS, SPLIT_TITLES, seeds_of
+from slipstitch.report.results import Results
+from slipstitch.report.wording import svg_uri
+
+SUBSET_TITLES = {
+    "all": "all captures",
+    "matte": "captures without reflective",
+    "reflective": "captures, reflective only",
+}
+SHARES = ("friction_lt_0.1", "friction_lt_0.2", "within_0.1", "median_lt_0.1", "equal_predictions")
+ERRORS = ("mean_absolute_error", "median_error")
+
+
+def training_floors(
+    manifest: Sequence[Mapping[str, Any]], split: str
+) -> dict[str, tuple[int, bool]]:
+    """Floor -> number of training simulations on it, and whether it mirrors.
+
+    Parameters
+    ----------
+    manifest : sequence of mapping
+        Rows of the dataset's manifest.
+    split : {"by_video", "by_simulation"}
+    """
+    roles = ("material_role", "friction_role", "texture_role", "viewpoint_role")
+    floors: dict[str, set[str]] = {}
+    mirrors: dict[str, bool] = {}
+    for row in manifest:
+        if row[f"split_{split}"] == "train" and all(row[role] == "train" for role in roles):
+            floors.setdefault(row["floor"], set()).add(row["simulation"])
+            mirrors[row["floor"]] = mirrors.get(row["floor"], False) or row["floor_reflectance"] > 0
+    return {name: (len(found), mirrors[name]) for name, found in sorted(floors.items())}
+
+
+def floors_in_words(floors: Mapping[str, tuple[int, bool]]) -> str:
+    """What the floors of the training simulations were."""
+    if not floors:
+        return "floors not known"
+    mirrors = {name: count for name, (count, mirror) in floors.items() if mirror}
+    if not mirrors:
+        return "trained on matte floors only"
+    whole = sum(count for count, _ in floors.values())
+    listed = ", ".join(f"{name} {count}" for name, count in mirrors.items())
+    return (
+        f"trained with reflective floors: {sum(mirrors.values())} of {whole} simulations ({listed})"
+    )
+
+
+def captures_section(results: Results, metrics, details, predictions) -> dict[str, Any] | None:
+    """Captures beside the simulated test set: a table a model, and the curves.
+
+    Parameters
+    ----------
+    results : Results
+        What ``snakemake captures`` made is read from it.
+    metrics, details, predictions
+        Of the simulated test sets: metrics.json, details.json, rows of predictions.parquet.
+
+    Returns
+    -------
+    dict or None
+        None if no captures were evaluated.
+    """
+    scores, rows = results.capture_metrics(), results.capture_predictions()
+    if not scores or not rows:
+        return None
+    manifest = results.manifest() or []
+    groups, panels = [], []
+    for label in next(iter(scores.values())):
+        model, _, split = label.partition(", trained ")
+        own = [row for row in rows if (row["model"], row["trained_on"]) == (model, split)]
+        floors = floors_in_words(training_floors(manifest, split))
+        title = f"{MODEL_TITLES[model]}, {SPLIT_TITLES[split]}"
+        simulated = _simulated_errors(predictions, model, split)
+        groups.append(
+            {
+                "title": title,
+                "floors": floors,
+                "seeds": seeds_of({name: of_model[label] for name, of_model in scores.items()}),
+                "rows": _simulated_row(metrics, details, model, split, simulated)
+                + [
+                    _row(SUBSET_TITLES[name.split("_")[1]], of_model[label], of_model[label])
+                    for name, of_model in scores.items()
+                ],
+            }
+        )
+        panels.append(
+            {
+                "title": f"{MODEL_TITLES[model]}, {learning_pictures.SPLIT_NAMES[split]}\n"
+                + floors.split(":")[0],
+                "curves": {
+                    "simulated test set": np.concatenate([*simulated.values(), []]),
+                    **_capture_errors(own),
+                },
+            }
+        )
+    return {
+        "first_line": what_they_are(rows),
+        "real": not rows[0]["surrogate"],
+        "groups": groups,
+        "reflective_floors": any("reflective" in group["floors"] for group in groups),
+        "other_networks": results.captures_of_other_networks(),
+        "figure": svg_uri(
+            learning_pictures.cumulative_captures(panels, paper.REAL_FILMS_WITHIN_0_1)
+        ),
+    }
+
+
+def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Errors of all seeds together, by subset."""
+    off = distance(
+        np.array([row["friction"] for row in rows]),
+        np.array([row["mu_ref"] for row in rows]),
+        np.array([row["mu_ref_error"] for row in rows]),
+    )
+    return {
+        SUBSET_TITLES[name.split("_")[1]]: off[chosen] for name, chosen in subsets(rows).items()
+    }
+
+
+def _simulated_errors(predictions, model: str, split: str) -> dict[int, np.ndarray]:
+    """Seed -> errors on the split's own test set."""
+    network = NETWORKS.get(model, model)
+    found: dict[int, list[float]] = {}
+    for row in predictions or ():
+        if (row["split"], row["network"]) == (split, network):
+            off = abs(row["predicted_value"] - row["true_value"])
+            found.setdefault(row["seed"], []).append(off)
+    return {seed: np.array(values) for seed, values in found.items()}
+
+
+def _simulated_row(metrics, details, model, split, errors) -> list[dict[str, Any]]:
+    entry = (metrics or {}).get(split, {}).get(model)
+    if not entry:
+        return []
+    detail = details.get(split, {}).get(NETWORKS.get(model, model), {})
+    within = [{"within_0.1": float((one <= 0.1 + 1e-9).mean())} for one in errors.values()]
+    mean = entry | (mean_over_seeds(within) if within else {})
+    spread = (detail.get("spread") or {}) | ((spread_over_seeds(within) or {}) if within else {})
+    return [_row("simulated test set", entry, mean | {"spread": spread})]
+
+
+def _row(title: str, entry: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, Any]:
+    spread = scores.get("spread") or {}
+    return {
+        "title": title,
+        "n": entry["n"],
+        "pairs": entry.get("pairs"),
+        "shares": {name: percent(scores.get(name), spread.get(name)) for name in SHARES},
+        "errors": {name: number(scores.get(name), spread.get(name)) for name in ERRORS},
+    }

@@ -1,0 +1,111 @@
+"""The paper's Table 3: the calibrated viewpoint turned by some degrees."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from slipstitch.evaluate.wording import percent
+from slipstitch.report import learning_pictures
+from slipstitch.report.learning import MODEL_TITLES, NETWORKS, TURNED, Score, score, seeds_of
+from slipstitch.report.wording import svg_uri
+
+SHOWN = (
+    ("material_baseline", "material_top1"),
+    ("friction_baseline", "friction_lt_0.1"),
+    ("friction_baseline", "friction_lt_0.2"),
+    ("friction_conditional", "friction_lt_0.1"),
+    ("friction_conditional", "friction_lt_0.2"),
+    ("instrument", "friction_lt_0.1"),
+    ("instrument", "friction_lt_0.2"),
+)
+
+
+def turns(metrics) -> dict[int, str]:
+    """Turn in degrees -> name of its test set, in the order of the turns."""
+    names = {int(name.removeprefix(TURNED)): name for name in metrics if name.startswith(TURNED)}
+    return dict(sorted(names.items()))
+
+
+def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
+    """Scores at every turn, and at none: the split's test videos from the calibrated viewpoint.
+
+    Parameters
+    ----------
+    metrics, details : mapping
+        metrics.json and details.json.
+    calibrated : str
+        Name of the calibrated viewpoint.
+
+    Returns
+    -------
+    dict or None
+        None if no turned viewpoint was tested.
+    """
+    sets = turns(metrics or {})
+    if not sets:
+        return None
+    known = {network for name in sets.values() for network in details.get(name, {})}
+    columns = [(network, measure) for network, measure in SHOWN if network in known]
+    rows = {
+        turn: {
+            **_size(details.get(name, {})),
+            "seeds": seeds_of(metrics[name]),
+            "scores": [score(metrics, details, name, *column) for column in columns],
+        }
+        for turn, name in sets.items()
+    }
+    straight = _straight(details.get("by_video", {}), columns, calibrated)
+    if straight:
+        rows[0] = straight | {"seeds": seeds_of(metrics.get("by_video", {}))}
+    curves = {
+        column: {turn: row["scores"][k] for turn, row in sorted(rows.items())}
+        for k, column in enumerate(columns)
+    }
+    return {
+        "networks": _headings(columns),
+        "measures": [measure for _, measure in columns],
+        "rows": [
+            {
+                **row,
+                "turn": f"{turn:+d}°".replace("-", "−") if turn else "0°",
+                "cells": [percent(*one) for one in row["scores"]],
+            }
+            for turn, row in sorted(rows.items())
+        ],
+        "figure": svg_uri(learning_pictures.accuracy_by_turn(curves)),
+    }
+
+
+def _headings(columns) -> list[tuple[str, int]]:
+    """Name of each network, and how many columns it has."""
+    titles = {network: MODEL_TITLES[model] for model, network in NETWORKS.items()}
+    titles |= {"material_baseline": "material network", "instrument": MODEL_TITLES["instrument"]}
+    networks = [network for network, _ in columns]
+    return [(titles[one], networks.count(one)) for one in dict.fromkeys(networks)]
+
+
+def _size(of_set: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {
+        name: max((one.get(name) or 0 for one in of_set.values()), default=0)
+        for name in ("n", "simulations")
+    }
+
+
+def _straight(of_set, columns, calibrated: str) -> dict[str, Any] | None:
+    """The row at 0 degrees, from the scores by viewpoint; the instrument knows one only."""
+    seen = {
+        network: detail if network == "instrument" else detail.get("viewpoints", {}).get(calibrated)
+        for network, detail in of_set.items()
+    }
+    seen = {network: detail for network, detail in seen.items() if detail}
+    if not seen:
+        return None
+    return {
+        **_size(seen),
+        "scores": [
+            Score(
+                (seen.get(network, {}).get("mean") or {}).get(measure),
+                (seen.get(network, {}).get("spread") or {}).get(measure),
+            )
+            for network, measure in columns
+        ],
+    }
