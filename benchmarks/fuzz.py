@@ -87,6 +87,12 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=1e9, help="begin nothing after this time")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[""],
+        help="readers whose names have one of these words in them",
+    )
     parser.add_argument("--keep", type=Path, help="folder for inputs that were answered wrongly")
     arguments = parser.parse_args()
     faulthandler.enable()
@@ -96,6 +102,7 @@ def main() -> int:
         keep.mkdir(parents=True, exist_ok=True)
         (Path(temporary) / "good").mkdir()
         readers = fuzzing.readers(Path(temporary) / "good")
+        readers = [one for one in readers if any(word in one.name for word in arguments.only)]
         print(f"{len(readers)} readers", flush=True)
         number, problems, peak = 0, [], 0
         while number < arguments.inputs and time.monotonic() - began < 60 * arguments.minutes:

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import analytic_stage
 import cv2
 import numpy as np
 import synthetic_chain
@@ -27,18 +28,31 @@ import yaml
 from slipstitch.audit.auditing import audit_release
 from slipstitch.calibrate.calibration import read_sweeps
 from slipstitch.capture.camera import views
+from slipstitch.capture.ingest.captures_table import read_captures, read_references
+from slipstitch.capture.reference.angles import read_angles
+from slipstitch.capture.reference.estimate import estimate
+from slipstitch.capture.schedule import Schedule
+from slipstitch.capture.videos import read_stage_video
 from slipstitch.config import load_config
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 from slipstitch.criticise.case.reader import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
+from slipstitch.instrument.measuring import (
+    load_instrument,
+    save_instrument,
+    untrained_instrument,
+)
+from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
 from slipstitch.release.chain import read_artefact
 from slipstitch.release.manifest import read_sampled
+from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
+from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results
@@ -162,6 +176,7 @@ def readers(folder: Path) -> list[Reader]:
     _tables(add, config, results)
     _networks(add, config, others)
     _pictures(add, others)
+    _measuring(add, others)
     _cases(add, others)
     _report(add, config, results)
     _status(add, results)
@@ -260,6 +275,65 @@ def _pictures(add, folder: Path) -> None:
     camera.write_text(json.dumps(whole))
     read_camera_file(camera)
     add("camera file", camera, lambda: read_camera_file(camera))
+
+
+def _measuring(add, folder: Path) -> None:
+    """What `measure` and `capture` read: films, instruments, tables."""
+    lens = analytic_stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
+    bench = analytic_stage.Bench(lens.camera, lens.distortion)
+    times = np.arange(0, 10, 0.5)
+    images = [bench.image(max(0.0, time_s - 0.5)) for time_s in times]
+    settings = resolve_config(
+        {"simulation": {"frames": 20}, "sample": {"frames": 4}, "render": {"pixels": 32}}
+    )
+    schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    for suffix in ("mp4", "mkv"):
+        film = folder / f"stage.{suffix}"
+        analytic_stage.write_video(film, images, times)
+        read_stage_video(film, lens, schedule, start_s=0.5)
+        for name, start_s in (("from a stated start", 0.5), ("start found", None)):
+            add(
+                f"film of a stage ({suffix}, {name})",
+                film,
+                lambda film=film, start_s=start_s: read_stage_video(
+                    film, lens, schedule, start_s=start_s
+                ),
+            )
+    _instruments(add, folder / "instrument")
+    columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
+    captures, reference = folder / "captures.csv", folder / "reference.csv"
+    analytic_stage.camera_file(lens, folder / "bench.json")
+    captures.write_text(
+        f"{columns}\nstage.mp4,denim,glass,1,0.31,0.02,no,bench.json\n"
+        "stage.mkv,denim,glass,2,0.31,0.02,no,bench.json\n"
+    )
+    reference.write_text("material,substrate,mu,error\ndenim,glass,0.31,0.02\n")
+    read_captures(captures, reference)
+    add("captures", captures, lambda: read_captures(captures))
+    add("captures with references", captures, lambda: read_captures(captures, reference))
+    add("references", reference, lambda: read_references(reference))
+    angles = folder / "angles.csv"
+    rows = [f"denim,glass,p{n},warp,{n},{17 + n / 3:.2f},0.2" for n in range(4)]
+    title = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
+    angles.write_text("\n".join([title, *rows]) + "\n")
+    estimated(angles)
+    add("slip angles", angles, lambda: estimated(angles))
+
+
+def estimated(angles: Path) -> None:
+    for one in read_angles(angles):
+        estimate(one)
+
+
+def _instruments(add, folder: Path) -> None:
+    folder.mkdir()
+    settings = InstrumentSettings(
+        channels=[4, 4], features=8, recurrent_units=8, friction_step=0.1, draws=1
+    )
+    instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=4)
+    save_instrument(instrument, folder)
+    for name in ("instrument.safetensors", "instrument.json"):
+        add(f"instrument, {name}", folder / name, lambda: load_instrument(folder))
 
 
 def _cases(add, folder: Path) -> None:

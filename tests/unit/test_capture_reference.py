@@ -52,6 +52,23 @@ def test_one_position_is_plain_students_interval():
     assert (found.position_sd, found.position_p, found.orientation_p) == (None, None, None)
 
 
+def test_one_measurement_at_each_position_is_plain_students_interval():
+    """What positions scatter and what repeats do is in one number then, and need not be told."""
+    angles = measured(np.random.default_rng(1), cells=[(p, 0) for p in range(6)])
+    values = np.tan(angles.angle_rad)
+    found = estimate(angles)
+    assert found.mu == pytest.approx(values.mean())
+    assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
+    assert found.degrees_of_freedom == pytest.approx(5)
+    assert found.position_sd is None
+
+
+def test_an_orientation_at_one_position_only_is_refused():
+    angles = measured(np.random.default_rng(1), cells=[(0, 0)] * 4 + [(1, 1)] * 4)
+    with pytest.raises(BadInput, match="gray-interlock on glass: the effects of positions, orien"):
+        estimate(angles)
+
+
 @pytest.mark.parametrize("bench_deg", [0.0, 0.5])
 @pytest.mark.parametrize("cells", [None, [(p, o) for p in range(6) for o in range(2)][1:]
                                    + [(0, 0)] * 3 + [(2, 1)] * 2])  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
@@ -281,6 +281,18 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
     return write_weights(tensors, card, Path(folder) / WEIGHTS, Path(folder) / CARD)
 
 
+class _Card(BaseModel):
+    """What of a card the network is built from and used by."""
+
+    model_config = ConfigDict(strict=True)
+
+    settings: InstrumentSettings = Field(strict=False)
+    materials: list[str] = Field(min_length=1)
+    pixels: int = Field(ge=8, le=1024)
+    frames: int = Field(ge=1, le=10_000)
+    bfloat16: bool
+
+
 def load_instrument(path: str | os.PathLike) -> Instrument:
     """Read an instrument that `save_instrument` wrote.
 
@@ -299,11 +311,17 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
     weights = folder / WEIGHTS
     tensors, card = read_weights(weights, folder / CARD, FORMAT)
     try:
-        settings = InstrumentSettings.model_validate(card["settings"])
-        network = InstrumentNetwork(settings, len(card["materials"]), card["pixels"])
-        network.load_state_dict(
-            {name: value for name, value in tensors.items() if not name.startswith(ALARM)}
-        )
+        said = _Card.model_validate(card)
+        arguments = (said.settings, len(said.materials), said.pixels)
+        learnt = {name: value for name, value in tensors.items() if not name.startswith(ALARM)}
+        with torch.device("meta"):  # no memory yet for what a card claims
+            shapes = InstrumentNetwork(*arguments).state_dict()
+        if {name: value.shape for name, value in shapes.items()} != {
+            name: value.shape for name, value in learnt.items()
+        }:
+            raise BadInput(f"{weights}: weights do not fit the card: of other sizes")
+        network = InstrumentNetwork(*arguments)
+        network.load_state_dict(learnt)
         noted = card["error_bars"]
         bars = None
         if noted is not None:

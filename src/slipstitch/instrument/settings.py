@@ -26,7 +26,7 @@ class InstrumentSettings(BaseModel):
     recurrent_units: int = Field(96, ge=8, description="of the recurrent layer, either direction")
     components: int = Field(3, ge=1, le=10, description="normal distributions in the mixture of mu")
     friction_max: float = Field(1.5, gt=0, le=10, description="end of the grid of mu, from 0")
-    friction_step: float = Field(0.01, gt=0, le=0.1, description="step of the grid of mu")
+    friction_step: float = Field(0.01, ge=0.001, le=0.1, description="step of the grid of mu")
 
     epochs: int = Field(60, ge=1, description="times through the training videos")
     batch_size: int = Field(8, ge=1, description="videos in a batch")

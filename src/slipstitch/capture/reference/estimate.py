@@ -24,6 +24,7 @@ from slipstitch.errors import BadInput
 
 COVERAGE = 0.95
 _FEWEST = 3
+_LARGEST_CONDITION = 1e10
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class Reference:
     bench_error : float
         Largest error of mu by the bench alone.
     position_sd, repeat_sd : float, optional
-        tau (0 where the estimate of tau^2 is negative; None with one position) and sigma.
+        tau (0 where the estimate of tau^2 is negative; None with one position, or one
+        measurement at each) and sigma (of both together then).
     position_p, orientation_p : float, optional
         Probability of means as different as these if all were equal (F test); None with one.
     by_position, by_orientation : dict
@@ -84,7 +86,10 @@ def estimate(angles: SlipAngles) -> Reference:
     # The first column is the plain mean of the orientations.
     design = np.column_stack([np.ones(len(values)), orientations[:, 1:] - orientations[:, :1]])
     mixed = _Mixed(values, design, positions)
-    mu, standard_error, dof = mixed.mean()
+    try:
+        mu, standard_error, dof = mixed.mean()
+    except BadInput as problem:
+        raise BadInput(f"{where}: {problem}") from None
     bench = (1 + mu**2) * angles.bench_error_rad
     student = float(stats.t.ppf((1 + COVERAGE) / 2, dof)) * standard_error
     error = np.hypot(student, COVERAGE * bench)
@@ -145,8 +150,9 @@ class _Mixed:
         self.positions, self.counts = positions, positions.sum(axis=0)
         self.shared = positions @ positions.T
         self.identity = np.eye(len(values))
-        self.one_position = positions.shape[1] < 2
-        if self.one_position:
+        # With one position, or one measurement at each, positions are not told from repeats.
+        self.one_variance = positions.shape[1] < 2 or self.counts.max() == 1
+        if self.one_variance:
             left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
             variance = float(left @ left) / (len(values) - np.linalg.matrix_rank(design))
             self.tau2, self.sigma2 = 0.0, variance
@@ -184,7 +190,7 @@ class _Mixed:
 
     @property
     def position_sd(self) -> float | None:
-        return None if self.one_position else float(np.sqrt(max(self.tau2, 0.0)))
+        return None if self.one_variance else float(np.sqrt(max(self.tau2, 0.0)))
 
     @property
     def repeat_sd(self) -> float:
@@ -197,12 +203,18 @@ class _Mixed:
         spread = np.linalg.inv(self.design.T @ inverse @ self.design)
         weights = spread @ self.design.T @ inverse
         mu, variance = float(weights[0] @ self.values), float(spread[0, 0])
-        parts = [self.identity] if self.one_position else [self.identity, self.shared]
+        parts = [self.identity] if self.one_variance else [self.identity, self.shared]
         # How the variance of mu moves with sigma^2 and tau^2, and how well these are known.
         moves = np.array([weights[0] @ part @ weights[0] for part in parts])
         projection = inverse - inverse @ self.design @ weights
         known = np.array(
             [[np.trace(projection @ a @ projection @ b) / 2 for b in parts] for a in parts]
         )
+        # Also where it is no number: repeats that are equal leave no scatter to compare with.
+        if not np.isfinite(known).all() or np.linalg.cond(known) > _LARGEST_CONDITION:
+            raise BadInput(
+                "the effects of positions, orientations and repeats cannot be told apart: measure "
+                "every orientation at several positions, repeats anew"
+            )
         scatter = float(moves @ np.linalg.solve(known, moves))
         return mu, float(np.sqrt(variance)), 2 * variance**2 / scatter
