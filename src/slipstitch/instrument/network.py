@@ -110,6 +110,8 @@ class InstrumentNetwork(nn.Module):
 
     def _initialise(self) -> None:
         """He's variances; the mixture's means spread over the grid, its deviations wide."""
+        if self.place.weight.is_meta:  # shapes alone; drawing them would load torch's compiler
+            return
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
