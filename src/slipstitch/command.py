@@ -9,6 +9,7 @@ import ast
 import difflib
 import importlib
 import os
+import resource
 import sys
 from pathlib import Path
 from typing import NoReturn
@@ -38,6 +39,10 @@ ORDER = (
     "predict",
     "protocol",
 )
+
+
+# Bytes; libraries of Blender, Warp and PyTorch take most of it, used or not.
+LEAST_ADDRESS_SPACE = 2 * 2**30
 
 
 class _Parser(argparse.ArgumentParser):
@@ -101,6 +106,19 @@ def _one_line(error: BaseException) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
 
 
+def _refuse_tight_memory() -> None:
+    """Refuse to work in less address space than the libraries ask for.
+
+    Not left to chance: OpenBLAS tries for ever to get memory that it is not given.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        raise SlipstitchError(
+            f"not enough memory: it is limited to {limit // 2**20} MiB (ulimit -v), at least "
+            f"{LEAST_ADDRESS_SPACE // 2**20} are needed"
+        )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb.
 
@@ -136,6 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         module = importlib.import_module(f"slipstitch.{verb}.command")
         parsed = _parser(verb, module).parse_args(words[1:])
+        _refuse_tight_memory()
         status = module.run(parsed)
         sys.stdout.flush()
         return int(status or 0)

@@ -136,3 +136,19 @@ def test_reader_that_goes_away_is_no_error():
     )
     assert answer.returncode == 0
     assert answer.stderr == ""
+
+
+def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
+    """OpenBLAS, short of memory, tries for ever; so that nothing starts that cannot end."""
+    answer = subprocess.run(
+        [
+            "bash",
+            "-c",
+            f"ulimit -v 600000; {sys.executable} -m slipstitch protocol incline --out {tmp_path}/x.json",
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert answer.returncode == 1
+    assert answer.stderr.count("\n") == 1
+    assert "limited to 585 MiB (ulimit -v), at least 2048 are needed" in answer.stderr

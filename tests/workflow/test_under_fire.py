@@ -202,7 +202,7 @@ def test_a_memory_limit_leaves_nothing_half_written(undisturbed, stage, limit_mb
     limit = limit_mb * 2**20
     answer = subprocess.run(
         words, cwd=run, env=undisturbed.environment(), capture_output=True, text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)), timeout=1800,
     )  # fmt: skip
     there = [path for path in tmp_path.rglob("*") if path.is_file()]
     if answer.returncode == 0:
