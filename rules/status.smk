@@ -1,5 +1,6 @@
 """What happens around a run: the configuration and the journal are written, failures shown last."""
 
+from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
 from slipstitch.status.journal import Journal
@@ -11,9 +12,17 @@ if workflow.is_main_process:
     logger.addHandler(JOURNAL)
 
 
+def refuse_unwritable(jobs):
+    """Stop before the first job if a folder of results cannot be written to."""
+    for folder in sorted({Path(file).parent for job in jobs for file in job.output}):
+        if folder.exists() and not os.access(folder, os.W_OK):
+            raise WorkflowError(f"{folder}: the file system cannot be written to")
+
+
 # What the stages read is written when the first job starts: neither a dry run nor a changed key
 # that a stage does not use touches anything. The rules carry the values as parameters instead.
 onstart:
+    refuse_unwritable(workflow.dag.needrun_jobs())
     write_config(CONFIG, CONFIG_FILE)
     JOURNAL.begin(workflow.dag, workflow.cores)
 

@@ -140,12 +140,9 @@ def test_reader_that_goes_away_is_no_error():
 
 def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
     """OpenBLAS, short of memory, tries for ever; so that nothing starts that cannot end."""
+    words = f"slipstitch protocol incline --out {tmp_path}/x.json"
     answer = subprocess.run(
-        [
-            "bash",
-            "-c",
-            f"ulimit -v 600000; {sys.executable} -m slipstitch protocol incline --out {tmp_path}/x.json",
-        ],
+        ["bash", "-c", f"ulimit -v 600000; {sys.executable} -m {words}"],
         capture_output=True,
         text=True,
     )

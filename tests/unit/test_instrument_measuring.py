@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 from slipstitch.errors import BadInput
@@ -13,6 +14,7 @@ from slipstitch.instrument.augmentation import augmented, standardised
 from slipstitch.instrument.measuring import CARD, WEIGHTS, save_instrument, untrained_instrument
 from slipstitch.instrument.network import shifted_in_time
 from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.train.model_file import write_weights
 
 SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
 FABRICS = ["gray-interlock", "royal-target"]
@@ -126,6 +128,30 @@ def test_altered_files_are_refused(folder, tmp_path):
     (tmp_path / CARD).write_text(json.dumps(card))
     (tmp_path / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:-1] + b"?")
     with pytest.raises(BadInput, match="altered or damaged"):
+        load_instrument(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        {"frames": None},
+        {"frames": 0},
+        {"materials": ["silk", 7]},
+        {"materials": []},
+        {"bfloat16": 1},
+        {"pixels": 10**9},
+        {"settings": {"friction_step": 1e-12}},
+        {"error_bars": {"temperature": 1.0}},
+    ],
+)
+def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, claim):
+    """The digests fit; what the card says is looked at before anything is built from it."""
+    with safe_open(folder / WEIGHTS, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    card = json.loads((folder / CARD).read_text())
+    card.pop("weights_sha256")
+    write_weights(tensors, {**card, **claim}, tmp_path / WEIGHTS, tmp_path / CARD)
+    with pytest.raises(BadInput, match="do not fit the card"):
         load_instrument(tmp_path)
 
 

@@ -126,8 +126,8 @@ def _check_room(out: Path, needed: float) -> None:
     free = shutil.disk_usage(place).free
     if free < needed:
         raise SlipstitchError(
-            f"{out}: the release needs about {needed / 1e6:.0f} MB, "
-            f"{free / 1e6:.0f} MB are free on that disk"
+            f"{out}: the release needs about {needed / 1e6:.1f} MB, "
+            f"{free / 1e6:.1f} MB are free on that disk"
         )
 
 
