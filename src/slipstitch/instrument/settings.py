@@ -29,7 +29,7 @@ class InstrumentSettings(BaseModel):
     friction_step: float = Field(0.01, ge=0.001, le=0.1, description="step of the grid of mu")
 
     epochs: int = Field(60, ge=1, description="times through the training videos")
-    batch_size: int = Field(8, ge=1, description="videos in a batch")
+    batch_size: int = Field(4, ge=1, description="videos in a batch")
     learning_rate: float = Field(2e-3, gt=0, description="AdamW's largest; one cycle, cosine")
     weight_decay: float = Field(0.02, ge=0, description="AdamW's")
     dropout: float = Field(0.1, ge=0, lt=1, description="of the frames' features")
