@@ -1,6 +1,7 @@
 """The workflow run in a folder of its own, from a copy of the project that tests may edit."""
 
 import os
+import shutil
 from pathlib import Path
 
 import equal_results
@@ -26,6 +27,8 @@ def chain(tmp_path_factory) -> Workflow:
     workflow = Workflow(folder, scale="config/smoke.yaml")
     answer = workflow.snakemake("all")
     assert answer.returncode == 0, answer.stderr[-20000:]
+    if not (folder / "plan.json").exists():  # later runs, of parts, write their own over it
+        shutil.copy2(workflow.folder / "results/status/plan.json", folder / "plan.json")
     return workflow
 
 
@@ -34,6 +37,7 @@ def pristine(chain, tmp_path_factory):
     """The folder of the undisturbed run."""
     folder = tmp_path_factory.mktemp("pristine") / "run"
     kills.copy_run(chain.folder, folder)
+    shutil.copy2(chain.folder.parent / "plan.json", folder / "results/status/plan.json")
     return folder
 
 
