@@ -1,14 +1,13 @@
 """Trained networks go through the tables: every number can be recomputed from the predictions."""
 
 import contextlib
-import importlib.util
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config
@@ -23,16 +22,7 @@ from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.settings import NETWORKS, SPLITS
 from slipstitch.train.training import train_network
 
-
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-CONFIG = _synthetic_videos().config(
+CONFIG = synthetic_videos.config(
     grid={"test_frictions": [0.35], "test_materials": ["royal-target"]},
     instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
     render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15", "calibrated_+5"]},
@@ -43,7 +33,7 @@ CONFIG = _synthetic_videos().config(
 def chain(tmp_path_factory):
     """A dataset with test-only textures and views, and all networks of both splits."""
     folder = tmp_path_factory.mktemp("chain")
-    shards = _synthetic_videos().write_shards(CONFIG, folder / "render")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
     write_dataset(CONFIG, shards, folder / "sample")
     for split in SPLITS:
         for network in NETWORKS:

@@ -1,14 +1,13 @@
 """The instrument learns, goes on after a kill to the same bits, and refuses what cannot work."""
 
 import csv
-import importlib.util
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import synthetic_videos
 import torch
 
 from slipstitch.command import main
@@ -31,16 +30,7 @@ from slipstitch.train.curves import curve
 from slipstitch.train.training import DivergedError, PlateauError
 from slipstitch.train.videos import read_videos
 
-
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-CONFIG = _synthetic_videos().config(
+CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
     render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
     sample={"frames": 6, "phases": 2, "validation_fraction": 0.34, "test_fraction": 0.16},
@@ -60,7 +50,7 @@ SETTINGS = InstrumentSettings(
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    shards = _synthetic_videos().write_shards(CONFIG, folder / "render")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
     write_dataset(CONFIG, shards, folder / "sample")
     return folder / "sample"
 

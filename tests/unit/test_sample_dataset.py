@@ -1,13 +1,12 @@
 """The dataset is complete, labelled, reproducible; what is wrong with the shards is said."""
 
-import importlib.util
 import io
 import json
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import synthetic_videos
 from PIL import Image
 
 from slipstitch.command import main
@@ -17,16 +16,7 @@ from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.sample.frames import sampled_frames
 
-
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-synthetic = _synthetic_videos()
+synthetic = synthetic_videos
 
 
 @pytest.fixture(scope="module")

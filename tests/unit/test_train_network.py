@@ -1,11 +1,10 @@
 """The network is the paper's as far as it is known, and computes what it says."""
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+import synthetic_videos
 import torch
 
 from slipstitch.errors import BadInput
@@ -18,16 +17,7 @@ from slipstitch.train.network import (
 )
 from slipstitch.train.settings import TrainSettings
 
-
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-synthetic = _synthetic_videos()
+synthetic = synthetic_videos
 torch.set_num_threads(1)  # threads that wait for one another: 20 times slower on a busy machine
 
 

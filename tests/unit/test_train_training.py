@@ -1,14 +1,13 @@
 """A training learns, resumes to the same bits, and says so where it cannot."""
 
 import csv
-import importlib.util
 import json
 import math
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config
@@ -26,23 +25,14 @@ from slipstitch.train.training import (
 )
 from slipstitch.train.videos import read_videos
 
-
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-CONFIG = _synthetic_videos().config()
+CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    shards = _synthetic_videos().write_shards(CONFIG, folder / "render")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
     write_dataset(CONFIG, shards, folder / "sample")
     return folder / "sample"
 

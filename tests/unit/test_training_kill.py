@@ -1,6 +1,5 @@
 """A training whose process is killed goes on, by the same command, to an undisturbed run's bits."""
 
-import importlib.util
 import json
 import signal
 import subprocess
@@ -9,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+import synthetic_videos
 from safetensors import SafetensorError, safe_open
 
 from slipstitch.command import main
@@ -19,15 +19,7 @@ from slipstitch.train.checkpoint import CHECKPOINT
 LIMIT_S = 300.0
 
 
-def _synthetic_videos():
-    path = Path(__file__).parents[1] / "media" / "synthetic_videos.py"
-    spec = importlib.util.spec_from_file_location("synthetic_videos", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-SYNTHETIC = _synthetic_videos()
+SYNTHETIC = synthetic_videos
 CONFIG = SYNTHETIC.config(
     render={"viewpoints": ["calibrated"], "pixels": 32},
     train={
