@@ -14,20 +14,15 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     from slipstitch.ablate.settings import QUESTIONS
+    from slipstitch.options import add_config, add_threads
 
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration",
-    )
+    add_config(parser)
     parser.add_argument("--out", required=True, help="the answer, or the summary (JSON)")
     one = parser.add_argument_group("one question, one seed")
     one.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
     one.add_argument("--question", choices=QUESTIONS)
     one.add_argument("--seed", type=int)
-    one.add_argument("--threads", type=int, default=1, help="threads of the computation")
+    add_threads(one)
     every = parser.add_argument_group("all of them")
     every.add_argument(
         "--summary", metavar="FOLDER", help="of the answers: {question}/seed{seed}.json"

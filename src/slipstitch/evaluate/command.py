@@ -12,13 +12,9 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration",
-    )
+    from slipstitch.options import add_config, add_threads
+
+    add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
@@ -27,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--details", help="chance, seeds, viewpoints, confusion; details.json beside --out"
     )
-    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+    add_threads(parser)
     captures = parser.add_argument_group("on captures, real or surrogate")
     captures.add_argument(
         "--captures",

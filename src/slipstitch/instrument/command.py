@@ -11,20 +11,15 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    from slipstitch.options import add_config, add_threads
     from slipstitch.train.settings import SPLITS
 
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration",
-    )
+    add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--split", required=True, choices=SPLITS)
     parser.add_argument("--seed", required=True, type=int)
     parser.add_argument("--out-dir", required=True, help="folder of the instrument")
-    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+    add_threads(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -12,13 +12,9 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration",
-    )
+    from slipstitch.options import add_config
+
+    add_config(parser)
     parser.add_argument("--out-dir", required=True, help="folder of the dataset")
     parser.add_argument("shards", nargs="+", metavar="SHARD", help="image shards, all of the grid")
 

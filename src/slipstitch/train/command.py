@@ -12,15 +12,10 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    from slipstitch.options import add_config, add_threads
     from slipstitch.train.settings import NETWORKS, SPLITS
 
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration",
-    )
+    add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--network", required=True, choices=NETWORKS)
     parser.add_argument("--split", required=True, choices=SPLITS)
@@ -30,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--material-model",
         help="folder of the material_baseline of the same split and seed (friction_conditional)",
     )
-    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
+    add_threads(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -1,0 +1,19 @@
+"""Options that several verbs have, declared once. Standard library only."""
+
+import argparse
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """``--config FILE``, once or more: ``arguments.config`` lists the files."""
+    parser.add_argument(
+        "--config",
+        required=True,
+        action="append",
+        metavar="FILE",
+        help="YAML or JSON configuration",
+    )
+
+
+def add_threads(parser: argparse._ActionsContainer) -> None:
+    """``--threads COUNT``, 1 by default; `parser` may be a group."""
+    parser.add_argument("--threads", type=int, default=1, help="threads of the computation")
