@@ -1,6 +1,6 @@
 """Settings of the ablate stage. Pydantic and the standard library only."""
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -8,13 +8,7 @@ from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.train.settings import TrainSettings
 
 Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
-QUESTIONS: tuple[Question, ...] = (
-    "diversity",
-    "conditioning",
-    "schedule",
-    "initialisation",
-    "floors",
-)
+QUESTIONS: tuple[Question, ...] = get_args(Question)
 # What a variant sets itself.
 _OWN_TRAIN = ("seeds", "splits", "view_order", "epochs_per_cycle", "plateau_epochs")
 _OWN_INSTRUMENT = ("seeds", "epochs")

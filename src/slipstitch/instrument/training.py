@@ -30,6 +30,7 @@ from slipstitch.train.curves import curve
 from slipstitch.train.network import computes_bfloat16
 from slipstitch.train.settings import SPLITS
 from slipstitch.train.training import (
+    HISTORY,
     DivergedError,
     PlateauError,
     classes_of,
@@ -40,7 +41,6 @@ from slipstitch.train.training import (
 )
 from slipstitch.train.videos import Videos, read_videos, takes_part
 
-HISTORY = "history.csv"
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 
 
