@@ -1,6 +1,7 @@
 """The instrument's files and what it says of any array of frames."""
 
 import json
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from safetensors.torch import save_file
 
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
-from slipstitch.instrument.augmentation import augmented, standardised
+from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
 from slipstitch.instrument.measuring import CARD, WEIGHTS, save_instrument, untrained_instrument
 from slipstitch.instrument.network import shifted_in_time
 from slipstitch.instrument.settings import InstrumentSettings
@@ -18,6 +19,7 @@ from slipstitch.train.model_file import write_weights
 
 SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
 FABRICS = ["gray-interlock", "royal-target"]
+HALVES = (slice(0, 16), slice(16, 32))
 
 
 @pytest.fixture(scope="module")
@@ -84,23 +86,68 @@ def test_exposure_and_colour_cast_do_not_matter():
     torch.testing.assert_close(standardised(video), standardised(darker), atol=0.06, rtol=0)
 
 
-def test_an_augmented_video_is_the_same_scene_moved_and_recoloured():
-    settings = InstrumentSettings(noise=0.0, shift_share=0.1)
-    # Rows and columns that the statistics skip differ by the move: compare grey levels' order.
-    pixels = np.kron(frames(side=8, count=6), np.ones((1, 4, 4, 1), np.uint8))[None]
-    video = standardised(pixels)
-    moved = augmented(pixels, settings, np.random.default_rng(1))
-    inner = moved[0, :, 8:24, 8:24]
-    found = [
-        (down, across)
-        for down in range(-3, 4)
-        for across in range(-3, 4)
-        if torch.equal(
-            inner.sort(-1).values,
-            video[0, :, 8 + down : 24 + down, 8 + across : 24 + across].sort(-1).values,
-        )
-    ]
-    assert len(found) == 1
+def test_a_move_by_a_quarter_of_a_pixel_takes_a_quarter_of_the_slope():
+    row = (np.arange(32) * 4).astype(np.uint8)  # brighter by 4 a pixel
+    across = np.broadcast_to(row[None, :, None], (32, 32, 3)).copy()
+    down = across.transpose(1, 0, 2).copy()
+    move = np.tile([0.25, 0.5], (3, 1))
+    moved = rectified_with_errors(across, move, 0.0)
+    assert np.array_equal(moved[:, 1:], across[:, 1:] - 1)
+    moved = rectified_with_errors(down, move, 0.0)
+    assert np.array_equal(moved[1:], down[1:] - 2)
+
+
+def test_corners_that_move_apart_stretch_the_image_between_them():
+    frame = np.zeros((32, 32, 3), np.uint8)
+    frame[:, 10], frame[:, 20] = 200, 200
+    lines = rectified_with_errors(frame, np.array([[-3.1, 0], [3.1, 0], [-3.1, 0]]), 0.0)[16, :, 0]
+    left, right = (
+        (lines.astype(float) * np.arange(32))[half].sum() / lines[half].sum() for half in HALVES
+    )
+    assert right - left == pytest.approx(10 * (31 + 6.2) / 31, abs=0.1)
+
+
+def test_a_blurred_edge_has_the_width_of_its_gaussian():
+    frame = np.zeros((32, 32, 3), np.uint8)
+    frame[:, 16:] = 255
+    step = np.diff(rectified_with_errors(frame, np.zeros((3, 2)), 0.7)[16, :, 0].astype(float))
+    centre = (step * np.arange(31)).sum() / step.sum()
+    assert (step * (np.arange(31) - centre) ** 2).sum() / step.sum() == pytest.approx(0.49, rel=0.1)
+
+
+def test_an_augmented_video_moves_as_a_whole_by_parts_of_a_pixel():
+    reach = 0.02
+    settings = InstrumentSettings(noise=0.0, rectification_error=reach, blur_px=0.0)
+    video = np.zeros((1, 6, 32, 32, 3), np.uint8)
+    video[:, :, :, 10:20] = 200  # a bar, centred at 14.5
+
+    def centre(look):
+        weights = look[0, :, 16, :, 0] - look.min()
+        return (weights * torch.arange(32)).sum(1) / weights.sum(1)
+
+    moves = []
+    for seed in range(20):
+        at = centre(augmented(video, settings, np.random.default_rng(seed)))
+        assert at.max() == at.min()  # all frames by the same
+        moves.append(float(at[0]) - 14.5)
+    assert max(np.abs(moves)) <= reach * 32 + 1 / 32
+    assert len({round(move, 1) for move in moves}) > 5
+
+
+def test_an_augmented_videos_colours_change_places():
+    settings = InstrumentSettings(noise=0.0, rectification_error=0.0, blur_px=0.0)
+    video = frames()[None]
+    orders = set()
+    for seed in range(30):
+        looked = augmented(video, settings, np.random.default_rng(seed))
+        found = [
+            order
+            for order in permutations(range(3))
+            if torch.equal(looked, standardised(video)[..., list(order)])
+        ]
+        assert len(found) == 1
+        orders.add(found[0])
+    assert len(orders) == 6
 
 
 def test_features_shift_by_one_frame_within_their_video():

@@ -3,6 +3,7 @@
 Exposure and the cast of colours need no augmentation: every video's colours are standardised.
 """
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -30,14 +31,35 @@ def standardised(videos: np.ndarray) -> Tensor:
     return colours.sub_(torch.from_numpy(mean)).mul_(torch.from_numpy(1.0 / deviation))
 
 
+def rectified_with_errors(frame: np.ndarray, corners_px: np.ndarray, blur_px: float) -> np.ndarray:
+    """An image as a rectification gives it that puts the corners elsewhere; the border is repeated.
+
+    Parameters
+    ----------
+    frame : ndarray of uint8, shape (side, side, 3)
+    corners_px : ndarray, shape (3, 2)
+        How far, across and down, the upper left, upper right and lower left corner move; they make
+        the affine map. Rounded to 1/32 pixel.
+    blur_px : float
+        Standard deviation of a Gaussian blur before; 0: none.
+    """
+    last = frame.shape[1] - 1
+    corners = np.array([[0, 0], [last, 0], [0, last]], np.float32)
+    affine = cv2.getAffineTransform(corners, corners + corners_px.astype(np.float32))
+    if blur_px > 0:
+        frame = cv2.GaussianBlur(frame, (5, 5), blur_px)
+    return cv2.warpAffine(frame, affine, frame.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
+
+
 def augmented(
     videos: np.ndarray, settings: InstrumentSettings, generator: np.random.Generator
 ) -> Tensor:
-    """Standardised videos, each with its colours in another order, moved a little, and noisy.
+    """Standardised videos, rectified with errors, their colours in another order, and noisy.
 
-    The order of the colours is that of another lamp or dye; the move that of a crop that does not
-    sit as in training (the border is repeated); the noise is one field of random numbers that
-    moves on by a row from frame to frame, which costs a tenth of drawing every pixel.
+    The errors are those of a calibration, the blur that of another lens or film, the order of the
+    colours that of another lamp or dye; all frames of a video have the same. The noise is one
+    field of random numbers that moves on by a row from frame to frame, which costs a tenth of
+    drawing every pixel.
 
     Parameters
     ----------
@@ -48,20 +70,15 @@ def augmented(
     float32 tensor, same shape
     """
     frames, side = videos.shape[1:3]
-    reach = round(settings.shift_share * side)
+    reach = settings.rectification_error * side
     moved = np.empty_like(videos)
-    for number, video in enumerate(videos):
-        down, across = generator.integers(-reach, reach + 1, 2)
-        rows = np.clip(np.arange(side) + down, 0, side - 1)
-        columns = np.clip(np.arange(side) + across, 0, side - 1)
-        order = generator.permutation(3)
-        pixels = (columns[:, None] * 3 + order).ravel()
-        np.take(
-            video.reshape(frames, side, -1)[:, rows],
-            pixels,
-            axis=2,
-            out=moved[number].reshape(frames, side, -1),
-        )
+    for video, result in zip(videos, moved, strict=True):
+        corners = generator.uniform(-reach, reach, (3, 2))
+        blur = settings.blur_px * generator.random()
+        source = np.stack([generator.permutation(3), np.arange(3)], axis=1).ravel().tolist()
+        for frame, target in zip(video, result, strict=True):
+            seen = rectified_with_errors(frame, corners, blur)
+            cv2.mixChannels([seen], [target], source)
     result = standardised(moved)
     for video in result:
         size = settings.noise * float(generator.random())

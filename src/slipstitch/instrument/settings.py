@@ -39,8 +39,14 @@ class InstrumentSettings(BaseModel):
     order_weight: float = Field(
         0.1, ge=0, description="of telling videos from disordered ones, for the alarm"
     )
-    shift_share: float = Field(
-        0.06, ge=0, le=0.3, description="augmentation: the crop moves by up to this share of it"
+    rectification_error: float = Field(
+        0.006,
+        ge=0,
+        le=0.3,
+        description="augmentation: the image's corners move by up to this share of its side",
+    )
+    blur_px: float = Field(
+        0.7, ge=0, le=2, description="augmentation: largest standard deviation of a blur"
     )
     noise: float = Field(
         0.1, ge=0, le=1, description="augmentation: largest noise, in deviations of the video"
