@@ -19,3 +19,8 @@ class EvaluateSettings(BaseModel):
         0.1, gt=0.0, description="grid step of mu: errors are counted in such steps, rounded"
     )
     batch_size: int = Field(8, ge=1, description="videos in a batch")
+    reflective_results: str | None = Field(
+        None,
+        description="results folder of a run with the same captures whose networks were trained "
+        "with reflective floors: the last curve of the paper's Fig. 6 in the report",
+    )

@@ -1,10 +1,12 @@
 """The paper's Fig. 6: cumulative errors on the simulated test set and on captures."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from slipstitch.errors import BadInput
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.capture_scores import distance, subsets, what_they_are
 from slipstitch.evaluate.metrics import mean_over_seeds, spread_over_seeds
@@ -19,6 +21,7 @@ SUBSET_TITLES = {
     "matte": "captures without reflective",
     "reflective": "captures, reflective only",
 }
+REFLECTIVE = "all captures, reflective training"
 SHARES = ("friction_lt_0.1", "friction_lt_0.2", "within_0.1", "median_lt_0.1", "equal_predictions")
 ERRORS = ("mean_absolute_error", "median_error")
 
@@ -77,6 +80,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
     if not scores or not rows:
         return None
     manifest = results.manifest() or []
+    other = _trained_with_reflective_floors(results, rows)
     groups, panels = [], []
     for label in next(iter(scores.values())):
         model, _, split = label.partition(", trained ")
@@ -93,7 +97,8 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
                 + [
                     _row(SUBSET_TITLES[name.split("_")[1]], of_model[label], of_model[label])
                     for name, of_model in scores.items()
-                ],
+                ]
+                + [_row(REFLECTIVE, entry, entry) for entry in other.scores(label)],
             }
         )
         panels.append(
@@ -103,6 +108,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
                 "curves": {
                     "simulated test set": np.concatenate([*simulated.values(), []]),
                     **_capture_errors(own),
+                    **({REFLECTIVE: other.errors(model, split)} if other.scores(label) else {}),
                 },
             }
         )
@@ -111,11 +117,59 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
         "real": not rows[0]["surrogate"],
         "groups": groups,
         "reflective_floors": any("reflective" in group["floors"] for group in groups),
+        "reflective_training": other.floors,
         "other_networks": results.captures_of_other_networks(),
         "figure": svg_uri(
             learning_pictures.cumulative_captures(panels, paper.REAL_FILMS_WITHIN_0_1)
         ),
     }
+
+
+@dataclass(frozen=True)
+class _OtherTraining:
+    """What networks of another run, trained with reflective floors, say of the same captures."""
+
+    folder: str = ""
+    floors: str = ""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    rows: Sequence[Mapping[str, Any]] = ()
+
+    def scores(self, label: str) -> list[Mapping[str, Any]]:
+        """Its scores on all captures; none if it has no such networks."""
+        return [self.metrics[label]] if label in self.metrics else []
+
+    def errors(self, model: str, split: str) -> np.ndarray:
+        """Errors on all captures, all seeds together."""
+        own = [row for row in self.rows if (row["model"], row["trained_on"]) == (model, split)]
+        return _capture_errors(own)[SUBSET_TITLES["all"]]
+
+
+def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
+    """The run that `evaluate.reflective_results` names; an empty one if it names none."""
+    folder = results.config.evaluate.reflective_results
+    if folder is None:
+        return _OtherTraining()
+    where = f"evaluate.reflective_results, {folder}"
+    other = Results(folder, results.config)
+    metrics, theirs, manifest = (
+        other.capture_metrics(),
+        other.capture_predictions(),
+        other.manifest(),
+    )
+    if not (metrics and theirs and manifest):
+        raise BadInput(f"{where}: no captures and dataset in it (run the target captures there)")
+    if {_capture(row) for row in theirs} != {_capture(row) for row in rows}:
+        raise BadInput(f"{where}: its captures are not those of {results.folder}")
+    splits = sorted({row["trained_on"] for row in theirs})
+    floors = {split: floors_in_words(training_floors(manifest, split)) for split in splits}
+    if not all("reflective" in words for words in floors.values()):
+        raise BadInput(f"{where}: its networks were not trained with reflective floors")
+    whole = next(of_model for name, of_model in metrics.items() if name.endswith("_all"))
+    return _OtherTraining(folder, floors[splits[0]], whole, theirs)
+
+
+def _capture(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return row["video"], row["mu_ref"], row["mu_ref_error"], row["reflective"]
 
 
 def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

@@ -226,6 +226,7 @@ _CURVES = {
     "all captures": {"color": INK, "lw": 1.9},
     "captures without reflective": {"color": GREEN, "lw": 1.3, "ls": "--"},
     "captures, reflective only": {"color": ORANGE, "lw": 1.3, "ls": "-."},
+    "all captures, reflective training": {"color": MEASURED, "lw": 1.9, "ls": ":"},
 }
 
 

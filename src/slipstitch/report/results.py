@@ -256,7 +256,7 @@ class Results:
         path = self.folder / "captures" / "predictions.parquet"
         if not path.exists():
             return None
-        columns = ["mu_ref", "mu_ref_error", "reflective", "surrogate"]
+        columns = ["video", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
         columns += ["model", "trained_on", "seed", "friction"]
         return _table(path, columns).to_pylist()
 
