@@ -20,6 +20,7 @@ from slipstitch.train.training import (
     DivergedError,
     PlateauError,
     Stage,
+    learning_rate,
     schedule,
     train_network,
 )
@@ -78,6 +79,20 @@ def test_the_schedule_adds_a_viewpoint_each_cycle_and_ends_on_the_calibrated_one
     settings = TrainSettings(epochs_per_cycle=5, fine_tuning_epochs=2)
     stages = [(stage.viewpoints, stage.epochs) for stage in schedule(settings, ["a", "b", "c"])]
     assert stages == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
+
+
+def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuning():
+    settings = TrainSettings(learning_rate=2.0, annealed_share=0.1, fine_tuning_epochs=2)
+    stages = schedule(settings, ["a", "b"])
+
+    def rates(settings, stage):
+        return [learning_rate(settings, stages, stage, done) for done in (0.0, 0.5, 1.0)]
+
+    assert rates(settings, stages[0]) == pytest.approx([2.0, 2.0, 2.0])
+    assert rates(settings, stages[1]) == pytest.approx([2.0, 1.1, 0.2])
+    assert rates(settings, stages[2]) == pytest.approx([0.2, 0.2, 0.2])
+    constant = settings.model_copy(update={"annealed_share": 1.0})
+    assert [rates(constant, stage) for stage in stages] == [[2.0, 2.0, 2.0]] * 3
 
 
 @pytest.mark.parametrize("split", ["by_video", "by_simulation"])

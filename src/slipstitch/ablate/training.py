@@ -33,6 +33,7 @@ from slipstitch.train.model_file import WEIGHTS as LRCN_WEIGHTS
 from slipstitch.train.model_file import TrainedModel, load_model
 from slipstitch.train.settings import TrainSettings
 from slipstitch.train.training import (
+    FINE_TUNING,
     DivergedError,
     Stage,
     labels_of,
@@ -87,7 +88,7 @@ def stages(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) ->
             Stage(f"cycle {seen}", tuple(viewpoints[:seen]), epochs) for seen in range(1, count + 1)
         ]
     if fine_tuning:
-        whole.append(Stage("fine-tuning", (viewpoints[0],), fine_tuning))
+        whole.append(Stage(FINE_TUNING, (viewpoints[0],), fine_tuning))
     return whole
 
 

@@ -67,6 +67,13 @@ class TrainSettings(BaseModel):
     fine_tuning_epochs: int = Field(4, ge=0, description="last epochs, calibrated viewpoint only")
     batch_size: int = Field(2, ge=1, description="videos in a batch")
     learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")
+    annealed_share: float = Field(
+        0.05,
+        gt=0.0,
+        le=1.0,
+        description="share of the learning rate to which it falls, as a cosine, within the last "
+        "cycle, and at which fine-tuning goes on; 1: constant",
+    )
     rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
     epsilon: float = Field(1e-6, gt=0.0, description="Adadelta's")
     gradient_norm_max: float | None = Field(None, gt=0.0, description="clipping; null: none")

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 from slipstitch.train.videos import Videos, read_videos, takes_part
 
 HISTORY = "history.csv"
+FINE_TUNING = "fine-tuning"
 # Numbers of options in glibc's malloc.h.
 GLIBC_M_TRIM_THRESHOLD, GLIBC_M_MMAP_THRESHOLD = -1, -3
 
@@ -66,8 +67,34 @@ def schedule(settings: TrainSettings, view_order: list[str]) -> list[Stage]:
         for count in range(1, len(view_order) + 1)
     ]
     if settings.fine_tuning_epochs:
-        stages.append(Stage("fine-tuning", (view_order[0],), settings.fine_tuning_epochs))
+        stages.append(Stage(FINE_TUNING, (view_order[0],), settings.fine_tuning_epochs))
     return stages
+
+
+def learning_rate(
+    settings: TrainSettings, stages: Sequence[Stage], stage: Stage, done: float
+) -> float:
+    """Adadelta's rate: constant, down a cosine in the last cycle, at its end's while fine-tuning.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    stages : sequence of Stage
+        All of the training.
+    stage : Stage
+        The one at work.
+    done : float
+        Share of it that is done, 0 ... 1.
+    """
+    last_cycle = [one for one in stages if one.name != FINE_TUNING][-1]
+    if stage.name == FINE_TUNING:
+        height = 0.0
+    elif stage is last_cycle:
+        height = 0.5 * (1.0 + math.cos(math.pi * done))
+    else:
+        height = 1.0
+    lowest = settings.annealed_share
+    return settings.learning_rate * (lowest + (1.0 - lowest) * height)
 
 
 def names_digest(rows: list[dict[str, Any]]) -> str:
@@ -296,7 +323,7 @@ def train_network(
     bfloat16 = computes_bfloat16(settings.precision)
 
     stages = stages or schedule(settings, view_order)
-    of_epoch = [stage for stage in stages for _ in range(stage.epochs)]
+    of_epoch = [(stage, epoch) for stage in stages for epoch in range(stage.epochs)]
     out = Path(out_dir)
     checkpoint = out / CHECKPOINT
     identity = {
@@ -329,12 +356,15 @@ def train_network(
         disable=not sys.stderr.isatty(),
     )
     while progress.epoch < len(of_epoch):
-        stage = of_epoch[progress.epoch]
+        stage, epoch_of_stage = of_epoch[progress.epoch]
         in_view = np.isin(views, stage.viewpoints)
         chosen = np.flatnonzero(training & in_view)
         order = np.random.default_rng([seed, progress.epoch]).permutation(chosen)
         network.train()
         while (first := progress.step * settings.batch_size) < len(order):
+            done = (epoch_of_stage + first / len(order)) / stage.epochs
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(settings, stages, stage, done)
             batch = order[first : first + settings.batch_size]
             given = None if condition is None else torch.from_numpy(condition[batch])
             truth = torch.from_numpy(labels[batch])
