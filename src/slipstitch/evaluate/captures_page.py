@@ -67,8 +67,8 @@ def captures_page(
         paper=paper,
         percent=percent,
         number=number,
-        share=lambda row, key: percent(row.get(key), (row["spread"] or {}).get(key)),
-        value=lambda row, key: number(row.get(key), (row["spread"] or {}).get(key)),
+        share=lambda row, key: _breaking(percent(row.get(key), (row["spread"] or {}).get(key))),
+        value=lambda row, key: _breaking(number(row.get(key), (row["spread"] or {}).get(key))),
         seeds_in_words=seeds_in_words,
         plot=_svg(_cumulative(known, found)),
         models=[
@@ -79,6 +79,11 @@ def captures_page(
         pairs=len({row["pair"] for row in known}),
         notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
     )
+
+
+def _breaking(score: str) -> str:
+    """A score that breaks before its spread only, in a narrow column."""
+    return score.replace(" ", "\N{NO-BREAK SPACE}").replace("\N{NO-BREAK SPACE}±", " ±")
 
 
 def _label(one: Predictions) -> str:
