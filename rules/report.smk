@@ -33,7 +33,9 @@ rule report_page:
         settings=settings(*type(CONFIG).model_fields),
         code=code_digest("report"),
         captures=digest_if_there("results/captures/metrics.json"),
-        reflective=digest_if_there(f"{CONFIG.evaluate.reflective_results}/captures/metrics.json"),
+        reflective=digest_if_there(
+            Path(CONFIG.evaluate.reflective_results or "") / "captures/metrics.json"
+        ),
         config=CONFIG_FILE,
     message:
         "Write the report"

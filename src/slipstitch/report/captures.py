@@ -129,7 +129,6 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
 class _OtherTraining:
     """What networks of another run, trained with reflective floors, say of the same captures."""
 
-    folder: str = ""
     floors: str = ""
     metrics: Mapping[str, Any] = field(default_factory=dict)
     rows: Sequence[Mapping[str, Any]] = ()
@@ -151,11 +150,8 @@ def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
         return _OtherTraining()
     where = f"evaluate.reflective_results, {folder}"
     other = Results(folder, results.config)
-    metrics, theirs, manifest = (
-        other.capture_metrics(),
-        other.capture_predictions(),
-        other.manifest(),
-    )
+    metrics, theirs = other.capture_metrics(), other.capture_predictions()
+    manifest = other.manifest()
     if not (metrics and theirs and manifest):
         raise BadInput(f"{where}: no captures and dataset in it (run the target captures there)")
     if {_capture(row) for row in theirs} != {_capture(row) for row in rows}:
@@ -165,7 +161,7 @@ def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
     if not all("reflective" in words for words in floors.values()):
         raise BadInput(f"{where}: its networks were not trained with reflective floors")
     whole = next(of_model for name, of_model in metrics.items() if name.endswith("_all"))
-    return _OtherTraining(folder, floors[splits[0]], whole, theirs)
+    return _OtherTraining(floors[splits[0]], whole, theirs)
 
 
 def _capture(row: Mapping[str, Any]) -> tuple[Any, ...]:
