@@ -3,14 +3,16 @@
 import argparse
 
 
-def add_config(parser: argparse.ArgumentParser) -> None:
+def add_config(
+    parser: argparse.ArgumentParser, description: str = "YAML or JSON configuration"
+) -> None:
     """``--config FILE``, once or more: ``arguments.config`` lists the files."""
     parser.add_argument(
         "--config",
         required=True,
         action="append",
         metavar="FILE",
-        help="YAML or JSON configuration",
+        help=description,
     )
 
 

@@ -11,13 +11,9 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration that the results were made with",
-    )
+    from slipstitch.options import add_config
+
+    add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
     parser.add_argument("--out-dir", required=True, help="the release; must not exist yet")
     parser.add_argument(

@@ -84,7 +84,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
     groups, panels = [], []
     for label in next(iter(scores.values())):
         model, _, split = label.partition(", trained ")
-        own = [row for row in rows if (row["model"], row["trained_on"]) == (model, split)]
+        own = _of_model(rows, model, split)
         floors = floors_in_words(training_floors(manifest, split))
         title = f"{MODEL_TITLES[model]}, {SPLIT_TITLES[split]}"
         simulated = _simulated_errors(predictions, model, split)
@@ -139,8 +139,7 @@ class _OtherTraining:
 
     def errors(self, model: str, split: str) -> np.ndarray:
         """Errors on all captures, all seeds together."""
-        own = [row for row in self.rows if (row["model"], row["trained_on"]) == (model, split)]
-        return _capture_errors(own)[SUBSET_TITLES["all"]]
+        return _capture_errors(_of_model(self.rows, model, split))[SUBSET_TITLES["all"]]
 
 
 def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
@@ -162,6 +161,10 @@ def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
         raise BadInput(f"{where}: its networks were not trained with reflective floors")
     whole = next(of_model for name, of_model in metrics.items() if name.endswith("_all"))
     return _OtherTraining(floors[splits[0]], whole, theirs)
+
+
+def _of_model(rows: Sequence[Mapping[str, Any]], model: str, split: str) -> list[Mapping[str, Any]]:
+    return [row for row in rows if (row["model"], row["trained_on"]) == (model, split)]
 
 
 def _capture(row: Mapping[str, Any]) -> tuple[Any, ...]:
