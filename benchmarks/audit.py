@@ -22,10 +22,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "media"))
+sys.path.insert(0, str(ROOT / "tests"))
 
-import synthetic_chain
-import synthetic_videos
+from support import synthetic_chain, synthetic_videos
 
 from slipstitch.audit.auditing import audit_release
 from slipstitch.audit.findings import Kind

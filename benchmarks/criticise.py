@@ -18,9 +18,9 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "criticise"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from hidden_effects.bench import make_case
+from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.features import assemble

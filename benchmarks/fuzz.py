@@ -17,9 +17,9 @@ import time
 from collections import Counter
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "media"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-import fuzzing
+from support import fuzzing
 
 CHUNK = 400
 HANG_S = 30.0  # seen from outside: the reader itself is held to fuzzing.TIME_LIMIT_S

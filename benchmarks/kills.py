@@ -15,11 +15,10 @@ from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "media"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-import equal_results
-import kills
-from workflow_copy import Workflow
+from support import equal_results, kills
+from support.workflow_copy import Workflow
 
 
 def undisturbed(

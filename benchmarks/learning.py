@@ -2,7 +2,7 @@
 
     python benchmarks/learning.py [--threads 2] [--pixels 64 112] [--steps 6]
 
-The networks have their default sizes, the videos are drawn (tests/media/synthetic_videos.py) with
+The networks have their default sizes, the videos are drawn (tests/support/synthetic_videos.py) with
 noise; a step is all that a training does with a batch: augmentation, forward, backward, optimiser.
 """
 
@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "media"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
-import synthetic_videos
 import torch
+from support import synthetic_videos
 
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.settings import InstrumentSettings

@@ -2,9 +2,9 @@
 
     python benchmarks/measure.py [--width 1280] [--rate 25]
 
-The film is drawn by formula (tests/media/analytic_stage.py), enlarged, made noisy so that it weighs
-as much as a camera's, and compressed by H.264; the instrument has the default size and random
-weights, which take as long as trained ones.
+The film is drawn by formula (tests/support/analytic_stage.py), enlarged, made noisy so that it
+weighs as much as a camera's, and compressed by H.264; the instrument has the default size and
+random weights, which take as long as trained ones.
 """
 
 import argparse
@@ -15,11 +15,11 @@ import tempfile
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "media"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-import analytic_stage as stage
 import cv2
 import numpy as np
+from support import analytic_stage as stage
 
 from slipstitch.config import resolve_config, write_config
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument

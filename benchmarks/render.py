@@ -15,9 +15,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/media"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-import synthetic_cloth
+from support import synthetic_cloth
 
 from slipstitch.render import blender
 from slipstitch.render.encoding import encode_png

@@ -7,7 +7,7 @@ import json
 
 import pytest
 import yaml
-from hidden_effects.cloth_bench import make_campaign
+from support.hidden_effects.cloth_bench import make_campaign
 
 from slipstitch.command import main
 from slipstitch.criticise.case import read_case

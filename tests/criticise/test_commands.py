@@ -6,7 +6,7 @@ from contextlib import redirect_stderr
 
 import numpy as np
 import pytest
-from hidden_effects.bench import make_case
+from support.hidden_effects.bench import make_case
 
 from slipstitch.command import main
 

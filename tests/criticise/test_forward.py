@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hidden_effects.elastica import hanging_cloth, pushed_strip
+from support.hidden_effects.elastica import hanging_cloth, pushed_strip
 
 from slipstitch.criticise.forward.drop_drag import (
     lifted_part,

@@ -4,7 +4,7 @@ import secrets
 
 import numpy as np
 import pytest
-from hidden_effects.bench import make_case
+from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.features import assemble

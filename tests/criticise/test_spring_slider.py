@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from hidden_effects.bench import make_case
+from support.hidden_effects.bench import make_case
 
 from slipstitch.command import main
 from slipstitch.criticise.case import read_case

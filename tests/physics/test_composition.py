@@ -4,12 +4,11 @@ The renderer was tuned on other frames, and never on the turned viewpoints. The 
 with the texture itself on the cloth, 256 paths a pixel.
 """
 
-import importlib.util
 import resource
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support import synthetic_cloth
 
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.composition import compose, join
@@ -22,12 +21,6 @@ from slipstitch.render.surroundings import MATTE, Surroundings
 from slipstitch.render.textures import texture
 from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
 from slipstitch.simulate.trajectory import Trajectory
-
-_SPEC = importlib.util.spec_from_file_location(
-    "synthetic_cloth", Path(__file__).parents[1] / "media" / "synthetic_cloth.py"
-)
-synthetic_cloth = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(synthetic_cloth)
 
 # Between the floors that the reflection was tuned on, and at the ends.
 REFLECTIVE = {

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from mesh_intersections import crossing_pairs
 from scipy.optimize import minimize
+from support.mesh_intersections import crossing_pairs
 
 from slipstitch.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
 from slipstitch.cloth.self_contact import SelfContact

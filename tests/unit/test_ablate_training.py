@@ -3,7 +3,7 @@
 import json
 
 import pytest
-import synthetic_videos
+from support import synthetic_videos
 
 from slipstitch.ablate import training
 from slipstitch.ablate.training import answer, lrcn_settings, stages

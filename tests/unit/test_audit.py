@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import synthetic_chain
+from support import synthetic_chain
 
 from slipstitch.audit import currency, rebuild
 from slipstitch.audit.auditing import audit_release

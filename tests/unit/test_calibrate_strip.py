@@ -3,7 +3,7 @@
 import json
 
 import pytest
-import synthetic_results
+from support import synthetic_results
 
 from slipstitch.calibrate.calibration import (
     DemandNotMet,

@@ -1,12 +1,12 @@
 """``slipstitch capture camera``: known cameras recovered from photographs of a board."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.calibration import FloorPlace
@@ -15,12 +15,6 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import cloth_room, crop_to
 from slipstitch.render.camera_file import read_camera_file
-
-_SPEC = importlib.util.spec_from_file_location(
-    "board_photographs", Path(__file__).parents[1] / "media" / "board_photographs.py"
-)
-bench = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(bench)
 
 VIEWS = 9
 CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]

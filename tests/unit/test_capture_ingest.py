@@ -5,9 +5,9 @@ import os
 import tracemalloc
 from dataclasses import replace
 
-import analytic_stage as stage
 import numpy as np
 import pytest
+from support import analytic_stage as stage
 
 from slipstitch.capture.ingest.dataset import read_known
 from slipstitch.capture.rectification import rectify, source_pixels, stage_plane

@@ -2,11 +2,11 @@
 
 import json
 
-import analytic_stage as stage
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import synthetic_videos
+from support import analytic_stage as stage
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

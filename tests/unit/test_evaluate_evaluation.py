@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import synthetic_videos
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

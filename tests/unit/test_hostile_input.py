@@ -12,7 +12,6 @@ import zlib
 from pathlib import Path
 
 import cv2
-import fuzzing
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -20,6 +19,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save_file
+from support import fuzzing
 
 from slipstitch.capture.camera.views import _frames
 from slipstitch.command import main

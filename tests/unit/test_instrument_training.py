@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import synthetic_videos
 import torch
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

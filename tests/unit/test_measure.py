@@ -2,9 +2,9 @@
 
 import json
 
-import analytic_stage as stage
 import numpy as np
 import pytest
+from support import analytic_stage as stage
 
 from slipstitch.command import main
 from slipstitch.config import resolve_config, write_config

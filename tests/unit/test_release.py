@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-import synthetic_chain
 import yaml
+from support import synthetic_chain
 
 from slipstitch.command import main
 from slipstitch.errors import BadInput, SlipstitchError

@@ -1,21 +1,14 @@
 """Blender draws what our cameras and meshes say, the same every time."""
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support import synthetic_cloth
 
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.camera import Camera, cloth_room, crop_to
 from slipstitch.render.catalogue import VIEWPOINTS
-
-_SPEC = importlib.util.spec_from_file_location(
-    "synthetic_cloth", Path(__file__).parents[1] / "media" / "synthetic_cloth.py"
-)
-synthetic_cloth = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(synthetic_cloth)
 
 
 def view(pixels, name="calibrated", x=0.1):

@@ -1,26 +1,19 @@
 """Shading packs: Blender once, then every texture without it; verification against Blender."""
 
-import importlib.util
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from support import synthetic_cloth
 
 from slipstitch.command import main
 from slipstitch.provenance import read_metadata, read_provenance, read_sidecar
 from slipstitch.render import verification
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
-
-_SPEC = importlib.util.spec_from_file_location(
-    "synthetic_cloth", Path(__file__).parents[1] / "media" / "synthetic_cloth.py"
-)
-synthetic_cloth = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(synthetic_cloth)
 
 ONE = "m05_f01_r00"
 CONFIG = {

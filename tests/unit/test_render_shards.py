@@ -1,14 +1,13 @@
 """``slipstitch render``: shards, previews, and what it says to bad input."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from support import synthetic_cloth
 
 from slipstitch.command import main
 from slipstitch.provenance import read_metadata, read_sidecar
@@ -18,12 +17,6 @@ from slipstitch.render.camera_file import write_camera_file
 from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.sample.frames import sampled_frames
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
-
-_SPEC = importlib.util.spec_from_file_location(
-    "synthetic_cloth", Path(__file__).parents[1] / "media" / "synthetic_cloth.py"
-)
-synthetic_cloth = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(synthetic_cloth)
 
 FRAMES, SAMPLED = 12, 4
 

@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import synthetic_results
 from PIL import Image
+from support import synthetic_results
 
 from slipstitch.command import main
 from slipstitch.errors import BadInput

@@ -6,8 +6,8 @@ import json
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import synthetic_videos
 from PIL import Image
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

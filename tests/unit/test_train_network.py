@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-import synthetic_videos
 import torch
+from support import synthetic_videos
 
 from slipstitch.errors import BadInput
 from slipstitch.train.network import (

@@ -7,7 +7,7 @@ import math
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import synthetic_videos
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-import synthetic_videos
 from safetensors import SafetensorError, safe_open
+from support import synthetic_videos
 
 from slipstitch.command import main
 from slipstitch.config import write_config

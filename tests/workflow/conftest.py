@@ -4,10 +4,9 @@ import os
 import shutil
 from pathlib import Path
 
-import equal_results
-import kills
 import pytest
-from workflow_copy import Workflow
+from support import equal_results, kills
+from support.workflow_copy import Workflow
 
 
 @pytest.fixture(scope="session")

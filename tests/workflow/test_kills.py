@@ -4,9 +4,8 @@ import contextlib
 import random
 import subprocess
 
-import equal_results
-import kills
 import pytest
+from support import equal_results, kills
 
 pytestmark = pytest.mark.xdist_group("chain")
 

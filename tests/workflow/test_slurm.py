@@ -13,9 +13,9 @@ import time
 from collections import Counter
 from pathlib import Path
 
-import equal_results
 import pytest
-from workflow_copy import Workflow
+from support import equal_results
+from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
 from slipstitch.config.cost import JOB_KINDS, job_memory_mb, job_runtime_min

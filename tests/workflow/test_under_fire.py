@@ -11,8 +11,8 @@ import time
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import kills
 import pytest
+from support import kills
 
 from slipstitch.config.grid import simulations
 from slipstitch.config.load import load_config

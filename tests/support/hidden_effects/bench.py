@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hidden_effects.elastica import hanging_cloth, pushed_strip
-from hidden_effects.slider_bench import spring_slider
+from support.hidden_effects.elastica import hanging_cloth, pushed_strip
+from support.hidden_effects.slider_bench import spring_slider
 
 G = 9.80665
 LIBRARY = (

@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import synthetic_cloth
-import synthetic_videos
 from PIL import Image, ImageDraw
 
 from slipstitch import theory
@@ -27,6 +25,7 @@ from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seed
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+from support import synthetic_cloth, synthetic_videos
 
 
 def config(**sections) -> Config:

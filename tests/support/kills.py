@@ -11,9 +11,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import equal_results
 import psutil
-from workflow_copy import Workflow
+
+from support import equal_results
+from support.workflow_copy import Workflow
 
 # Who is killed: everything (the machine), the process that works, or Snakemake alone, whose job
 # then goes on while the same command is given again.

@@ -17,11 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import analytic_stage
 import cv2
 import numpy as np
-import synthetic_chain
-import synthetic_results
 import torch
 import yaml
 
@@ -64,6 +61,7 @@ from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoi
 from slipstitch.train.model_file import load_model, save_model
 from slipstitch.train.network import LRCN
 from slipstitch.train.videos import read_videos
+from support import analytic_stage, synthetic_chain, synthetic_results
 
 TIME_LIMIT_S = 10.0
 MEMORY_LIMIT_BYTES = 2 * 2**30

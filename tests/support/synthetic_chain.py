@@ -11,9 +11,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import synthetic_cloth
-import synthetic_results
-import synthetic_videos
 
 from slipstitch.config import Config, write_config
 from slipstitch.config.grid import simulations, viewpoints, write_grid
@@ -25,6 +22,7 @@ from slipstitch.render.verification import VIEWS
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.simulate.drop_and_drag import draw_perturbation
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+from support import synthetic_cloth, synthetic_results, synthetic_videos
 
 
 def config(**sections) -> Config:

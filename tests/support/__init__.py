@@ -1,0 +1,1 @@
+"""What tests share: benches, drawn films, copies of the workflow, faults to be found."""
