@@ -1,6 +1,6 @@
 """What each choice in the training is worth, one at a time; not part of `all`."""
 
-from slipstitch.ablate.settings import QUESTIONS
+from slipstitch.config.ablate import QUESTIONS
 
 ASKED = CONFIG.ablate.questions or QUESTIONS
 

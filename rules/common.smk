@@ -5,7 +5,7 @@ import os
 import sys
 
 from slipstitch.config import resolve_config, write_config
-from slipstitch.config.cost import estimate_line, job_memory_mb, job_runtime_min
+from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.provenance import code_digest, file_digest

@@ -1,6 +1,6 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
-from slipstitch.train.settings import NETWORKS
+from slipstitch.config.train import NETWORKS
 
 
 def material_network(wildcards):

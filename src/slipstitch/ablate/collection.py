@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.ablate.page import ablations_page
-from slipstitch.ablate.settings import QUESTIONS
 from slipstitch.ablate.summary import summarise
 from slipstitch.config import Config
+from slipstitch.config.ablate import QUESTIONS
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
     atomic_path,

@@ -13,7 +13,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.ablate.settings import QUESTIONS
+    from slipstitch.config.ablate import QUESTIONS
     from slipstitch.options import add_config, add_threads
 
     add_config(parser)

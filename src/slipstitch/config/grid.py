@@ -7,12 +7,12 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.load import load_config
 from slipstitch.config.model import Config
 from slipstitch.errors import BadInput, refused_by_the_machine
 from slipstitch.material import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
-from slipstitch.render.catalogue import VIEWPOINTS
 
 
 @dataclass(frozen=True)

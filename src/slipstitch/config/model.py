@@ -1,23 +1,23 @@
-"""The configuration as a type; each stage's section is defined in ``<stage>/settings.py``."""
+"""The configuration as a type: its sections, each defined in a file of its own beside this one."""
 
 from itertools import pairwise
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from slipstitch.ablate.settings import AblateSettings
-from slipstitch.calibrate.settings import CalibrateSettings
-from slipstitch.capture.settings import CaptureSettings
-from slipstitch.convergence.settings import ConvergenceSettings
-from slipstitch.criticise.settings import CriticiseSettings
-from slipstitch.evaluate.settings import EvaluateSettings
-from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.config.ablate import AblateSettings
+from slipstitch.config.calibrate import CalibrateSettings
+from slipstitch.config.captures import CaptureSettings
+from slipstitch.config.convergence import ConvergenceSettings
+from slipstitch.config.criticise import CriticiseSettings
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.release import ReleaseSettings
+from slipstitch.config.render import RenderSettings
+from slipstitch.config.sample import SampleSettings
+from slipstitch.config.simulation import ComputeSettings, SimulationSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.material import fabric_names
-from slipstitch.release.settings import ReleaseSettings
-from slipstitch.render.settings import RenderSettings
-from slipstitch.sample.settings import SampleSettings
-from slipstitch.simulate.settings import ComputeSettings, SimulationSettings
-from slipstitch.train.settings import TrainSettings
 
 Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
 

@@ -3,8 +3,8 @@
 import argparse
 
 from slipstitch.config import load_config
-from slipstitch.config.cost import estimate_table
 from slipstitch.doctor.checks import State, examine
+from slipstitch.doctor.cost import estimate_table
 
 SUMMARY = "what is installed, what is missing and how to get it; what a scale costs"
 EXAMPLE = "slipstitch doctor --estimate config.yaml config/paper.yaml"

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import load_fabric
-from slipstitch.simulate.settings import SimulationSettings
 
 # Written by `python -m slipstitch.convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")

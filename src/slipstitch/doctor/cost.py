@@ -6,12 +6,12 @@ The table `COSTS` is the only place with measured numbers; the rest scales them.
 import math
 from dataclasses import dataclass
 
-from slipstitch.ablate.settings import QUESTIONS
-from slipstitch.calibrate.settings import KEYS
+from slipstitch.catalogue import FLOORS
+from slipstitch.config.ablate import QUESTIONS
+from slipstitch.config.calibrate import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
-from slipstitch.render.catalogue import FLOORS
-from slipstitch.train.settings import NETWORKS
+from slipstitch.config.train import NETWORKS
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from slipstitch.catalogue import FLOORS, TEXTURES
 from slipstitch.material import fabric_names
-from slipstitch.render.catalogue import FLOORS, TEXTURES
 
 
 class PairSettings(BaseModel):

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from slipstitch.render.catalogue import (
+from slipstitch.catalogue import (
     FLOORS,
     TEST_ONLY_TEXTURES,
     TEXTURES,

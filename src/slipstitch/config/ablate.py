@@ -4,8 +4,8 @@ from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.train.settings import TrainSettings
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
 
 Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
 QUESTIONS: tuple[Question, ...] = get_args(Question)
