@@ -59,4 +59,4 @@ rule grid:
     message:
         "Table of ids and seeds"
     shell:
-        "python -m slipstitch.config.grid --config {params.config} --out {output} > {log} 2>&1"
+        "slipstitch grid --config {params.config} --out {output} > {log} 2>&1"

@@ -14,7 +14,7 @@ from slipstitch.capture.rectification import rectify, source_pixels, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose

@@ -9,7 +9,7 @@ from support import analytic_stage as stage
 from support import synthetic_videos
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, distance, subsets

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, SPLITS

@@ -10,7 +10,7 @@ import pytest
 import torch
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput

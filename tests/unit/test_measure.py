@@ -7,7 +7,7 @@ import pytest
 from support import analytic_stage as stage
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument

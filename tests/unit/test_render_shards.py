@@ -10,7 +10,7 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.provenance import read_metadata, read_sidecar
 from slipstitch.render import shards
 from slipstitch.render.camera import pose

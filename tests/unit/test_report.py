@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from support import synthetic_results
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error

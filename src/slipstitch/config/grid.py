@@ -1,16 +1,13 @@
 """Ids and seeds of the grid: what m05_f01_r00_t02_v01 means, kept in ``results/grid.parquet``."""
 
-import argparse
 import hashlib
 import math
 import os
-import sys
 from dataclasses import asdict, dataclass
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.config.load import load_config
 from slipstitch.config.model import Config
-from slipstitch.errors import BadInput, refused_by_the_machine
+from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
 
@@ -168,16 +165,3 @@ def write_grid(config: Config, path: str | os.PathLike) -> None:
     keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
     record = provenance_record("config", config=keys, seed=config.seed, started=started)
     write_parquet(table, path, record=record)
-
-
-if __name__ == "__main__":  # as the workflow calls it
-    parser = argparse.ArgumentParser(description="Write the table of ids and seeds.")
-    parser.add_argument("--config", required=True)
-    parser.add_argument("--out", required=True)
-    chosen = parser.parse_args()
-    try:
-        write_grid(load_config(chosen.config), chosen.out)
-    except BadInput as problem:
-        sys.exit(f"slipstitch.config.grid: error: {problem}")
-    except OSError as problem:
-        sys.exit(f"slipstitch.config.grid: failed: {refused_by_the_machine(problem) or problem}")

@@ -11,7 +11,7 @@ import numpy as np
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import load_fabric
 
-# Written by `python -m slipstitch.convergence publish`.
+# Written by `slipstitch convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")
 GRAVITY_M_S2 = 9.81
 

@@ -11,8 +11,8 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    from slipstitch.cli.options import add_config, add_threads
     from slipstitch.config.train import SPLITS
-    from slipstitch.options import add_config, add_threads
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
