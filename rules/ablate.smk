@@ -31,7 +31,7 @@ rule ablate_one:
     params:
         settings=settings("train", "instrument", "ablate", ablate={"seeds"}),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        view_order=CONFIG.view_order,
         code=code_digest("ablate.training"),
         config=CONFIG_FILE,
     message:

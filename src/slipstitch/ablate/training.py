@@ -126,7 +126,7 @@ def answer(
     if question not in QUESTIONS:
         raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
-    viewpoints = list(config.train.view_order or config.render.viewpoints)
+    viewpoints = config.view_order
     empty = {"question": question, "seed": seed, "asks": None, "left_out": None}
     empty |= {"dataset_digest": digest, "variants": [], "predictions": []}
     try:

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        viewpoint=(config.train.view_order or config.render.viewpoints)[0],
+        viewpoint=config.calibrated_view,
         threads=arguments.threads,
     )
     bars = card["error_bars"]

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        view_order=list(config.train.view_order or config.render.viewpoints),
+        view_order=config.view_order,
         material_model=arguments.material_model,
         expected_classes={
             "material": sorted(config.grid.materials, key=fabric_names().index),

@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from slipstitch.config.section import Section
 
 
-class SimulationSettings(BaseModel):
+class SimulationSettings(Section):
     """How one drop-and-drag run is simulated."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     vertices_per_side: int = Field(
         41, ge=5, le=401, description="vertices along a side of the 20 cm square"
@@ -86,10 +86,8 @@ class SimulationSettings(BaseModel):
     )
 
 
-class ComputeSettings(BaseModel):
+class ComputeSettings(Section):
     """Where simulations run, and how many at once: to rounding, they are the same."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     device: str = Field(
         "cpu",
