@@ -2,7 +2,7 @@
 
 from slipstitch.config.ablate import QUESTIONS
 
-ASKED = CONFIG.ablate.questions or QUESTIONS
+ASKED = CONFIG.ablate.asked
 
 
 wildcard_constraints:

@@ -37,6 +37,7 @@ NOT_NUMERICAL = frozenset(
         "vertices_per_side",
         "frames",
         "frame_rate_hz",
+        "stage",
         "pins",
         "settle_s",
         "yaw_sd_deg",

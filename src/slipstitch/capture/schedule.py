@@ -59,7 +59,8 @@ class Schedule:
             viewpoint_pose(viewpoint, render),
             render.pixels,
             render.crop == "follow",
-            (simulation.frames - 1) / simulation.frame_rate_hz,
+            simulation.recorded_s,
+            StagePath(**dict(simulation.stage)),
         )
 
     @property

@@ -45,6 +45,11 @@ class AblateSettings(Section):
         default_factory=dict, description="keys of the section `instrument` that are different here"
     )
 
+    @property
+    def asked(self) -> tuple[Question, ...]:
+        """The questions by name, whether stated or all."""
+        return tuple(self.questions or QUESTIONS)
+
     @field_validator("questions", "networks")
     @classmethod
     def _named_once(cls, names: list[str] | None) -> list[str] | None:

@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass
 
 from slipstitch.catalogue import FLOORS
-from slipstitch.config.ablate import QUESTIONS
 from slipstitch.config.calibrate import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
@@ -302,7 +301,7 @@ def estimate_ablate(config: Config) -> StageEstimate:
         "initialisation": (3, 0),
         "floors": (2, 2),
     }
-    asked = [trainings[name] for name in ablate.questions or QUESTIONS]
+    asked = [trainings[name] for name in ablate.asked]
     of_kind = [sum(column) for column in zip(*asked, strict=True)]
     cpu_s = sum(
         count * cost

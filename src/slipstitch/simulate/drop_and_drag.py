@@ -105,7 +105,7 @@ def simulate_drop_and_drag(
         See :class:`DropAndDrag`.
     settings : SimulationSettings
     path : StagePath, optional
-        Motion of the clamps.
+        Motion of the clamps; that of the settings by default.
     device : str
         Warp device on which forces and stiffness are evaluated.
 
@@ -155,7 +155,7 @@ def simulate_batch(
     BadInput
         As there, for any of the runs.
     """
-    path = path or StagePath()
+    path = path or StagePath(**dict(settings.stage))
     n = settings.vertices_per_side
     mesh = rectangle(n, n, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T

@@ -69,7 +69,7 @@ def films(config: Config) -> list[Film]:
 def surrogate_simulation(config: Config) -> SimulationSettings:
     """How films are simulated: as the training data, but for what makes them unlike."""
     settings, training = config.captures, config.simulation
-    duration_s = (training.frames - 1) / training.frame_rate_hz
+    duration_s = training.recorded_s
     factor = settings.bench_variation
     return training.model_copy(
         update={
