@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from support import synthetic_videos
 
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.instrument.training import losses, training_looks
 from slipstitch.train.network import LRCN, computes_bfloat16, cross_entropy
-from slipstitch.train.settings import TrainSettings
 from slipstitch.train.training import set_up_torch
 
 FRAMES = 30

@@ -1,8 +1,8 @@
 """What each choice in the training is worth, one at a time; not part of `all`."""
 
-from slipstitch.ablate.settings import QUESTIONS
+from slipstitch.config.ablate import QUESTIONS
 
-ASKED = CONFIG.ablate.questions or QUESTIONS
+ASKED = CONFIG.ablate.asked
 
 
 wildcard_constraints:
@@ -31,7 +31,7 @@ rule ablate_one:
     params:
         settings=settings("train", "instrument", "ablate", ablate={"seeds"}),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        view_order=CONFIG.view_order,
         code=code_digest("ablate.training"),
         config=CONFIG_FILE,
     message:

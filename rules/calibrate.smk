@@ -1,6 +1,6 @@
 """Settings chosen by the pushed strip, one job a swept setting, and checked against theory."""
 
-from slipstitch.calibrate.settings import BASE, KEYS
+from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.calibrate.sweep import sweep_inputs
 
 

@@ -5,7 +5,7 @@ import os
 import sys
 
 from slipstitch.config import resolve_config, write_config
-from slipstitch.config.cost import estimate_line, job_memory_mb, job_runtime_min
+from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.provenance import code_digest, file_digest
@@ -59,4 +59,4 @@ rule grid:
     message:
         "Table of ids and seeds"
     shell:
-        "python -m slipstitch.config.grid --config {params.config} --out {output} > {log} 2>&1"
+        "slipstitch grid --config {params.config} --out {output} > {log} 2>&1"

@@ -42,7 +42,7 @@ rule convergence_run:
     message:
         "Convergence: simulate {wildcards.case}"
     shell:
-        "python -m slipstitch.convergence run --config {params.config} --calibration {input}"
+        "slipstitch convergence run --config {params.config} --calibration {input}"
         " --case {wildcards.case} --out {output} > {log} 2>&1"
 
 
@@ -72,6 +72,6 @@ rule convergence_compare:
     message:
         "Convergence: compare the runs"
     shell:
-        "python -m slipstitch.convergence compare --config {params.config}"
+        "slipstitch convergence compare --config {params.config}"
         " --calibration {input.calibration} --runs results/convergence/runs"
         " --out {output.study} --picture {output.picture} > {log} 2>&1"

@@ -32,7 +32,7 @@ rule evaluate_all:
     params:
         settings=settings("evaluate"),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        view_order=CONFIG.view_order,
         code=code_digest("evaluate"),
         config=CONFIG_FILE,
     message:

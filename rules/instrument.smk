@@ -34,7 +34,7 @@ rule instrument_one:
     params:
         settings=settings("instrument", instrument={"seeds"}),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        view_order=CONFIG.view_order,
         code=code_digest("instrument"),
         config=CONFIG_FILE,
         folder=subpath(output.weights, parent=True),

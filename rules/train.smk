@@ -1,6 +1,6 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
-from slipstitch.train.settings import NETWORKS
+from slipstitch.config.train import NETWORKS
 
 
 def material_network(wildcards):
@@ -53,7 +53,7 @@ rule train_one:
         runtime=job_runtime_min("train", CONFIG),
     params:
         settings=settings("seed", "train", train={"seeds", "splits"}),
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
+        view_order=CONFIG.view_order,
         code=code_digest("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.features import assemble
 from slipstitch.criticise.forward.spring_slider import Slider, run, steady_cycle, steady_force

@@ -20,6 +20,7 @@ from slipstitch.cloth import (
     self_contact,
 )
 from slipstitch.cloth.sheets import Work
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
@@ -29,7 +30,6 @@ from slipstitch.simulate.drop_and_drag import (
     simulate_batch,
     simulate_drop_and_drag,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 # Lowered at once to a heap, so that soft cloth comes to lie on itself.
 HEAP = SimulationSettings(vertices_per_side=9, frames=14, frame_rate_hz=4, settle_s=0.2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slipstitch import theory
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.registry import run_protocol
-from slipstitch.simulate.settings import SimulationSettings
 
 FRICTIONS = (0.1, 0.5, 1.2)
 STEPS_S = (0.005, 0.02, 0.08)

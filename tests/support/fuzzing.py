@@ -30,7 +30,9 @@ from slipstitch.capture.reference.angles import read_angles
 from slipstitch.capture.reference.estimate import estimate
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import load_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 from slipstitch.criticise.case.reader import read_case
 from slipstitch.errors import SlipstitchError
@@ -40,7 +42,6 @@ from slipstitch.instrument.measuring import (
     save_instrument,
     untrained_instrument,
 )
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.provenance import read_provenance
@@ -49,7 +50,6 @@ from slipstitch.release.chain import read_artefact
 from slipstitch.release.manifest import read_sampled
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
-from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results

@@ -7,7 +7,7 @@ from support import synthetic_videos
 
 from slipstitch.ablate import training
 from slipstitch.ablate.training import answer, lrcn_settings, stages
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar

@@ -17,7 +17,7 @@ from slipstitch.audit import currency, rebuild
 from slipstitch.audit.auditing import audit_release
 from slipstitch.audit.contents import read_contents
 from slipstitch.audit.findings import Kind
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import attach_metadata, file_digest

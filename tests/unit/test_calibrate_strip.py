@@ -13,12 +13,12 @@ from slipstitch.calibrate.calibration import (
     sweep_to_file,
 )
 from slipstitch.calibrate.picture import save_figure
-from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
 from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
 from slipstitch.calibrate.sweep import gamma_of, sweep, variations
 from slipstitch.config import resolve_config
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
-from slipstitch.simulate.settings import SimulationSettings
 
 SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 SETTINGS = CalibrateSettings(

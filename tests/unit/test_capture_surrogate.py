@@ -16,7 +16,7 @@ from slipstitch.capture.surrogate.bench import (
     true_camera,
     write_bench,
 )
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar

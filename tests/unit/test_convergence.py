@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slipstitch.config import resolve_config
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.picture import convergence_figure
 from slipstitch.convergence.study import (
@@ -18,7 +19,6 @@ from slipstitch.convergence.study import (
 from slipstitch.errors import BadInput
 from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
 CONFIG = resolve_config(

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from slipstitch.command import main
-from slipstitch.doctor import checks, command
+from slipstitch.cli import doctor
+from slipstitch.cli.main import main
+from slipstitch.doctor import checks
 from slipstitch.doctor.checks import Finding, State
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +23,7 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
 
 def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
     finding = Finding("Blender", State.MISSING, "import bpy: no such module", "make setup")
-    monkeypatch.setattr(command, "examine", lambda: [finding])
+    monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert main(["doctor"]) == 1
     shown = capsys.readouterr().out
     assert "MISSING Blender" in shown
@@ -30,7 +31,7 @@ def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
 
 
 def test_something_worth_a_note_is_no_failure(monkeypatch):
-    monkeypatch.setattr(command, "examine", lambda: [Finding("GPU", State.NOTE, "none")])
+    monkeypatch.setattr(doctor, "examine", lambda: [Finding("GPU", State.NOTE, "none")])
     assert main(["doctor"]) == 0
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import yaml
 
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
-from slipstitch.simulate.settings import SimulationSettings
 
 MODEL = {
     "causes": ["adhesion", "tilt"],

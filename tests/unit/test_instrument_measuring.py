@@ -9,12 +9,12 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
 from slipstitch.instrument.measuring import CARD, WEIGHTS, save_instrument, untrained_instrument
 from slipstitch.instrument.network import shifted_in_time
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.train.model_file import write_weights
 
 SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)

@@ -10,14 +10,14 @@ import pytest
 import torch
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument import training as training_module
 from slipstitch.instrument.augmentation import disordered, phased
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.instrument.training import (
     chance_score,
     losses,

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from support import synthetic_chain
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import attach_metadata, read_metadata
 from slipstitch.release import assembly

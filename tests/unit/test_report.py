@@ -15,7 +15,8 @@ import pytest
 from PIL import Image
 from support import synthetic_results
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
 from slipstitch.evaluate.wording import percent
@@ -32,7 +33,6 @@ from slipstitch.report.page import (
 )
 from slipstitch.report.results import Results
 from slipstitch.report.wording import duration, evenly
-from slipstitch.simulate.settings import SimulationSettings
 
 CONFIG = synthetic_results.config()
 NOW = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)

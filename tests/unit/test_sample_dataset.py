@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance

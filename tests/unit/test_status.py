@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import Config, write_config
-from slipstitch.config.cost import JOB_KINDS, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, job_cpu_s
 from slipstitch.report.page import page_context, render_page
 from slipstitch.report.results import Results
 from slipstitch.status.journal import Journal, process_identity

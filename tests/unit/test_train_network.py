@@ -7,6 +7,7 @@ import pytest
 import torch
 from support import synthetic_videos
 
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.train.network import (
     LRCN,
@@ -15,7 +16,6 @@ from slipstitch.train.network import (
     cross_entropy,
     probabilities,
 )
-from slipstitch.train.settings import TrainSettings
 
 synthetic = synthetic_videos
 torch.set_num_threads(1)  # threads that wait for one another: 20 times slower on a busy machine

@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import attach_metadata, read_sidecar
 from slipstitch.sample.dataset import dataset_digest, write_dataset
 from slipstitch.train.model_file import load_model
-from slipstitch.train.settings import TrainSettings
 from slipstitch.train.training import (
     DivergedError,
     PlateauError,

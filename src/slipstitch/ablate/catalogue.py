@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slipstitch.ablate.settings import AblateSettings
+from slipstitch.config.ablate import AblateSettings
 from slipstitch.errors import BadInput
 from slipstitch.train.videos import takes_part
 

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from slipstitch.ablate.catalogue import Plan, Variant, plan
-from slipstitch.ablate.settings import QUESTIONS
 from slipstitch.config import Config
+from slipstitch.config.ablate import QUESTIONS
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.instrument.measuring import load_instrument
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import (
     atomic_path,
@@ -31,7 +32,6 @@ from slipstitch.provenance import (
 from slipstitch.sample.dataset import MANIFEST
 from slipstitch.train.model_file import WEIGHTS as LRCN_WEIGHTS
 from slipstitch.train.model_file import TrainedModel, load_model
-from slipstitch.train.settings import TrainSettings
 from slipstitch.train.training import (
     FINE_TUNING,
     DivergedError,
@@ -126,7 +126,7 @@ def answer(
     if question not in QUESTIONS:
         raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
-    viewpoints = list(config.train.view_order or config.render.viewpoints)
+    viewpoints = config.view_order
     empty = {"question": question, "seed": seed, "asks": None, "left_out": None}
     empty |= {"dataset_digest": digest, "variants": [], "predictions": []}
     try:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from slipstitch.calibrate.picture import FAINT, MEASURED, THEORY
-from slipstitch.calibrate.settings import BASE, KEYS
+from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.theory import strip_state, strip_state_at_foot_angle
 
 LENGTH_M = 0.20

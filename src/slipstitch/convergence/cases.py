@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from slipstitch.config import Config
 from slipstitch.config.grid import material_id
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.config.simulation import SimulationSettings
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
         vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
         the stage; the moment when that is fastest.
     """
-    path = path or StagePath()
+    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
     edge = run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - edge[:, 2])}

@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
+from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
 from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_shares
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument import load_instrument
 from slipstitch.provenance import (
     atomic_path,

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import (
     alarm_rates,
@@ -29,7 +31,6 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import (
     atomic_path,
@@ -39,7 +40,6 @@ from slipstitch.provenance import (
     write_sidecar,
 )
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 from slipstitch.train.training import (
     check_material_model,
     labels_of,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.metrics import (
     constant_error,
@@ -15,7 +16,6 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import covered

@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
@@ -21,7 +22,6 @@ from slipstitch.instrument.distribution import (
     tempered,
 )
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.train.model_file import read_weights, write_weights
 
 FORMAT = "slipstitch-instrument-1"

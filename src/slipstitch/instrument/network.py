@@ -11,9 +11,9 @@ frame before, an eighth from the frame after. It costs nothing and lets convolut
 import torch
 from torch import Tensor, nn
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.distribution import friction_grid
-from slipstitch.instrument.settings import InstrumentSettings
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
 

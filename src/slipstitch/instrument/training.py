@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import SPLITS
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
 from slipstitch.instrument.calibration import calibrated
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.provenance import (
     code_digest,
     provenance_record,
@@ -28,7 +29,6 @@ from slipstitch.provenance import (
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.curves import curve
 from slipstitch.train.network import computes_bfloat16
-from slipstitch.train.settings import SPLITS
 from slipstitch.train.training import (
     HISTORY,
     DivergedError,

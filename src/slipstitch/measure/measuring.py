@@ -13,6 +13,7 @@ from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Measurement, load_instrument
+from slipstitch.protocol.stage import StagePath
 from slipstitch.render.camera_file import read_camera_file
 from slipstitch.sample.frames import sampled_frames
 
@@ -36,6 +37,8 @@ class MeasuredVideo:
         What identifies the instrument: the digest of its weights, if its card has one.
     config_path : path
         The configuration that told which frames to take.
+    stage_path : StagePath
+        As that configuration has it.
     """
 
     name: str
@@ -44,6 +47,7 @@ class MeasuredVideo:
     uncertainty: float
     instrument: str
     config_path: Path
+    stage_path: StagePath
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -141,6 +145,7 @@ def measure_video(
         _half_width(grid, probability),
         str(instrument.card.get("weights_sha256") or "unknown"),
         config_path,
+        schedule.path,
     )
 
 

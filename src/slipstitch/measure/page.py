@@ -9,7 +9,6 @@ import numpy as np
 
 from slipstitch import __version__
 from slipstitch.measure.measuring import MeasuredVideo
-from slipstitch.protocol.stage import StagePath
 from slipstitch.render.encoding import encode_png
 
 _SIDE = 112  # pixels of a frame on the page
@@ -98,7 +97,7 @@ def _distribution(result: MeasuredVideo) -> dict:
 
 def _timeline(result: MeasuredVideo, weights: np.ndarray) -> dict:
     """The stage's path over time, and a disc a frame as large as its weight."""
-    path, video = StagePath(), result.video
+    path, video = result.stage_path, result.video
     end_s = float(video.time_s[-1]) or 1.0
 
     def across(time_s):

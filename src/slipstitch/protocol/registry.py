@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.cantilever import cantilever
 from slipstitch.protocol.capstan import capstan
@@ -16,7 +17,6 @@ from slipstitch.protocol.landed_strip import landed_strip
 from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
-from slipstitch.simulate.settings import SimulationSettings
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ PACKAGE = "slipstitch"
 # These decide which values reach a stage or write down what happened; the values themselves are
 # compared as parameters of the rules, so editing them shall not throw away simulations.
 NOT_PART_OF_A_RESULT = (
-    "slipstitch.command",
+    "slipstitch.cli",
     "slipstitch.__main__",
     "slipstitch.config",
     "slipstitch.doctor",

@@ -13,6 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import yaml
 
+from slipstitch.catalogue import FLOORS
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
@@ -35,7 +36,6 @@ from slipstitch.release.manifest import MANIFEST, read_sampled, released_rows, w
 from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
 from slipstitch.release.splits import parts, parts_of_splits, split_columns
-from slipstitch.render.catalogue import FLOORS
 
 CONFIG = f"{RECORDS}/config.json"
 GRID = f"{RECORDS}/grid.parquet"

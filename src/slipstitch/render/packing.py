@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
     file_digest,
@@ -22,7 +23,6 @@ from slipstitch.provenance import (
     read_metadata,
     start_clock,
 )
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
     Shot,

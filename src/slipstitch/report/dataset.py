@@ -21,7 +21,7 @@ def dataset(results: Results) -> dict[str, Any] | None:
     by_name = {row["video"]: row for row in rows}
     grid = [one for one in simulations(config) if one.replicate_id == "r00"]
     frames = config.sample.frames
-    recorded_s = (config.simulation.frames - 1) / config.simulation.frame_rate_hz
+    recorded_s = config.simulation.recorded_s
     mid_stroke = [min(frames - 1, round(MID_STROKE_S / recorded_s * (frames - 1)))]
     view = viewpoints(config)[0]
     texture = textures(config)[0]

@@ -130,7 +130,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     benchmarks = results.benchmarks()
     histories = results.histories()
     step = closest_frictions(frictions)
-    calibrated = (config.train.view_order or config.render.viewpoints)[0]
+    calibrated = config.calibrated_view
     captures = captures_section(results, metrics, details, predictions)
     record = provenance_record("report")
     return {

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock, write_parquet
-from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of

@@ -18,6 +18,7 @@ from slipstitch.cloth import (
     run_together,
 )
 from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
@@ -25,7 +26,6 @@ from slipstitch.progress import progress
 from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
 from slipstitch.protocol.stage import SIDE_M, TAB_M, StagePath
 from slipstitch.simulate.convergence import measured_convergence
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
 
@@ -105,7 +105,7 @@ def simulate_drop_and_drag(
         See :class:`DropAndDrag`.
     settings : SimulationSettings
     path : StagePath, optional
-        Motion of the clamps.
+        Motion of the clamps; that of the settings by default.
     device : str
         Warp device on which forces and stiffness are evaluated.
 
@@ -155,7 +155,7 @@ def simulate_batch(
     BadInput
         As there, for any of the runs.
     """
-    path = path or StagePath()
+    path = path or StagePath(**dict(settings.stage))
     n = settings.vertices_per_side
     mesh = rectangle(n, n, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T

@@ -11,7 +11,7 @@ from statistics import median
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.config.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
 from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
 

@@ -11,10 +11,10 @@ from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest
 from slipstitch.train.network import LRCN
-from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 
 FORMAT = "slipstitch-lrcn-1"
 WEIGHTS = "model.safetensors"

@@ -12,9 +12,9 @@ import math
 import torch
 from torch import Tensor, nn
 
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.train.convolution import Convolution
-from slipstitch.train.settings import TrainSettings
 
 
 def scaled(size: int, width: float) -> int:

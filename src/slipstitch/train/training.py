@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import (
     atomic_path,
@@ -34,7 +35,6 @@ from slipstitch.train.network import (
     cross_entropy,
     probabilities,
 )
-from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 from slipstitch.train.videos import Videos, read_videos, takes_part
 
 HISTORY = "history.csv"

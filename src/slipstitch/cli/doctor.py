@@ -1,9 +1,7 @@
-"""``slipstitch doctor``."""
+"""slipstitch doctor: on the standard library alone, as packages may be missing."""
 
 import argparse
 
-from slipstitch.config import load_config
-from slipstitch.config.cost import estimate_table
 from slipstitch.doctor.checks import State, examine
 
 SUMMARY = "what is installed, what is missing and how to get it; what a scale costs"
@@ -24,6 +22,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the findings; 1 if something needed is missing."""
     if arguments.estimate:
+        from slipstitch.config import load_config
+        from slipstitch.doctor.cost import estimate_table
+
         print(estimate_table(load_config(*arguments.estimate)))
         return 0
     findings = examine()

@@ -12,7 +12,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.options import add_config
+    from slipstitch.cli.options import add_config
 
     add_config(parser)
     parser.add_argument("--out-dir", required=True, help="folder of the dataset")

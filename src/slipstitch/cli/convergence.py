@@ -1,4 +1,4 @@
-"""The convergence study: ``python -m slipstitch.convergence run | compare | publish``.
+"""slipstitch convergence: the study of time step and mesh, ``run | compare | publish``.
 
 ``run`` simulates one case, ``compare`` compares them all, ``publish`` puts a finished study where
 it is kept, and its summary where simulations look it up for their own record.
@@ -11,9 +11,11 @@ import json
 import sys
 from pathlib import Path
 
-from slipstitch.threads import use_one_thread
-
-use_one_thread()
+SUMMARY = "simulate cases of the convergence study, compare them, publish the comparison"
+EXAMPLE = (
+    "slipstitch convergence run --config config.yaml --case m05_f01_n41_h1 "
+    "--out results/convergence/runs/m05_f01_n41_h1.parquet"
+)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -124,12 +126,9 @@ def _config(arguments: argparse.Namespace):
     return resolve_config(*mappings, sources=tuple(sources))
 
 
-def main() -> int:
-    """Run one case, compare those that were run, or publish the comparison."""
-    from slipstitch.errors import BadInput, SlipstitchError
-
-    parser = argparse.ArgumentParser(prog="python -m slipstitch.convergence", description=__doc__)
-    verbs = parser.add_subparsers(required=True)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare what can be done, each with its own options."""
+    verbs = parser.add_subparsers(metavar="WHAT", required=True)
     run, compare = verbs.add_parser("run"), verbs.add_parser("compare")
     for one, action in ((run, _run), (compare, _compare)):
         one.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
@@ -144,17 +143,8 @@ def main() -> int:
     compare.add_argument("--runs", required=True, help="folder of the cases' files")
     compare.add_argument("--out", required=True, help="JSON file")
     compare.add_argument("--picture", help="PNG file")
-    arguments = parser.parse_args()
-    try:
-        arguments.action(arguments)
-    except BadInput as error:
-        print(f"convergence: error: {error}", file=sys.stderr)
-        return 2
-    except SlipstitchError as error:
-        print(f"convergence: error: {error}", file=sys.stderr)
-        return 1
-    return 0
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def run(arguments: argparse.Namespace) -> None:
+    """Run one case, compare those that were run, or publish the comparison."""
+    arguments.action(arguments)

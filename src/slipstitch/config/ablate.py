@@ -2,10 +2,11 @@
 
 from typing import Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 
-from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.train.settings import TrainSettings
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.section import Section, Seeds
+from slipstitch.config.train import TrainSettings
 
 Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
 QUESTIONS: tuple[Question, ...] = get_args(Question)
@@ -14,15 +15,13 @@ _OWN_TRAIN = ("seeds", "splits", "view_order", "epochs_per_cycle", "plateau_epoc
 _OWN_INSTRUMENT = ("seeds", "epochs")
 
 
-class AblateSettings(BaseModel):
+class AblateSettings(Section):
     """Which questions are asked, of which networks, at what budget."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     questions: list[Question] | None = Field(
         None, min_length=1, description="null: all that the dataset can answer"
     )
-    seeds: list[int] = Field([0, 1, 2], min_length=1, description="one training of every variant")
+    seeds: Seeds = Field([0, 1, 2], description="one training of every variant")
     networks: list[Literal["lrcn", "instrument"]] = Field(
         ["lrcn", "instrument"],
         min_length=1,
@@ -46,12 +45,10 @@ class AblateSettings(BaseModel):
         default_factory=dict, description="keys of the section `instrument` that are different here"
     )
 
-    @field_validator("seeds")
-    @classmethod
-    def _seeds_differ(cls, seeds: list[int]) -> list[int]:
-        if len(set(seeds)) != len(seeds) or min(seeds) < 0:
-            raise ValueError("seeds must be different and not negative")
-        return seeds
+    @property
+    def asked(self) -> tuple[Question, ...]:
+        """The questions by name, whether stated or all."""
+        return tuple(self.questions or QUESTIONS)
 
     @field_validator("questions", "networks")
     @classmethod

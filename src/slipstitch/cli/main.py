@@ -1,7 +1,9 @@
-"""The command line: ``slipstitch VERB ...``; each verb lives in ``slipstitch.<verb>.command``.
+"""The command line: ``slipstitch VERB ...``; each verb is a module beside this one.
 
 A verb's module is imported only when that verb runs: ``slipstitch --help`` stays fast and works
 although bpy or torch may be missing. The summaries are read from the sources, not by importing.
+A verb has ``SUMMARY``, ``EXAMPLE``, ``configure(parser)`` and ``run(arguments)``, which may return
+an exit code.
 """
 
 import argparse
@@ -18,8 +20,8 @@ from slipstitch import __version__
 from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
 from slipstitch.threads import use_one_thread
 
-# The order in which the verbs are shown; one that is not listed comes last, by name.
-ORDER = (
+# In the order in which they are shown: that of the chain.
+VERBS = (
     "doctor",
     "calibrate",
     "simulate",
@@ -39,7 +41,8 @@ ORDER = (
     "predict",
     "protocol",
 )
-
+# What only the workflow and the Makefile call; not shown.
+WORKFLOW_VERBS = ("grid", "convergence", "schema")
 
 # Bytes; libraries of Blender, Warp and PyTorch take most of it, used or not.
 LEAST_ADDRESS_SPACE = 2 * 2**30
@@ -52,15 +55,9 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
-def verbs() -> list[str]:
-    """Names of the verbs that exist, in the order of the chain."""
-    found = {path.parent.name for path in Path(__file__).parent.glob("*/command.py")}
-    return sorted(found, key=lambda verb: (ORDER.index(verb) if verb in ORDER else 99, verb))
-
-
 def summary(verb: str) -> str:
     """The verb's ``SUMMARY``, read from its source without importing it."""
-    source = (Path(__file__).parent / verb / "command.py").read_text(encoding="utf-8")
+    source = Path(__file__).with_name(f"{verb}.py").read_text(encoding="utf-8")
     for node in ast.parse(source).body:
         if isinstance(node, ast.Assign) and any(
             isinstance(target, ast.Name) and target.id == "SUMMARY" for target in node.targets
@@ -70,9 +67,8 @@ def summary(verb: str) -> str:
 
 
 def _overview() -> str:
-    known = verbs()
-    width = max(map(len, known), default=0)
-    lines = [f"  {verb:<{width}}  {summary(verb)}" for verb in known]
+    width = max(map(len, VERBS))
+    lines = [f"  {verb:<{width}}  {summary(verb)}" for verb in VERBS]
     return "\n".join(
         [
             "usage: slipstitch VERB [options]",
@@ -145,14 +141,14 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"slipstitch {__version__}")
         return 0
     verb = words[0]
-    if verb not in verbs():
-        close = difflib.get_close_matches(verb, verbs(), n=1)
-        hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(verbs())}"
+    if verb not in VERBS + WORKFLOW_VERBS:
+        close = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(VERBS)}"
         print(f"slipstitch: error: there is no verb {verb!r}; {hint}", file=sys.stderr)
         return 2
     use_one_thread()
     try:
-        module = importlib.import_module(f"slipstitch.{verb}.command")
+        module = importlib.import_module(f"slipstitch.cli.{verb}")
         parsed = _parser(verb, module).parse_args(words[1:])
         _refuse_tight_memory()
         status = module.run(parsed)

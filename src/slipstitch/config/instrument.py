@@ -2,15 +2,15 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
+
+from slipstitch.config.section import Section, Seeds
 
 
-class InstrumentSettings(BaseModel):
+class InstrumentSettings(Section):
     """The measuring network, its training and its error bars."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    seeds: list[int] = Field([0], min_length=1, description="one instrument a seed")
+    seeds: Seeds = Field([0], description="one instrument a seed")
     pixels: int | None = Field(
         None, ge=32, le=512, description="side of the input image; null: as rendered"
     )
@@ -69,9 +69,3 @@ class InstrumentSettings(BaseModel):
     )
     coverage: float = Field(0.9, gt=0.5, lt=1, description="of the intervals")
     false_alarms: float = Field(0.05, gt=0, lt=0.5, description="share of good videos with alarm")
-
-    @model_validator(mode="after")
-    def _seeds_differ(self) -> "InstrumentSettings":
-        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError("seeds must be different and not negative")
-        return self

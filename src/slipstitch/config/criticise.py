@@ -3,13 +3,13 @@
 import re
 from pathlib import PurePath
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
+
+from slipstitch.config.section import Section
 
 
-class CriticiseSettings(BaseModel):
+class CriticiseSettings(Section):
     """Which measured cases are judged."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     cases: tuple[str, ...] = Field(
         ("data/cases/surrogate_anisotropic",),

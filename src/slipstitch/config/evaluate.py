@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from slipstitch.config.section import Section
 
 
-class EvaluateSettings(BaseModel):
+class EvaluateSettings(Section):
     """What the tables count."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     viewpoints: Literal["training", "calibrated"] = Field(
         "training",

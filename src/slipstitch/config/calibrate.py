@@ -2,7 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from slipstitch.config.section import Section
 
 # What is swept: settings of the section ``simulation``, and the vertices along the strip; and the
 # name of the configured settings themselves.
@@ -18,7 +20,7 @@ StripDamping = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 Friction = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 
 
-class CalibrateSettings(BaseModel):
+class CalibrateSettings(Section):
     """Which settings are tried, which known answers must come out, and how closely.
 
     The strip experiment is run with the settings of the section ``simulation`` and with one of them
@@ -26,8 +28,6 @@ class CalibrateSettings(BaseModel):
     ``simulation`` says. With them the other experiments are checked; an empty list of friction
     coefficients leaves its experiment out.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     strip_slip_strain: float = Field(
         6e-3, gt=0.0, lt=1.0, description="pushed strip: largest error of the strain at slip"

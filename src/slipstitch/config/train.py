@@ -6,18 +6,18 @@ defaults are argued in docs/learning.md.
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from slipstitch.config.section import Section, Seeds
 
 NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
 SPLITS = ("by_video", "by_simulation")
 
 
-class TrainSettings(BaseModel):
+class TrainSettings(Section):
     """The paper's recurrent convolutional network and its training."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    seeds: list[int] = Field([0], min_length=1, description="one training of every network a seed")
+    seeds: Seeds = Field([0], description="one training of every network a seed")
     splits: list[Literal["by_video", "by_simulation"]] = Field(
         list(SPLITS), min_length=1, description="the paper's split, and whole simulations held out"
     )
@@ -103,8 +103,6 @@ class TrainSettings(BaseModel):
             )
         if min(self.channels) < 1 or min(self.convolutions) < 1:
             raise ValueError("channels and convolutions must be positive")
-        if len(set(self.seeds)) != len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError("seeds must be different and not negative")
         if self.view_order is not None and len(set(self.view_order)) != len(self.view_order):
             raise ValueError("view_order names a viewpoint twice")
         return self

@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from slipstitch.config.section import Section
 
 
-class SampleSettings(BaseModel):
+class SampleSettings(Section):
     """How many frames of a video the networks see, and which videos test them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
     phases: int = Field(

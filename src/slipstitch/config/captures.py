@@ -1,27 +1,18 @@
 """Settings of the captures: real ones, or surrogates. Pydantic and the standard library only."""
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from slipstitch.material import fabric_names
-from slipstitch.render.catalogue import FLOORS, TEXTURES
+from slipstitch.catalogue import FLOORS, TEXTURES
+from slipstitch.config.section import Fabric, Section
 
 
-class PairSettings(BaseModel):
+class PairSettings(Section):
     """One pair of fabric and substrate that stands for a real one."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    material: str = Field(description="a fabric of the catalogue")
+    material: Fabric = Field(description="a fabric of the catalogue")
     substrate: str = Field(description="a floor of the catalogue")
     friction: float = Field(gt=0, le=3, description="the pair's own, off the grid of training")
     texture: str = Field("chevron", description="what the fabric wears")
-
-    @field_validator("material")
-    @classmethod
-    def _fabric_exists(cls, name: str) -> str:
-        if name not in fabric_names():
-            raise ValueError(f"no material {name!r}; there are: {', '.join(fabric_names())}")
-        return name
 
     @field_validator("substrate")
     @classmethod
@@ -47,10 +38,8 @@ _PAIRS = [
 ]
 
 
-class CaptureSettings(BaseModel):
+class CaptureSettings(Section):
     """Which captures the target `captures` ingests, and how surrogates are made."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     table: str | None = Field(
         None, description="captures table of a real bench; null: surrogates are made"

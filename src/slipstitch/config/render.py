@@ -2,21 +2,20 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from slipstitch.render.catalogue import (
+from slipstitch.catalogue import (
     FLOORS,
     TEST_ONLY_TEXTURES,
     TEXTURES,
     VIEWPOINTS,
     is_texture_file,
 )
+from slipstitch.config.section import Section
 
 
-class AugmentationSettings(BaseModel):
+class AugmentationSettings(Section):
     """How far images differ from one another in what no network should read: all 0 means not."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     lamp_m: float = Field(
         0.0,
@@ -48,10 +47,8 @@ class AugmentationSettings(BaseModel):
     )
 
 
-class RenderSettings(BaseModel):
+class RenderSettings(Section):
     """What is rendered of each simulation, and how."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     pixels: int = Field(64, ge=16, le=1024, description="side of the square images")
     samples: int = Field(

@@ -12,8 +12,8 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.options import add_config, add_threads
-    from slipstitch.train.settings import NETWORKS, SPLITS
+    from slipstitch.cli.options import add_config, add_threads
+    from slipstitch.config.train import NETWORKS, SPLITS
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        view_order=list(config.train.view_order or config.render.viewpoints),
+        view_order=config.view_order,
         material_model=arguments.material_model,
         expected_classes={
             "material": sorted(config.grid.materials, key=fabric_names().index),

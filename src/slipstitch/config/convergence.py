@@ -2,23 +2,20 @@
 
 import math
 from itertools import pairwise
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
+from slipstitch.config.section import Fabrics, Friction, Section
 
 
-class ConvergenceSettings(BaseModel):
+class ConvergenceSettings(Section):
     """Which runs of drop-and-drag are compared, and what counts as converged.
 
     At the first mesh the time step of the section ``simulation`` is halved; at that time step the
     meshes are refined. Everything else is as in ``simulation``.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    materials: tuple[str, ...] = Field(
+    materials: Fabrics = Field(
         ("gray-interlock", "navy-sparkle-sweat", "royal-target"),
         min_length=1,
         description="fabrics of the catalogue: a soft, a middle and a stiff one",

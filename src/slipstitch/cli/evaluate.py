@@ -12,7 +12,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.options import add_config, add_threads
+    from slipstitch.cli.options import add_config, add_threads
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> None:
         frames=config.sample.frames,
         instruments_folder=arguments.instruments,
         instrument_seeds=config.instrument.seeds,
-        calibrated=(config.train.view_order or config.render.viewpoints)[0],
+        calibrated=config.calibrated_view,
         threads=arguments.threads,
     )
     print(f"{'split':<16} {'model':<17} {'n':>5} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end="")

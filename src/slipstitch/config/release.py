@@ -1,12 +1,12 @@
 """Settings of the release stage. Pydantic and the standard library only."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from slipstitch.config.section import Section
 
 
-class ReleaseSettings(BaseModel):
+class ReleaseSettings(Section):
     """Name and layout of a released dataset."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(
         "slipstitch-cloth-friction",

@@ -30,8 +30,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Sweep, choose and check; print one line a setting and a check."""
     from slipstitch.calibrate.calibration import calibrate_to_file, sweep_to_file
-    from slipstitch.calibrate.settings import BASE, KEYS
     from slipstitch.config import load_config
+    from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.errors import BadInput
 
     config = load_config(*arguments.config)

@@ -6,12 +6,11 @@ The table `COSTS` is the only place with measured numbers; the rest scales them.
 import math
 from dataclasses import dataclass
 
-from slipstitch.ablate.settings import QUESTIONS
-from slipstitch.calibrate.settings import KEYS
+from slipstitch.catalogue import FLOORS
+from slipstitch.config.calibrate import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
-from slipstitch.render.catalogue import FLOORS
-from slipstitch.train.settings import NETWORKS
+from slipstitch.config.train import NETWORKS
 
 
 @dataclass(frozen=True)
@@ -302,7 +301,7 @@ def estimate_ablate(config: Config) -> StageEstimate:
         "initialisation": (3, 0),
         "floors": (2, 2),
     }
-    asked = [trainings[name] for name in ablate.questions or QUESTIONS]
+    asked = [trainings[name] for name in ablate.asked]
     of_kind = [sum(column) for column in zip(*asked, strict=True)]
     cpu_s = sum(
         count * cost

@@ -11,8 +11,8 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.options import add_config, add_threads
-    from slipstitch.train.settings import SPLITS
+    from slipstitch.cli.options import add_config, add_threads
+    from slipstitch.config.train import SPLITS
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        viewpoint=(config.train.view_order or config.render.viewpoints)[0],
+        viewpoint=config.calibrated_view,
         threads=arguments.threads,
     )
     bars = card["error_bars"]

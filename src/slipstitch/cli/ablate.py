@@ -13,8 +13,8 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.ablate.settings import QUESTIONS
-    from slipstitch.options import add_config, add_threads
+    from slipstitch.cli.options import add_config, add_threads
+    from slipstitch.config.ablate import QUESTIONS
 
     add_config(parser)
     parser.add_argument("--out", required=True, help="the answer, or the summary (JSON)")

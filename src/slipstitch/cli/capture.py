@@ -2,7 +2,6 @@
 
 import argparse
 import importlib
-from pathlib import Path
 
 SUMMARY = "bring in what is measured on a real bench: camera, films, reference friction"
 EXAMPLE = (
@@ -11,15 +10,14 @@ EXAMPLE = (
 )
 
 
-def _kinds() -> list[str]:
-    return sorted(path.parent.name for path in Path(__file__).parent.glob("*/command.py"))
+KINDS = ("camera", "ingest", "reference", "surrogate")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare what can be captured, each with its own options."""
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
-    for name in _kinds():
-        module = importlib.import_module(f"slipstitch.capture.{name}.command")
+    for name in KINDS:
+        module = _module(name)
         one = kinds.add_parser(
             name,
             help=module.SUMMARY,
@@ -32,4 +30,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Run the one that was asked for."""
-    importlib.import_module(f"slipstitch.capture.{arguments.kind}.command").run(arguments)
+    _module(arguments.kind).run(arguments)
+
+
+def _module(kind: str):
+    return importlib.import_module(f"slipstitch.cli.capture_{kind}")

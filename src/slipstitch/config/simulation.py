@@ -2,13 +2,34 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field, model_validator
+
+from slipstitch.config.section import Section
 
 
-class SimulationSettings(BaseModel):
+class StageSettings(Section):
+    """How the stage carries the clamps: down, then forth and back (the paper, Sec. 4.1)."""
+
+    start_height_m: float = Field(
+        0.21, gt=0, le=10, description="height of the clamps above the floor at the start"
+    )
+    drop_m: float = Field(0.06, ge=0, le=10, description="distance lowered")
+    stroke_m: float = Field(0.30, gt=0, le=10, description="length of a stroke along the floor")
+    strokes: int = Field(4, ge=0, le=100, description="forth, back, forth, back")
+    speed_m_s: float = Field(0.010, gt=0, le=1, description="largest speed")
+    acceleration_m_s2: float = Field(
+        0.010, gt=0, le=10, description="with which it speeds up and slows down"
+    )
+
+    @model_validator(mode="after")
+    def _stays_above_the_floor(self) -> "StageSettings":
+        if self.drop_m >= self.start_height_m:
+            raise ValueError("drop_m must be less than start_height_m: the clamps hit the floor")
+        return self
+
+
+class SimulationSettings(Section):
     """How one drop-and-drag run is simulated."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     vertices_per_side: int = Field(
         41, ge=5, le=401, description="vertices along a side of the 20 cm square"
@@ -27,6 +48,7 @@ class SimulationSettings(BaseModel):
     )
     frames: int = Field(300, ge=1, le=100_000, description="recorded frames, the first at 0 s")
     frame_rate_hz: float = Field(2.4, gt=0, le=1000, description="frame k is at k / this rate")
+    stage: StageSettings = Field(default_factory=StageSettings)
     friction_tolerance: float = Field(
         5.0e-4,
         gt=0,
@@ -85,11 +107,14 @@ class SimulationSettings(BaseModel):
         "to which side the hanging cloth sags",
     )
 
+    @property
+    def recorded_s(self) -> float:
+        """Time of the last recorded frame, from the start of the stage."""
+        return (self.frames - 1) / self.frame_rate_hz
 
-class ComputeSettings(BaseModel):
+
+class ComputeSettings(Section):
     """Where simulations run, and how many at once: to rounding, they are the same."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     device: str = Field(
         "cpu",

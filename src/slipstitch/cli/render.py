@@ -182,8 +182,8 @@ def _render(arguments: argparse.Namespace) -> None:
 
 def _viewpoint(settings, given: str) -> tuple[str, str]:
     """Id and name of a viewpoint that is given by either."""
+    from slipstitch.catalogue import VIEWPOINTS
     from slipstitch.errors import BadInput
-    from slipstitch.render.catalogue import VIEWPOINTS
 
     ids = settings.viewpoint_ids()
     name = ids.get(given, given)

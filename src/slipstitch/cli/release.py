@@ -11,7 +11,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.options import add_config
+    from slipstitch.cli.options import add_config
 
     add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
