@@ -49,7 +49,7 @@ def simulate(material, friction, window_s, start_height_m=None, **settings):
 
 
 def _simulate(material, friction, window_s, start_height_m, changes):
-    from slipstitch.protocol.stage import StagePath
+    from slipstitch.bench.stage_path import StagePath
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
     from slipstitch.simulate.settings import SimulationSettings
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipstitch.protocol.stage import StagePath
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
 from slipstitch.simulate.settings import SimulationSettings
 

@@ -23,6 +23,8 @@ import torch
 import yaml
 
 from slipstitch.audit.auditing import audit_release
+from slipstitch.bench.extended_model import read_extended_model
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.calibrate.calibration import read_sweeps
 from slipstitch.capture.camera import views
 from slipstitch.capture.ingest.captures_table import read_captures, read_references
@@ -42,7 +44,6 @@ from slipstitch.instrument.measuring import (
 )
 from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.predict.predictive import read_verdict
-from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
 from slipstitch.release.chain import read_artefact
@@ -53,7 +54,6 @@ from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import read_shard
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import status

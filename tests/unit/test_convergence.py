@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import resolve_config
 from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.picture import convergence_figure
@@ -16,7 +17,6 @@ from slipstitch.convergence.study import (
     events,
 )
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory

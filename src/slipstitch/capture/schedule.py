@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipstitch.protocol.stage import SIDE_M, StagePath
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose
 from slipstitch.render.catalogue import Viewpoint
 from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shots import viewpoint_pose
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.settings import SampleSettings
 from slipstitch.simulate.settings import SimulationSettings
 

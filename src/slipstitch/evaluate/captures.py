@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
@@ -25,7 +26,6 @@ from slipstitch.provenance import (
     write_sidecar,
 )
 from slipstitch.sample.dataset import MANIFEST
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.train.training import set_up_torch
 from slipstitch.train.videos import Videos, read_videos
 

@@ -8,8 +8,8 @@ import jinja2
 import numpy as np
 
 from slipstitch import __version__
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.measure.measuring import MeasuredVideo
-from slipstitch.protocol.stage import StagePath
 from slipstitch.render.encoding import encode_png
 
 _SIDE = 112  # pixels of a frame on the page

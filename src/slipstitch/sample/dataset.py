@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
@@ -18,7 +19,6 @@ from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock, write_parquet
 from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.surroundings import MATTE
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of
 from slipstitch.sample.splits import (
     check_no_simulation_on_both_sides,

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
     read_metadata,
     read_parquet,
 )
 from slipstitch.sample.dataset import MANIFEST, MANIFEST_SCHEMA, dataset_digest, pixels_digest
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.shards import decode
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
