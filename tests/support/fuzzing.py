@@ -47,20 +47,20 @@ from slipstitch.predict.predictive import read_verdict
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
 from slipstitch.release.chain import read_artefact
-from slipstitch.release.manifest import read_sampled
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
 from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results
+from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import read_shard
+from slipstitch.sample.videos import read_videos
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import status
 from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.model_file import load_model, save_model
 from slipstitch.train.network import LRCN
-from slipstitch.train.videos import read_videos
 from support import analytic_stage, synthetic_chain, synthetic_results
 
 TIME_LIMIT_S = 10.0
@@ -207,7 +207,7 @@ def _tables(add, config, results: Path) -> None:
     add("record of a trajectory", trajectory, lambda: record_if_any(trajectory))
     add("image shard", shard, lambda: read_shard(shard, frames))
     add("shard for previews", shard, lambda: decoded(read_images(shard)))
-    add("manifest", sample / "manifest.parquet", lambda: read_sampled(sample / "manifest.parquet"))
+    add("manifest", sample / "manifest.parquet", lambda: read_manifest(sample))
     add("dataset", sorted(sample.glob("m0*.parquet"))[0], lambda: read_videos(sample))
     add("manifest for training", sample / "manifest.parquet", lambda: read_videos(sample))
     calibration = results / "calibrate/calibration.json"

@@ -32,7 +32,8 @@ from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import config_changes, current_digest
 from slipstitch.release.manifest import MANIFEST, sampled_rows
 from slipstitch.release.splits import PREFIX, parts, split_columns
-from slipstitch.sample.dataset import dataset_digest, manifest_sides
+from slipstitch.sample.dataset import manifest_sides
+from slipstitch.sample.manifest import dataset_digest
 
 _STAGE_TOLERANCE_M = 1e-9
 

@@ -25,9 +25,9 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
-from slipstitch.sample.dataset import MANIFEST
+from slipstitch.sample.manifest import MANIFEST
+from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.training import set_up_torch
-from slipstitch.train.videos import Videos, read_videos
 
 INSTRUMENT_WEIGHTS = "instrument.safetensors"
 
