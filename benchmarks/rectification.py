@@ -14,8 +14,8 @@ import numpy as np
 
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import phased, rectified_with_errors
+from slipstitch.sample.videos import read_videos, takes_part
 from slipstitch.train.training import set_up_torch
-from slipstitch.train.videos import read_videos, takes_part
 
 # Corners' moves in pixels (upper left, upper right, lower left; across and down), blur in pixels.
 SIDEWAYS, DOWN = np.array([[1.0, 0.0]] * 3), np.array([[0.0, 1.0]] * 3)

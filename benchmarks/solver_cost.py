@@ -49,8 +49,8 @@ def simulate(material, friction, window_s, start_height_m=None, **settings):
 
 
 def _simulate(material, friction, window_s, start_height_m, changes):
+    from slipstitch.bench.stage_path import StagePath
     from slipstitch.config.simulation import SimulationSettings
-    from slipstitch.protocol.stage import StagePath
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
 
     path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
 
 SMALL = SimulationSettings(vertices_per_side=21, frames=12)

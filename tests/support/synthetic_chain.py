@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, write_config
 from slipstitch.config.grid import simulations, viewpoints, write_grid
-from slipstitch.protocol.stage import StagePath
 from slipstitch.provenance import provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.surroundings import draw_surroundings

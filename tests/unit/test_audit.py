@@ -24,7 +24,7 @@ from slipstitch.provenance import attach_metadata, file_digest
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
 from slipstitch.release.manifest import sampled_rows
-from slipstitch.sample.dataset import dataset_digest
+from slipstitch.sample.manifest import dataset_digest
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()

@@ -126,7 +126,7 @@ def test_settings_differ_from_the_configured_ones_in_one_key_only():
 
 
 def test_the_strip_is_the_protocol_s():
-    from slipstitch.cloth.solver import GRAVITY_M_S2
+    from slipstitch.bench.gravity import GRAVITY_M_S2
     from slipstitch.protocol import strip
     from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
 

@@ -18,7 +18,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
-from slipstitch.train.videos import read_videos
+from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(
     {

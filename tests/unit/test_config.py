@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
 from slipstitch.config.schema import schema_text
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
@@ -17,7 +18,6 @@ from slipstitch.convergence.study import (
     events,
 )
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import Trajectory
 

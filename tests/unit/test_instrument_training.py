@@ -25,10 +25,11 @@ from slipstitch.instrument.training import (
     training_looks,
 )
 from slipstitch.provenance import attach_metadata
-from slipstitch.sample.dataset import dataset_digest, write_dataset
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.manifest import dataset_digest
+from slipstitch.sample.videos import read_videos
 from slipstitch.train.curves import curve
 from slipstitch.train.training import DivergedError, PlateauError
-from slipstitch.train.videos import read_videos
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},

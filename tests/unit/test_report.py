@@ -33,6 +33,7 @@ from slipstitch.report.page import (
 )
 from slipstitch.report.results import Results
 from slipstitch.report.wording import duration, evenly
+from slipstitch.sample.manifest import write_manifest
 
 CONFIG = synthetic_results.config()
 NOW = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -213,7 +214,7 @@ def with_reflective_floors(whole, folder, seeds=(1,)):
         for row in rows:
             if row["simulation"] == simulation and number % 2:
                 row |= {"floor": "glass", "floor_reflectance": 0.04}
-    pq.write_table(pa.Table.from_pylist(rows), folder / "sample" / "manifest.parquet")
+    write_manifest(rows, folder / "sample", {})
 
 
 def test_the_papers_last_curve_is_of_a_run_with_reflective_floors(whole, tmp_path, monkeypatch):

@@ -14,7 +14,9 @@ from slipstitch.config import write_config
 from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import attach_metadata, read_sidecar
-from slipstitch.sample.dataset import dataset_digest, write_dataset
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.manifest import dataset_digest
+from slipstitch.sample.videos import read_videos
 from slipstitch.train.model_file import load_model
 from slipstitch.train.training import (
     DivergedError,
@@ -24,7 +26,6 @@ from slipstitch.train.training import (
     schedule,
     train_network,
 )
-from slipstitch.train.videos import read_videos
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from slipstitch.config.ablate import AblateSettings
 from slipstitch.errors import BadInput
-from slipstitch.train.videos import takes_part
+from slipstitch.sample.videos import takes_part
 
 Row = dict[str, Any]
 

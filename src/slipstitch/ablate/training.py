@@ -29,7 +29,8 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
-from slipstitch.sample.dataset import MANIFEST
+from slipstitch.sample.manifest import MANIFEST, read_manifest
+from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.model_file import WEIGHTS as LRCN_WEIGHTS
 from slipstitch.train.model_file import TrainedModel, load_model
 from slipstitch.train.training import (
@@ -42,7 +43,6 @@ from slipstitch.train.training import (
     set_up_torch,
     train_network,
 )
-from slipstitch.train.videos import Videos, read_manifest, read_videos
 
 SPLIT = "by_simulation"
 FINISHED = "finished.json"

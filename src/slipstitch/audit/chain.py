@@ -15,6 +15,7 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.walk import SAMPLED_MANIFEST, Chain
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest
@@ -31,8 +32,8 @@ from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import config_changes, current_digest
 from slipstitch.release.manifest import MANIFEST, sampled_rows
 from slipstitch.release.splits import PREFIX, parts, split_columns
-from slipstitch.sample.dataset import dataset_digest, manifest_sides
-from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.dataset import manifest_sides
+from slipstitch.sample.manifest import dataset_digest
 
 _STAGE_TOLERANCE_M = 1e-9
 
@@ -226,7 +227,7 @@ def _simulation(chain: Chain, record: Artefact, one: Simulation) -> Iterator[Fin
 
 def _stage_x_m(record: Artefact, times_s: np.ndarray) -> np.ndarray | None:
     """Stage positions at the sampled times; None if the record does not tell the path."""
-    from slipstitch.protocol.stage import StagePath
+    from slipstitch.bench.stage_path import StagePath
 
     try:
         return StagePath(**record.metadata["stage_path"]).position_m(times_s)[0]

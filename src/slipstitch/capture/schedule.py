@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.catalogue import Viewpoint
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.protocol.stage import SIDE_M, StagePath
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose
 from slipstitch.render.shots import viewpoint_pose
-from slipstitch.sample.frames import sampled_frames
 
 
 @dataclass(frozen=True)

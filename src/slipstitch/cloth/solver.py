@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import bending, contact
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.krylov import flexible_gmres
@@ -28,7 +29,6 @@ from slipstitch.errors import NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material.law import ElasticTables
 
-GRAVITY_M_S2 = 9.81
 FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its whole area
 # Tuning of the nonlinear solver; results do not depend on it, cost does.
 SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start

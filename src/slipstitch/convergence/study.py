@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config
 from slipstitch.convergence.cases import cases
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.trajectory import Trajectory
 
 SUMMARISED = ("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from slipstitch.bench.extended_model import ExtendedModel, model_of
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import extended_model
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import CONTACT_MECHANISMS
-from slipstitch.protocol.extended_model import ExtendedModel, model_of
 from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 
 MODELS = ("null", "extended")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
@@ -24,10 +25,9 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
-from slipstitch.sample.dataset import MANIFEST
-from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.manifest import MANIFEST
+from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.training import set_up_torch
-from slipstitch.train.videos import Videos, read_videos
 
 INSTRUMENT_WEIGHTS = "instrument.safetensors"
 

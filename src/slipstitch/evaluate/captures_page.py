@@ -25,7 +25,7 @@ from slipstitch.evaluate.capture_scores import (
 )
 from slipstitch.evaluate.cumulative import draw_cumulative
 from slipstitch.evaluate.wording import number, percent, seeds_in_words
-from slipstitch.provenance import read_parquet
+from slipstitch.sample.images import read_frames
 
 # Okabe & Ito 2008.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000")
@@ -150,13 +150,10 @@ def _first_of_pairs(known) -> list[Mapping[str, Any]]:
 def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
     """Some frames of a capture as the networks see them."""
     file = dataset / f"{row['video'].rsplit('_', 2)[0]}.parquet"
-    images = read_parquet(file, ["position", "image"]).to_pylist()
+    images = [png for _, _, png in read_frames(file)]
     places = np.linspace(0, len(images) - 1, min(_FRAMES_SHOWN, len(images))).round().astype(int)
     return {
         "title": f"{row['material']} on {row['substrate']}, μ = {row['mu_ref']:.3f} ± "
         f"{row['mu_ref_error']:.3f}{', reflective' if row['reflective'] else ''}",
-        "images": [
-            f"data:image/png;base64,{base64.b64encode(images[k]['image']['bytes']).decode()}"
-            for k in places
-        ],
+        "images": [f"data:image/png;base64,{base64.b64encode(images[k]).decode()}" for k in places],
     }

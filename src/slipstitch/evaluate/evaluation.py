@@ -39,6 +39,7 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
+from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
 from slipstitch.train.training import (
     check_material_model,
@@ -46,7 +47,6 @@ from slipstitch.train.training import (
     predict,
     set_up_torch,
 )
-from slipstitch.train.videos import Videos, read_videos, takes_part, test_only
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}

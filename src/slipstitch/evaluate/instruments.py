@@ -20,7 +20,7 @@ from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import covered
 from slipstitch.instrument.measuring import WEIGHTS, Instrument, Measurement, load_instrument
-from slipstitch.train.videos import Videos
+from slipstitch.sample.videos import Videos
 
 Row = dict[str, Any]
 

@@ -15,7 +15,7 @@ from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import tempered
 from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
-from slipstitch.train.videos import Videos
+from slipstitch.sample.videos import Videos
 
 TEMPERATURES = (0.2, 25.0)
 CELL = 0.05  # width in mu over which a distribution is asked for its probability of the truth

@@ -26,6 +26,7 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
+from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.curves import curve
 from slipstitch.train.network import computes_bfloat16
@@ -39,7 +40,6 @@ from slipstitch.train.training import (
     set_up_torch,
     write_history,
 )
-from slipstitch.train.videos import Videos, read_videos, takes_part
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 

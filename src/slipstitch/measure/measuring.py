@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Measurement, load_instrument
-from slipstitch.protocol.stage import StagePath
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.sample.frames import sampled_frames
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827

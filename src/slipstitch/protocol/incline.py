@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (

@@ -32,10 +32,11 @@ from slipstitch.release.chain import (
 from slipstitch.release.checksums import SUMS, files_below, write_sums
 from slipstitch.release.code import check_project, copy_code
 from slipstitch.release.currency import config_changes, current_digest
-from slipstitch.release.manifest import MANIFEST, read_sampled, released_rows, write_manifest
+from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
 from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
 from slipstitch.release.splits import parts, parts_of_splits, split_columns
+from slipstitch.sample.manifest import MANIFEST_SCHEMA, read_manifest
 
 CONFIG = f"{RECORDS}/config.json"
 GRID = f"{RECORDS}/grid.parquet"
@@ -168,7 +169,7 @@ def write_release(
     _check_target(out)
     project = check_project(project)
     sample = results / "sample"
-    sampled = read_sampled(sample / MANIFEST)
+    sampled, _ = read_manifest(sample)
     made = [f"results/sample/{MANIFEST}"]
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
@@ -205,7 +206,7 @@ def _fill(
         partial(progress, description="release: ", unit="file"),
     )
     rows = released_rows(sampled, splits, part_of, places)
-    write_manifest(rows, pq.read_schema(sample / MANIFEST), list(splits), folder)
+    write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
     pictures = write_previews(folder, rows)
     copy_code(project, folder)
     facts = _facts(config, project)

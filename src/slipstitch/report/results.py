@@ -20,6 +20,8 @@ from slipstitch.provenance import (
     read_sidecar,
     reading,
 )
+from slipstitch.sample.images import read_frames
+from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.runs import Failure, Run, failures, read_runs
 
@@ -110,9 +112,9 @@ def _json_if_there(path: Path) -> Any | None:
     return read_json(path) if path.exists() else None
 
 
-def _table(path: Path, columns: list[str] | None = None, **options):
+def _table(path: Path, columns: list[str]):
     with reading(path, "Parquet file"):
-        table = pq.read_table(path, columns=columns, page_checksum_verification=True, **options)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
         table.validate(full=True)
         _ = table.column_names  # raises where one is no text
         return table
@@ -195,21 +197,17 @@ class Results:
 
     def manifest(self) -> list[dict[str, Any]] | None:
         """Rows of the dataset's manifest."""
-        path = self.folder / "sample" / "manifest.parquet"
-        return _table(path).to_pylist() if path.exists() else None
+        folder = self.folder / "sample"
+        return read_manifest(folder)[0] if (folder / MANIFEST).exists() else None
 
     def images(self, video: Mapping[str, Any], positions: list[int]) -> list[bytes]:
         """PNG bytes of a video's sampled frames at some positions."""
         path = self.folder / "sample" / video["file"]
         if not path.exists():
             return []
-        table = _table(
-            path,
-            ["position", "image"],
-            filters=[("video", "=", video["video"]), ("position", "in", positions)],
-        )
-        rows = sorted(table.to_pylist(), key=lambda row: row["position"])
-        return [row["image"]["bytes"] for row in rows]
+        wanted = sorted(positions)
+        found = {position: png for _, position, png in read_frames(path, video["video"])}
+        return [found[position] for position in wanted if position in found]
 
     def histories(self) -> list[History]:
         """Training curves, in the order of the configuration."""

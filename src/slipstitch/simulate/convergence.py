@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.config.simulation import SimulationSettings, StageSettings
 from slipstitch.material import load_fabric
 
 # Written by `slipstitch convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")
-GRAVITY_M_S2 = 9.81
 
 
 def bending_length_m(material: str) -> float:

@@ -9,6 +9,9 @@ from math import ceil, cos, radians, sin
 
 import numpy as np
 
+from slipstitch.bench.extended_model import ExtendedModel, read_extended_model
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.bench.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.cloth import (
     ClothSolver,
     Sheets,
@@ -17,14 +20,11 @@ from slipstitch.cloth import (
     rectangle,
     run_together,
 )
-from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
 from slipstitch.progress import progress
-from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
-from slipstitch.protocol.stage import SIDE_M, TAB_M, StagePath
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import Trajectory
 

@@ -25,6 +25,7 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
+from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.curves import curve
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model, save_model
@@ -35,7 +36,6 @@ from slipstitch.train.network import (
     cross_entropy,
     probabilities,
 )
-from slipstitch.train.videos import Videos, read_videos, takes_part
 
 HISTORY = "history.csv"
 FINE_TUNING = "fine-tuning"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-STANDARD_GRAVITY_M_S2 = 9.80665
+from slipstitch.bench.gravity import GRAVITY_M_S2
+
+STANDARD_GRAVITY_M_S2 = GRAVITY_M_S2
 
 
 @dataclass(frozen=True)

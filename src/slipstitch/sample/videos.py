@@ -1,4 +1,4 @@
-"""The dataset in memory: every frame decoded once, as bytes of colour.
+"""Reading the dataset: its videos in memory, every frame decoded once, as bytes of colour.
 
 216 videos of 30 frames at 64 pixels take 80 MB; the paper's 3840 training videos 1.4 GB.
 """
@@ -12,15 +12,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance import (
-    read_metadata,
-    read_parquet,
-)
-from slipstitch.sample.dataset import MANIFEST, MANIFEST_SCHEMA, dataset_digest, pixels_digest
-from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.images import pixels_digest, read_frames
+from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import decode
-from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 ROLES = ("material", "friction", "texture", "viewpoint")
 
@@ -57,37 +53,6 @@ class Videos:
         if pixels != side:
             seen = np.stack([_resized(video, pixels) for video in seen])
         return Videos(self.rows, seen, self.digest)
-
-
-def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str]:
-    """Rows and digest of the dataset in a folder.
-
-    Raises
-    ------
-    BadInput
-        If the manifest is missing or damaged, was altered, or its split by simulation leaks.
-    """
-    path = Path(dataset) / MANIFEST
-    rows = read_parquet(path, MANIFEST_SCHEMA.names).to_pylist()
-    if not rows:
-        raise BadInput(f"{path}: no video in it")
-    for split in ("split_by_video", "split_by_simulation"):
-        for row in rows:
-            if row[split] not in SIDES:
-                raise BadInput(
-                    f"{path}: {row['video']}: {split} is {row[split]!r}, "
-                    f"allowed: {', '.join(SIDES)}"
-                )
-    try:
-        check_no_simulation_on_both_sides(
-            [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
-        )
-    except BadInput as problem:
-        raise BadInput(f"{path}: {problem}") from None
-    digest = dataset_digest(rows)
-    if read_metadata(path).get("dataset_digest") != digest:
-        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
-    return rows, digest
 
 
 def read_videos(
@@ -130,18 +95,15 @@ def read_videos(
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file
-        table = read_parquet(path, ["video", "position", "image"])
         found: dict[str, list[np.ndarray]] = {}
-        for batch in table.to_batches(max_chunksize=256):
-            for image in batch.to_pylist():
-                video = image["video"]
-                if video not in place:
-                    continue
-                decoded = found.setdefault(video, [])
-                where = f"{path}: {video} position {image['position']}"
-                if image["position"] != len(decoded):
-                    raise BadInput(f"{where}: position {len(decoded)} should come here")
-                decoded.append(decode((image["image"] or {}).get("bytes") or b"", where, rendered))
+        for video, position, png in read_frames(path):
+            if video not in place:
+                continue
+            decoded = found.setdefault(video, [])
+            where = f"{path}: {video} position {position}"
+            if position != len(decoded):
+                raise BadInput(f"{where}: position {len(decoded)} should come here")
+            decoded.append(decode(png, where, rendered))
         for video in (row["video"] for row in rows if row["file"] == file):
             row = rows[place[video]]
             images = found.get(video, [])
