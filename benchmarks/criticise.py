@@ -23,11 +23,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import analyse, candidate
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Weights, fit
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.verdict import verdict_of
 from slipstitch.predict.predictive import predict_model
 

@@ -6,9 +6,9 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.fit import parameters_of
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 
 SEEDS = range(40, 44)
 

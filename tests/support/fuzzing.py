@@ -32,7 +32,7 @@ from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
 from slipstitch.config import load_config
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
-from slipstitch.criticise.case.reader import read_case
+from slipstitch.criticise.case import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
 from slipstitch.instrument.measuring import (

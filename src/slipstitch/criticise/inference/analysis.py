@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from scipy.stats import chi2 as chi_square
 
-from slipstitch.criticise.features import Measurements
 from slipstitch.criticise.inference.alternatives import (
     alternatives,
     nuisance_columns,
@@ -24,10 +24,12 @@ from slipstitch.criticise.inference.covariance import (
 )
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.structure import Outcome, Test, run_tests
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.mechanisms import MECHANISMS
 
 START_SCATTER = Scatter(0.05, 0.03, 1.2)
-MECHANISM_SHARE, GENERIC_SHARE = 0.6, 0.4
+# Of the family-wise error.
+ERROR_WEIGHTS = {"mechanism": 0.6, "generic": 0.4}
 SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.01
 PAIR_SIGNIFICANCE = 0.01
@@ -39,7 +41,7 @@ MODERATE = 60.0
 LARGEST_INSTRUMENT_FACTOR = 1.8
 OUTLIER_T = 4.2
 SUSPECT_T = 2.6
-OUTLIER_SHARE = 0.08
+OUTLIER_FRACTION = 0.08
 # Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
 SMALLEST_RUNS, SMALLEST_SPECIMENS, LEAST_RUNS = 8, 3, 5
 
@@ -150,7 +152,7 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
         if not suspects:
             continue
         runs = len(np.unique(measurements.run[group.index]))
-        suspects = suspects[: 1 + int(1.5 * OUTLIER_SHARE * runs)]
+        suspects = suspects[: 1 + int(1.5 * OUTLIER_FRACTION * runs)]
         suspicious = np.concatenate([s[2] for s in suspects])
         kept = np.flatnonzero(~np.isin(group.index, suspicious))
         if len(kept) < 0.6 * len(group.index):
@@ -217,8 +219,8 @@ def settle_without_outliers(
         p: len(set(measurements.run[measurements.protocol == p]))
         for p in np.unique(measurements.protocol)
     }
-    budget = {p: max(1, int(1.5 * OUTLIER_SHARE * n + 0.5)) for p, n in runs.items()}
-    in_all = max(1, int(OUTLIER_SHARE * sum(runs.values()) + 0.5))
+    budget = {p: max(1, int(1.5 * OUTLIER_FRACTION * n + 0.5)) for p, n in runs.items()}
+    in_all = max(1, int(OUTLIER_FRACTION * sum(runs.values()) + 0.5))
     spent = {p: [0, 0] for p in runs}  # whole runs, single features
     if fitted is None:
         fitted = _first_fit(measurements, causes, keep, start)
@@ -301,27 +303,28 @@ def candidate(
         base = fit(measurements, weights, null.causes, null.as_dict())
     values = null.as_dict() | (start or {})
     best = None
-    settlings = (1.5, 5.0) if "wear" in causes and "wear_r0" not in (start or {}) else (None,)
-    for settling in settlings:
-        first = values if settling is None else values | {"wear_r0": settling, "wear": 0.02}
-        found = fit(measurements, weights, causes, first)
+    for first in _starts(causes, start or {}):
+        found = fit(measurements, weights, causes, values | first)
         if best is None or found.chi2 < best.chi2:
             best = found
-    share = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
+    largest = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
     # The inflation corrects gains by chance, which are small: only the first part is deflated.
     gained = max(base.chi2 - best.chi2, 0.0)
-    credit = gained - (1.0 - 1.0 / share) * min(gained, CHANCE_GAIN)
+    credit = gained - (1.0 - 1.0 / largest) * min(gained, CHANCE_GAIN)
     extra = len(best.parameters) - len(base.parameters)
     cost = extra * np.log(max(_observations(measurements, state.keep), 2))
     return Candidate(causes, best, credit, cost - credit)
 
 
-def _inflation(outcome: Outcome) -> dict[str, float]:
-    result: dict[str, float] = {}
-    for test, value in zip(outcome.tests, outcome.inflation, strict=True):
-        if test.family == "mechanism":
-            result[test.covariate] = max(result.get(test.covariate, 1.0), float(value))
-    return result
+def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, float]]:
+    """Values to start fits from, for the mechanisms of which none are known."""
+    choices = [
+        MECHANISMS[cause].starts
+        for cause in causes
+        if not {p.name for p in MECHANISMS[cause].parameters} <= set(known)
+    ]
+    combined = product(*(choice for choice in choices if choice))
+    return [{k: v for part in parts for k, v in part.items()} for parts in combined]
 
 
 def combined_p(outcome: Outcome) -> float:
@@ -329,8 +332,7 @@ def combined_p(outcome: Outcome) -> float:
     return float(
         min(
             1.0,
-            outcome.family_p.get("mechanism", 1.0) / MECHANISM_SHARE,
-            outcome.family_p.get("generic", 1.0) / GENERIC_SHARE,
+            *(outcome.family_p.get(name, 1.0) / weight for name, weight in ERROR_WEIGHTS.items()),
         )
     )
 
@@ -375,12 +377,12 @@ def analyse(
     report("test of the null")
     outcome = test_at(measurements, null, null_state, rng, replicates)
     global_p = combined_p(outcome)
-    inflation = _inflation(outcome)
+    inflation = outcome.mechanism_inflation()
     testable = [
         name
         for name in MECHANISMS
         if any(
-            t.covariate == name and t.family == "mechanism" and np.isfinite(p)
+            t.mechanism == name and np.isfinite(p)
             for t, p in zip(outcome.tests, outcome.log_p, strict=True)
         )
     ]
@@ -465,11 +467,11 @@ def analyse(
             "stated uncertainty: something differs within runs"
         )
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    doubles = [(c, measurements.unrecorded_double(c)) for c in chosen.causes]
-    doubles = [(c, double) for c, double in doubles if double]
-    if doubles:
-        cause, double = doubles[0]
-        why = f"{cause} would explain it, but what would drive {double} instead was not recorded"
+    aliases = [(c, measurements.unrecorded_alias(c)) for c in chosen.causes]
+    aliases = [(c, alias) for c, alias in aliases if alias]
+    if aliases:
+        cause, alias = aliases[0]
+        why = f"{cause} would explain it, but what would drive {alias} instead was not recorded"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     if chosen.credit < MODERATE and not _explains(outcome, chosen, measurements, state):
         why = "a shape outside the library describes the data better than any mechanism"
@@ -495,8 +497,7 @@ def _explains(outcome: Outcome, chosen: Candidate, measurements, state) -> bool:
     for i, test in enumerate(outcome.tests):
         if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
             continue
-        scanned = 1 if ("bump" in test.name or "cycle" in test.name) else 0
-        best = min(best, (outcome.degrees[i] + scanned) * runs - outcome.statistic[i])
+        best = min(best, (outcome.degrees[i] + test.scanned) * runs - outcome.statistic[i])
     return chosen.bic <= best + 2.0
 
 
@@ -518,11 +519,9 @@ def _pairs(measurements, state, base, singles, left, left_state, inflation, rng,
 
     def offer(single, outcome):
         for i, test in enumerate(outcome.tests):
-            if test.family != "mechanism" or test.covariate not in testable:
+            if test.mechanism not in testable or not np.isfinite(outcome.log_p[i]):
                 continue
-            if not np.isfinite(outcome.log_p[i]):
-                continue
-            pair = tuple(sorted((single.causes[0], test.covariate)))
+            pair = tuple(sorted((single.causes[0], test.mechanism)))
             promise[pair] = max(promise.get(pair, 0.0), single.credit + outcome.statistic[i])
 
     offer(singles[0], left)
