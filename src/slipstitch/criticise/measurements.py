@@ -39,6 +39,7 @@ COEFFICIENTS = (
     ),
 )
 UNKNOWN_LOG_COEFFICIENT = -1.2
+LOG_STEP = 0.01
 
 
 @dataclass
@@ -101,6 +102,12 @@ class Measurements:
                 self.remembered.pop(next(iter(self.remembered)))
             self.remembered[key] = block.predict(law, bench)
         return self.remembered[key]
+
+    def sensitivity(self, values: dict[str, float]) -> np.ndarray:
+        """d(feature)/d(ln mu) of the null at logarithms of coefficients, (n,)."""
+        base = self.predict(values, ())
+        moved = self.predict({name: value + LOG_STEP for name, value in values.items()}, ())
+        return (moved - base) / LOG_STEP
 
     @property
     def of_friction(self) -> np.ndarray:

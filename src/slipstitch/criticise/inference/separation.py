@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.inference.analysis import Analysis, Candidate
+from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, jacobian
+from slipstitch.criticise.inference.selection import Candidate
 from slipstitch.criticise.measurements import Measurements, measurements_of
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.protocols import PROTOCOLS
@@ -117,16 +118,7 @@ def _expected(analysis, a: Candidate, b: Candidate, design, number, cache) -> fl
     scatter = analysis.state.scatters.get(protocol) or Scatter(0.04, 0.03, 1.2)
     values = a.fitted.as_dict()
     values = {p.name: values.get(p.name, p.null) for p in design.null_parameters}
-    base = design.predict(values, ())
-    moved = design.predict({k: v + 0.01 for k, v in values.items()}, ())
-    group = make_groups(
-        design.protocol,
-        design.run,
-        design.specimen,
-        design.u,
-        (moved - base) / 0.01,
-        np.ones(len(base), bool),
-    )[0]
+    group = make_groups(design, design.sensitivity(values), np.ones(len(design.y), bool))[0]
     variance = group.variance(scatter) + s_a + s_b
     difference = f_a - f_b
     return float(0.5 * difference @ np.linalg.solve(variance, difference))
