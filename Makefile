@@ -99,7 +99,7 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/scale.py
 
 criticise-measured: setup
-	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs
+	$(BIN)/python benchmarks/measured_data --data data/measured --out docs
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

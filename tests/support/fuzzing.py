@@ -36,7 +36,7 @@ from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import load_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
-from slipstitch.criticise.case.reader import read_case
+from slipstitch.criticise.case import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
 from slipstitch.instrument.measuring import (

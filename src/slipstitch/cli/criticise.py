@@ -38,8 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case; exit code 0 whatever the verdict."""
     from slipstitch import __version__
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.features import assemble
     from slipstitch.criticise.inference.analysis import analyse
+    from slipstitch.criticise.measurements import assemble
     from slipstitch.criticise.verdict import sentence, verdict_of
     from slipstitch.errors import BadInput
     from slipstitch.provenance import atomic_path

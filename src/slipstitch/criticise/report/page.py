@@ -7,8 +7,8 @@ from html import escape
 import matplotlib
 
 from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.mechanism import MECHANISMS
-from slipstitch.criticise.report.covariates import covariate_picture
+from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.report.covariate_panels import covariate_picture
 from slipstitch.criticise.report.pictures import (
     prediction_picture,
     ranking_picture,

@@ -6,49 +6,18 @@ import io
 import re
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.criticise.features.assembly import COVARIATE_OF
+from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.generic import LABELS, LOGARITHMIC
+from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.protocols import QUANTITIES
 
 INK, FAINT, NULL_COLOUR, EXTENDED_COLOUR = "#26323a", "#9aa5ab", "#c8553d", "#2a7f9e"
 QUANTITY = "quantity"
-NAMES = {
-    "angle_deg": "slip angle",
-    "eps_slip": "slip strain",
-    "relaxed_mN": "relaxed reading",
-    "stiffness": "loading slope",
-    "force_first_slip_mN": "first slip",
-    "force_plateau_mN": "plateau",
-    "lost_motion_mm": "lost motion",
-    "force_reversal_slip_mN": "slip at reversal",
-    "force_back_plateau_mN": "plateau back",
-    "lag_mm": "lag of the edge",
-    "edge_slope": "edge per stage",
-    "contact_len_mm": "contact length",
-    "first_motion_mm": "first motion",
-    "stuck_contact_mm": "contact, stuck",
-    "edge_at_turn_mm": "edge at the turn",
-    "slider_level_mN": "level",
-    "slider_swing_mN": "half drop",
-    "slider_first_swing_mN": "half of the first drop",
-}
-
-UNITS = {
-    "load_ratio": "p/p₀",
-    "dwell_s": "s",
-    "speed_mm_s": "mm/s",
-    "pos_x_mm": "mm",
-    "clock_min": "min",
-    "rh_pct": "%",
-    "orientation_deg": "°",
-    "azimuth_deg": "°",
-    "length_mm": "mm",
-    "height_mm": "mm",
-}
 
 
 def svg(figure: Figure) -> str:
@@ -73,10 +42,23 @@ def telling_covariate(analysis: Analysis) -> str:
     """The covariate along which the model's failure is seen best."""
     chosen = analysis.chosen
     if analysis.verdict in ("cause", "confounded") and chosen is not None:
-        return COVARIATE_OF.get(chosen.causes[0], QUANTITY)
+        return MECHANISMS[chosen.causes[0]].covariate or QUANTITY
     outcome = analysis.left_over or analysis.null_outcome
     strongest = outcome.strongest("generic")
     return outcome.tests[strongest].covariate if strongest is not None else QUANTITY
+
+
+def drawn(analysis: Analysis, name: str) -> np.ndarray:
+    """A covariate as it is drawn, (n,); NaN where it was not recorded."""
+    covariate, column = COVARIATES[name], analysis.measurements.rows[name]
+    if covariate.text:
+        labels = sorted({label for label in column if label})
+        codes = pd.Categorical(column, labels).codes.astype(float)
+        return codes + np.where(column == "", np.nan, 0)
+    values = column.to_numpy(float)
+    if covariate.logarithmic:
+        return np.log10(np.where(values > 0, values, np.nan))
+    return np.mod(values, 360.0) if covariate.periodic else values
 
 
 def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +111,7 @@ def series(axes, x, y, colour, label, seed=0):
 
 def _by_quantity(axes, analysis, fits):
     rows = analysis.measurements.rows
-    names = [q for q in NAMES if (rows["quantity"] == q).any()]
+    names = [q for q in QUANTITIES if (rows["quantity"] == q).any()]
     for k, (fitted, colour, label) in enumerate(fits):
         z = standardised_residuals(analysis, fitted)
         for i, name in enumerate(names):
@@ -145,7 +127,9 @@ def _by_quantity(axes, analysis, fits):
                 ms=6,
                 label=label if i == 0 else None,
             )
-    axes.set_xticks(range(len(names)), [NAMES[n] for n in names], rotation=35, ha="right")
+    axes.set_xticks(
+        range(len(names)), [QUANTITIES[n].title for n in names], rotation=35, ha="right"
+    )
     axes.set_ylabel("measured − model, in standard deviations")
 
 
@@ -156,23 +140,18 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
     fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
     if extended is not None:
         fits.append((extended, EXTENDED_COLOUR, "extended"))
-    if covariate in (QUANTITY, "operator"):
+    if covariate == QUANTITY or COVARIATES[covariate].text:
         _by_quantity(axes, analysis, fits)
     else:
-        values = analysis.measurements.rows[covariate].to_numpy(float)
-        if covariate.endswith("_deg"):
-            values = np.mod(values, 360.0)
+        values = drawn(analysis, covariate)
         for fitted, colour, label in fits:
             residual, good = relative_residuals(analysis, fitted)
-            good &= np.isfinite(values) & (values > 0 if covariate in LOGARITHMIC else True)
-            x = np.log10(values[good]) if covariate in LOGARITHMIC else values[good]
-            if len(x):
-                series(axes, x, residual[good], colour, label)
+            good &= np.isfinite(values)
+            if good.any():
+                series(axes, values[good], residual[good], colour, label)
         if extended is None and analysis.verdict == "unknown":
             pattern(axes, analysis, covariate, analysis.left_over or analysis.null_outcome)
-        log = "log₁₀ " if covariate in LOGARITHMIC else ""
-        unit = f" ({UNITS[covariate]})" if covariate in UNITS else ""
-        axes.set_xlabel(f"{log}{LABELS[covariate]}{unit}", color=INK)
+        axes.set_xlabel(COVARIATES[covariate].axis_label, color=INK)
         axes.set_ylabel("measured − model (% of friction)", color=INK)
     axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
     axes.legend(frameon=False, fontsize=9)
@@ -194,20 +173,16 @@ def pattern(axes, analysis, covariate, outcome):
         return
     d = analysis.state.sensitivity
     residual, good = relative_residuals(analysis, analysis.null)
-    values = analysis.measurements.rows[covariate].to_numpy(float)
+    values = drawn(analysis, covariate)
     good &= np.isfinite(values) & np.isfinite(residual)
     shape = outcome.tests[best].columns[good] / d[good][:, None]
     size, *_ = np.linalg.lstsq(
         np.column_stack([np.ones(good.sum()), shape]), residual[good], rcond=None
     )
-    x = np.log10(values[good]) if covariate in LOGARITHMIC else values[good]
-    if covariate.endswith("_deg"):
-        x = np.mod(x, 360.0)
+    x = values[good]
     curve = size[0] + shape @ size[1:]
     order = np.argsort(x)
-    axes.plot(
-        x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].name.split(": ")[1]
-    )
+    axes.plot(x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].shape)
 
 
 def ranking_picture(verdict: dict, most: int = 10) -> str:
