@@ -19,7 +19,7 @@ from slipstitch.cloth import (
     run_together,
     self_contact,
 )
-from slipstitch.cloth.sheets import Work
+from slipstitch.cloth.batch import Work
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric

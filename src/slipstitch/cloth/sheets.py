@@ -13,33 +13,21 @@ in a fixed order, so that a sheet gets the same bits alone and among others; on 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from enum import Enum, auto
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth.batch import Meeting, Work
 from slipstitch.cloth.floor_friction import friction_states
 from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.cloth.tangent import Assembly
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, NotConverged
 from slipstitch.material.law import FOLD_CURVATURES, FOLD_DIRECTIONS, STRAIN_NODES
-
-if TYPE_CHECKING:
-    from slipstitch.cloth.batch import Meeting
-    from slipstitch.cloth.self_contact import SelfContact
-
-
-class Work(Enum):
-    """What a sheet may ask for."""
-
-    FORCES = auto()  # out-of-balance forces at the placed positions
-    STIFFNESS = auto()  # entries of the tangent there
-    STRAINS = auto()  # strains there become those that damping refers to
-    ACCEPT = auto()  # likewise, and the floor's friction remembers the step
 
 
 class Sheets:
@@ -274,6 +262,33 @@ class Sheets:
             active = np.zeros(self.count, dtype=np.int32)
             active[list(members)] = 1
             self._active.assign(active)
+
+
+def run_together(sheets: Sheets, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
+    """Run tasks that drive one sheet each, the device working for all at once.
+
+    Parameters
+    ----------
+    sheets : Sheets
+    tasks : sequence of callables
+        Task k may use the solver of sheet k only.
+
+    Returns
+    -------
+    list
+        What each task returned, or the :class:`NotConverged` that it raised: a task that fails does
+        not take the others with it. Any other exception ends all and is raised.
+    """
+    if len(tasks) == 1:  # nobody to wait for
+        try:
+            return [tasks[0]()]
+        except NotConverged as error:
+            return [error]
+    sheets.meeting = Meeting(sheets.run, tasks)
+    try:
+        return sheets.meeting.run()
+    finally:
+        sheets.meeting = None
 
 
 def check_device(name: str) -> None:

@@ -18,11 +18,12 @@ from typing import Literal
 import numpy as np
 
 from slipstitch.cloth import bending, contact
+from slipstitch.cloth.batch import Work
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.krylov import flexible_gmres
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
-from slipstitch.cloth.sheets import Sheets, Work
+from slipstitch.cloth.sheets import Sheets
 from slipstitch.cloth.tangent import Tangent
 from slipstitch.errors import NotConverged
 from slipstitch.friction_law import FrictionLaw
