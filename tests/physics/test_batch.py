@@ -21,7 +21,7 @@ from slipstitch.cloth import (
     run_together,
     self_contact,
 )
-from slipstitch.cloth.sheets import Work
+from slipstitch.cloth.batch import Work
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
