@@ -60,7 +60,7 @@ from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import status
 from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.model_file import load_model, save_model
-from slipstitch.train.network import LRCN
+from slipstitch.train.network import build_network
 from support import analytic_stage, synthetic_chain, synthetic_results
 
 TIME_LIMIT_S = 10.0
@@ -232,7 +232,7 @@ def decoded(images: dict) -> None:
 def _networks(add, config, folder: Path) -> None:
     train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
     train = train.model_copy(update={"lstm_units": 4})
-    network = LRCN(train, 2, 16, 0)
+    network = build_network(train, 2, 16)
     card = {
         "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
         "settings": train.model_dump(mode="json"), "classes": [{"id": "f00"}, {"id": "f01"}],

@@ -43,8 +43,8 @@ def test_an_untrained_instrument_is_well_formed_and_says_that_it_knows_nothing(f
     assert measured.interval_90 == (0.0, 1.5)
     assert 0.0 <= measured.friction_coefficient <= 1.5
     assert set(measured.material_probabilities) == set(FABRICS)
-    assert measured.moments.shape == (6,)
-    assert measured.moments.sum() == pytest.approx(1.0)
+    assert measured.attention_weights.shape == (6,)
+    assert measured.attention_weights.sum() == pytest.approx(1.0)
     assert measured.alarm
     assert "not calibrated" in measured.alarm_reason
 

@@ -65,7 +65,7 @@ class InstrumentSettings(Section):
         60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
     )
     draws: int = Field(
-        4, ge=1, le=64, description="augmented looks at a video whose answers are averaged"
+        4, ge=1, le=64, description="augmented views of a video whose answers are averaged"
     )
     coverage: float = Field(0.9, gt=0.5, lt=1, description="of the intervals")
     false_alarms: float = Field(0.05, gt=0, lt=0.5, description="share of good videos with alarm")

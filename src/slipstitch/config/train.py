@@ -22,6 +22,7 @@ class TrainSettings(Section):
         list(SPLITS), min_length=1, description="the paper's split, and whole simulations held out"
     )
 
+    architecture: Literal["lrcn"] = Field("lrcn", description="the paper's network")
     pixels: int | None = Field(
         None, ge=16, le=1024, description="side of the input image; null: as rendered"
     )

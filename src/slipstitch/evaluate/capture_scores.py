@@ -78,7 +78,7 @@ def pair_medians(
         members[known[k]["pair"]].append(int(k))
     rows = []
     for pair, repeats in sorted(members.items()):
-        one = known[repeats[0]]
+        first = known[repeats[0]]
         friction = predictions.friction[repeats]
         median = float(np.median(friction))
         # The class of an instrument's continuous answer is the nearest multiple of the grid's step.
@@ -86,14 +86,14 @@ def pair_medians(
         rows.append(
             {
                 "pair": pair,
-                "material": one["material"],
-                "substrate": one["substrate"],
-                "reflective": one["reflective"],
-                "mu_ref": one["mu_ref"],
-                "mu_ref_error": one["mu_ref_error"],
+                "material": first["material"],
+                "substrate": first["substrate"],
+                "reflective": first["reflective"],
+                "mu_ref": first["mu_ref"],
+                "mu_ref_error": first["mu_ref_error"],
                 "predictions": friction.tolist(),
                 "median": median,
-                "error": float(distance(median, one["mu_ref"], one["mu_ref_error"])),
+                "error": float(distance(median, first["mu_ref"], first["mu_ref_error"])),
                 "equal": bool(np.ptp(classes) == 0),
             }
         )

@@ -40,13 +40,10 @@ from slipstitch.provenance import (
     write_sidecar,
 )
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
+from slipstitch.train.classes import labels_of
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.train.training import (
-    check_material_model,
-    labels_of,
-    predict,
-    set_up_torch,
-)
+from slipstitch.train.prediction import check_material_model, predict
+from slipstitch.train.torch_setup import set_up_torch
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
@@ -141,7 +138,7 @@ def evaluation_sets(
                 ),
             )
         )
-    return [one for one in sets if any(map(one.holds, rows))]
+    return [test_set for test_set in sets if any(map(test_set.holds, rows))]
 
 
 def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
@@ -189,7 +186,7 @@ def find_models(
     return models
 
 
-def predicted_shares(
+def predicted_probabilities(
     models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int
 ) -> np.ndarray:
     """Probabilities of a model on videos; a conditional one gets its material network's answer."""
@@ -299,9 +296,9 @@ def evaluate(
         by_network = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
-                shares = predicted_shares(models, key, part, settings.batch_size)
-                by_network[key[1]][key[2]] = shares
-                predictions += _rows(part, test, key, models[key], shares)
+                probabilities = predicted_probabilities(models, key, part, settings.batch_size)
+                by_network[key[1]][key[2]] = probabilities
+                predictions += _rows(part, test, key, models[key], probabilities)
         if not by_network:
             continue
         scores = {
@@ -311,12 +308,12 @@ def evaluate(
         details[test.name] = scores
         metrics[test.name] = {}
         for name, network in MODELS.items():
-            used = [network] + ["material_baseline"] * (name == "lrcn_baseline")
-            used = [one for one in used if one in scores]
-            if used:
-                seeds = sorted({seed for one in used for seed in by_network[one]})
+            scored = [network] + ["material_baseline"] * (name == "lrcn_baseline")
+            scored = [network for network in scored if network in scores]
+            if scored:
+                seeds = sorted({seed for network in scored for seed in by_network[network]})
                 metrics[test.name][name] = entry(
-                    len(part), seeds, *(scores[one]["mean"] for one in used)
+                    len(part), seeds, *(scores[network]["mean"] for network in scored)
                 )
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
@@ -329,19 +326,21 @@ def evaluate(
     return metrics, details, predictions
 
 
-def _score(settings, card, shares: np.ndarray, rows: list[dict[str, Any]]) -> dict[str, float]:
+def _score(
+    settings, card, probabilities: np.ndarray, rows: list[dict[str, Any]]
+) -> dict[str, float]:
     """Scores of one network; empty for the fabrics of videos of which one is no class."""
     if card["target"] == "friction":
-        values = np.array([one["value"] for one in card["classes"]])
+        values = np.array([entry["value"] for entry in card["classes"]])
         true = np.array([row["friction"] for row in rows])
-        return friction_scores(values[shares.argmax(1)], true, settings.friction_step)
+        return friction_scores(values[probabilities.argmax(1)], true, settings.friction_step)
     truth = known_labels(rows, card)
-    return {} if truth is None else material_scores(shares, truth)
+    return {} if truth is None else material_scores(probabilities, truth)
 
 
 def known_labels(rows: list[dict[str, Any]], card: dict[str, Any]) -> np.ndarray | None:
     """Class numbers of videos; None if one is of no class, as off the grid."""
-    known = {one["id"] for one in card["classes"]}
+    known = {entry["id"] for entry in card["classes"]}
     if any(row[f"{card['target']}_id"] not in known for row in rows):
         return None
     return labels_of(rows, card["classes"], card["target"])
@@ -351,9 +350,12 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
     """Everything that details.json says of one network on one test set."""
     card = models[split, network, min(of_seed)].card
     truth = known_labels(part.rows, card)
-    views = np.array([row["viewpoint"] for row in part.rows])
+    viewpoints = np.array([row["viewpoint"] for row in part.rows])
     simulations = {row["simulation"] for row in part.rows}
-    each = {seed: _score(settings, card, shares, part.rows) for seed, shares in of_seed.items()}
+    each = {
+        seed: _score(settings, card, probabilities, part.rows)
+        for seed, probabilities in of_seed.items()
+    }
     result: dict[str, Any] = {
         "n": len(part),
         "simulations": len(simulations),
@@ -363,22 +365,29 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         **_over_seeds(list(each.values())),
         "seeds": {str(seed): score for seed, score in sorted(each.items())},
         "viewpoints": {
-            str(view): {
-                "n": int((views == view).sum()),
-                "simulations": len({row["simulation"] for row in _of(part.rows, views == view)}),
+            str(viewpoint): {
+                "n": int((viewpoints == viewpoint).sum()),
+                "simulations": len(
+                    {row["simulation"] for row in _of(part.rows, viewpoints == viewpoint)}
+                ),
                 **_over_seeds(
                     [
-                        _score(settings, card, shares[views == view], _of(part.rows, views == view))
-                        for shares in of_seed.values()
+                        _score(
+                            settings,
+                            card,
+                            probabilities[viewpoints == viewpoint],
+                            _of(part.rows, viewpoints == viewpoint),
+                        )
+                        for probabilities in of_seed.values()
                     ]
                 ),
             }
-            for view in sorted(set(views))
+            for viewpoint in sorted(set(viewpoints))
         },
         "confusion": None,
     }
     if truth is not None:
-        counts = sum(np.array(confusion(shares, truth)) for shares in of_seed.values())
+        counts = sum(np.array(confusion(of_one, truth)) for of_one in of_seed.values())
         result["confusion"] = counts.tolist()
     if card["target"] == "friction":
         true = np.array([row["friction"] for row in part.rows])
@@ -395,13 +404,15 @@ def _of(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _rows(
-    part: Videos, test: EvaluationSet, key, model: TrainedModel, shares
+    part: Videos, test: EvaluationSet, key, model: TrainedModel, probabilities
 ) -> list[dict[str, Any]]:
     card = model.card
     truth = known_labels(part.rows, card)
-    check_probabilities(shares, np.zeros(len(shares), np.int64) if truth is None else truth)
-    ids = [one["id"] for one in card["classes"]]
-    values = [one.get("value", math.nan) for one in card["classes"]]
+    check_probabilities(
+        probabilities, np.zeros(len(probabilities), np.int64) if truth is None else truth
+    )
+    ids = [entry["id"] for entry in card["classes"]]
+    values = [entry.get("value", math.nan) for entry in card["classes"]]
     return [
         {
             "video": row["video"],
@@ -418,7 +429,7 @@ def _rows(
             "predicted_value": values[int(likely.argmax())],
             "probabilities": likely.tolist(),
         }
-        for row, likely in zip(part.rows, shares, strict=True)
+        for row, likely in zip(part.rows, probabilities, strict=True)
     ]
 
 

@@ -56,12 +56,12 @@ def find_instruments(
 
 
 def measured(instrument: Instrument, videos: np.ndarray) -> list[Measurement]:
-    """Measure videos, each with the same augmented looks as any other."""
+    """Measure videos, each with the same augmented views as any other."""
     return [instrument.measure(video) for video in videos]
 
 
 def scores(
-    said: list[Measurement], rows: list[Row], settings: EvaluateSettings
+    measurements: list[Measurement], rows: list[Row], settings: EvaluateSettings
 ) -> dict[str, float]:
     """Scores of one instrument on videos; fabrics only where all are ones that it knows.
 
@@ -73,23 +73,27 @@ def scores(
         in mu), ``alarm_rate``.
     """
     true = np.array([row["friction"] for row in rows])
-    names = list(said[0].material_probabilities)
-    low, high = np.array([one.interval_90 for one in said]).T
+    names = list(measurements[0].material_probabilities)
+    low, high = np.array([measurement.interval_90 for measurement in measurements]).T
     share, error = covered(low, high, true, [row["simulation"] for row in rows])
     result = {
         **friction_scores(
-            np.array([one.friction_coefficient for one in said]), true, settings.friction_step
+            np.array([measurement.friction_coefficient for measurement in measurements]),
+            true,
+            settings.friction_step,
         ),
         "coverage_90": share,
         "interval_width": float((high - low).mean()),
-        "alarm_rate": float(np.mean([one.alarm for one in said])),
+        "alarm_rate": float(np.mean([measurement.alarm for measurement in measurements])),
     }
     if np.isfinite(error):  # more than one simulation
         result["coverage_90_error"] = error
     if all(row["material"] in names for row in rows):
-        shares = np.array([list(one.material_probabilities.values()) for one in said])
+        probabilities = np.array(
+            [list(measurement.material_probabilities.values()) for measurement in measurements]
+        )
         truth = np.array([names.index(row["material"]) for row in rows])
-        result |= material_scores(shares, truth)
+        result |= material_scores(probabilities, truth)
     return result
 
 
@@ -121,10 +125,11 @@ def evaluate_instruments(
             return None, []
         rows = [row for row, use in zip(videos.rows, seen, strict=True) if use]
         frames = phased(videos.pixels[seen], instrument.card["frames"], None)
-        said = measured(instrument, frames)
-        each[str(seed)] = scores(said, rows, settings)
+        measurements = measured(instrument, frames)
+        each[str(seed)] = scores(measurements, rows, settings)
         predictions += [
-            _prediction(row, test, seed, one) for row, one in zip(rows, said, strict=True)
+            _prediction(row, test, seed, measurement)
+            for row, measurement in zip(rows, measurements, strict=True)
         ]
     if not each:
         return None, []
@@ -166,14 +171,14 @@ def alarm_rates(
         if not mine.all():
             kinds["viewpoint"] = frames[~mine]
         result[str(seed)] = {
-            kind: float(np.mean([one.alarm for one in measured(instrument, some)]))
+            kind: float(np.mean([measurement.alarm for measurement in measured(instrument, some)]))
             for kind, some in kinds.items()
         }
     return result
 
 
-def _prediction(row: Row, test, seed: int, said: Measurement) -> Row:
-    fabric = max(said.material_probabilities, key=said.material_probabilities.get)
+def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
+    probabilities = measurement.material_probabilities
     return {
         "video": row["video"],
         "simulation": row["simulation"],
@@ -184,11 +189,11 @@ def _prediction(row: Row, test, seed: int, said: Measurement) -> Row:
         "network": "instrument",
         "seed": seed,
         "true": row["friction_id"],
-        "predicted": fabric,
+        "predicted": max(probabilities, key=probabilities.get),
         "true_value": row["friction"],
-        "predicted_value": said.friction_coefficient,
-        "probabilities": said.distribution[1].tolist(),
-        "low": said.interval_90[0],
-        "high": said.interval_90[1],
-        "alarm": said.alarm_reason,
+        "predicted_value": measurement.friction_coefficient,
+        "probabilities": measurement.distribution[1].tolist(),
+        "low": measurement.interval_90[0],
+        "high": measurement.interval_90[1],
+        "alarm": measurement.alarm_reason,
     }

@@ -21,31 +21,35 @@ FIELDS = (
 )
 
 
-def check_probabilities(shares: np.ndarray, truth: np.ndarray) -> None:
+def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
     """Refuse arrays that are no predictions: wrong shape, not finite, not summing to one.
 
     Parameters
     ----------
-    shares : ndarray, shape (n, classes)
+    probabilities : ndarray, shape (n, classes)
     truth : ndarray of int, shape (n,)
 
     Raises
     ------
     BadInput
     """
-    if shares.ndim != 2 or truth.shape != shares.shape[:1] or not len(truth):
+    if probabilities.ndim != 2 or truth.shape != probabilities.shape[:1] or not len(truth):
         raise BadInput(
-            f"predictions of shape {shares.shape} do not go with {truth.shape} true classes"
+            f"predictions of shape {probabilities.shape} do not go with {truth.shape} true classes"
         )
-    if not np.isfinite(shares).all() or shares.min() < 0 or abs(shares.sum(1) - 1).max() > 1e-4:
+    if (
+        not np.isfinite(probabilities).all()
+        or probabilities.min() < 0
+        or abs(probabilities.sum(1) - 1).max() > 1e-4
+    ):
         raise BadInput("predictions are no probabilities: finite, not negative, sum 1 are needed")
-    if truth.min() < 0 or truth.max() >= shares.shape[1]:
-        raise BadInput(f"a true class is outside 0 ... {shares.shape[1] - 1}")
+    if truth.min() < 0 or truth.max() >= probabilities.shape[1]:
+        raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
 
 
-def top_k(shares: np.ndarray, truth: np.ndarray, k: int) -> float:
+def top_k(probabilities: np.ndarray, truth: np.ndarray, k: int) -> float:
     """Share of the rows whose true class is among the k likeliest."""
-    best = np.argsort(-shares, axis=1, kind="stable")[:, :k]
+    best = np.argsort(-probabilities, axis=1, kind="stable")[:, :k]
     return float((best == truth[:, None]).any(1).mean())
 
 
@@ -80,12 +84,12 @@ def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dic
     }
 
 
-def material_scores(shares: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """``material_top1`` and ``material_top2``, shares in 0 ... 1."""
-    check_probabilities(shares, truth)
+    check_probabilities(probabilities, truth)
     return {
-        "material_top1": top_k(shares, truth, 1),
-        "material_top2": top_k(shares, truth, 2),
+        "material_top1": top_k(probabilities, truth, 1),
+        "material_top2": top_k(probabilities, truth, 2),
     }
 
 
@@ -102,18 +106,18 @@ def constant_error(true: np.ndarray) -> float:
     return float(np.abs(true - np.median(true)).mean())
 
 
-def confusion(shares: np.ndarray, truth: np.ndarray) -> list[list[int]]:
+def confusion(probabilities: np.ndarray, truth: np.ndarray) -> list[list[int]]:
     """Counts: row = true class, column = predicted class."""
-    classes = shares.shape[1]
+    classes = probabilities.shape[1]
     counts = np.zeros((classes, classes), np.int64)
-    np.add.at(counts, (truth, shares.argmax(1)), 1)
+    np.add.at(counts, (truth, probabilities.argmax(1)), 1)
     return counts.tolist()
 
 
 def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     """Score -> its values, of those that all trainings have."""
-    names = [name for name in scores[0] if all(name in one for one in scores)]
-    return {name: [one[name] for one in scores] for name in names}
+    names = [name for name in scores[0] if all(name in score for score in scores)]
+    return {name: [score[name] for score in scores] for name in names}
 
 
 def mean_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -38,8 +38,8 @@ def fitted_temperature(
     weights = _one_each(groups)
 
     def surprise(logarithm: float) -> float:
-        shares = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
-        return float(-(weights * np.log(np.maximum(shares, 1e-12))).sum())
+        of_truth = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
+        return float(-(weights * np.log(np.maximum(of_truth, 1e-12))).sum())
 
     found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
     return float(np.exp(found.x))

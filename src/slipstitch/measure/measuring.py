@@ -84,7 +84,7 @@ class MeasuredVideo:
             "alarm": bool(measured.alarm),
             "alarm_reason": measured.alarm_reason,
             "frame_time_s": video.time_s.tolist(),
-            "moments": np.asarray(measured.moments).tolist(),
+            "moments": np.asarray(measured.attention_weights).tolist(),
             "stage_start_s": video.start.time_s,
             "stage_start_found": video.start.found,
             "notes": video.notes,

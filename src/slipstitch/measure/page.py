@@ -19,7 +19,7 @@ _WIDTH, _HEIGHT = 920, 190
 def page(result: MeasuredVideo) -> str:
     """The page as HTML; it needs no other file."""
     measured, video = result.measurement, result.video
-    weights = np.asarray(measured.moments, dtype=float)
+    weights = np.asarray(measured.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
     frames = [
         {
