@@ -1,5 +1,6 @@
 """The command line: verbs, exit codes, one line for what is wrong."""
 
+import re
 import subprocess
 import sys
 import types
@@ -109,6 +110,16 @@ def test_bad_usage_of_a_verb_is_one_line(verb, capsys, words):
     line = capsys.readouterr().err
     assert line.startswith("slipstitch doctor: error: ")
     assert line.count("\n") == 1
+
+
+def test_only_the_command_line_knows_of_options_and_nothing_depends_on_it():
+    package = Path(command.__file__).parents[1]
+    for source in sorted(package.rglob("*.py")):
+        name = source.relative_to(package).as_posix()
+        if name.startswith("cli/") or name in ("__main__.py", "criticise/measured/__main__.py"):
+            continue
+        found = re.search(r"(import argparse|(from|import) slipstitch\.cli)", source.read_text())
+        assert found is None, name
 
 
 def test_overview_imports_nothing_heavy():

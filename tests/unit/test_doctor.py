@@ -1,5 +1,7 @@
 """``slipstitch doctor``: finds what is missing and says how to get it."""
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +21,16 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
     assert "MISSING" not in shown
     assert "Everything that Slipstitch needs is here." in shown
     assert len(shown.splitlines()) <= 24  # one screen
+
+
+def test_before_anything_is_installed_it_says_what_is_missing():
+    words = [sys.executable, "-S", "-m", "slipstitch", "doctor"]  # -S: no site-packages
+    answer = subprocess.run(
+        words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == ""
+    assert "MISSING packages" in answer.stdout
 
 
 def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):

@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config, add_threads, check_at_least
+
 SUMMARY = "change one thing in the training at a time, at an equal budget: what it is worth"
 EXAMPLE = (
     "slipstitch ablate --config results/config.json --dataset results/sample "
@@ -13,7 +15,6 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config, add_threads
     from slipstitch.config.ablate import QUESTIONS
 
     add_config(parser)
@@ -35,8 +36,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
 
-    if arguments.threads < 1 or (arguments.seed or 0) < 0:
-        raise BadInput("--threads must be at least 1, --seed at least 0")
+    check_at_least(arguments, threads=1, seed=0)
     given = (arguments.dataset, arguments.question, arguments.seed)
     config = load_config(*arguments.config)
     if arguments.summary:

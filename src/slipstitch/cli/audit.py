@@ -4,6 +4,8 @@ import argparse
 import os
 from pathlib import Path
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "check a release to the last pixel, tell a clip's story, make a clip again"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 
@@ -11,11 +13,11 @@ EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("release", type=Path, metavar="RELEASE_DIR", help="folder of a release")
-    parser.add_argument(
-        "--config",
-        action="append",
-        metavar="FILE",
-        help="today's configuration, to say what it would make otherwise",
+    add_config(
+        parser,
+        "today's configuration, to say what it would make otherwise",
+        required=False,
+        one_each=True,
     )
     parser.add_argument(
         "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS that the publisher states"

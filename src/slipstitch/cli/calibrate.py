@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config, check_picture
+
 SUMMARY = "choose numerical settings by the pushed strip, and check them against theory"
 EXAMPLE = (
     "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
@@ -11,7 +13,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
+    add_config(parser)
     parser.add_argument(
         "--out", required=True, help="JSON file of settings and checks (with --sweep: of its runs)"
     )
@@ -55,19 +57,14 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
-    from pathlib import Path
-
-    from slipstitch.errors import BadInput
-
     given = {
-        "checks": ("--picture", arguments.picture),
-        "strip": ("--strip-picture", arguments.strip_picture),
-        "settings": ("--settings-picture", arguments.settings_picture),
+        "checks": arguments.picture,
+        "strip": arguments.strip_picture,
+        "settings": arguments.settings_picture,
     }
-    for option, path in given.values():
-        if path and Path(path).suffix not in (".png", ".svg"):
-            raise BadInput(f"{option} {path}: must end in .png or .svg")
-    return {name: path for name, (_, path) in given.items() if path}
+    for path in given.values():
+        check_picture(path)
+    return {name: path for name, path in given.items() if path}
 
 
 def _trial_line(trial: dict, chosen: dict) -> str:

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from slipstitch.cli.options import check_picture
+
 SUMMARY = "calibrate a camera from pictures or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
@@ -58,13 +60,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.capture.camera.board import Board
-    from slipstitch.capture.camera.calibration import FloorPlace, calibrate, camera_file
-    from slipstitch.capture.camera.views import read_image, read_views
-    from slipstitch.errors import BadInput
-    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
-    from slipstitch.render.camera_file import write_camera_file
+    from slipstitch.capture.camera.calibration import FloorPlace
+    from slipstitch.capture.camera.writing import calibrate_to_file
 
-    started = start_clock()
+    check_picture(arguments.picture)
     board = Board.named(
         arguments.board,
         arguments.squares,
@@ -72,28 +71,8 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.marker_mm,
         arguments.dictionary,
     )
-    if arguments.picture and arguments.picture.suffix not in (".png", ".svg"):
-        raise BadInput(f"{arguments.picture}: a picture's name must end in .png or .svg")
-    result = calibrate(read_views(arguments.views, board))
-    stage = None
-    if arguments.stage_view:
-        place = FloorPlace(*arguments.place_mm, arguments.angle_deg, arguments.thickness_mm)
-        stage = result.stand(
-            read_image(arguments.stage_view), board, place, str(arguments.stage_view)
-        )
-    inputs = [*arguments.views, *([arguments.stage_view] if stage else [])]
-    record = provenance_record(
-        "capture",
-        inputs=inputs,
-        config={"board": board.record(), "place": stage and stage.place.record()},
-        started=started,
+    place = FloorPlace(*arguments.place_mm, arguments.angle_deg, arguments.thickness_mm)
+    said = calibrate_to_file(
+        board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
     )
-    write_camera_file(arguments.out, camera_file(result, board, stage))
-    write_sidecar(arguments.out, record)
-    if arguments.picture:
-        from slipstitch.capture.camera.picture import draw_residuals
-
-        with atomic_path(arguments.picture) as temporary:
-            draw_residuals(result, temporary, arguments.picture.suffix[1:])
-        write_sidecar(arguments.picture, record)
-    print(f"{arguments.out}: {result.summary()}{stage.summary() if stage else ''}")
+    print(f"{arguments.out}: {said}")

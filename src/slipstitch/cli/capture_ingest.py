@@ -2,7 +2,10 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
+
+from slipstitch.cli.options import add_config
 
 SUMMARY = "bring videos of a bench into the form of the dataset: synchronised, rectified, cropped"
 EXAMPLE = (
@@ -20,12 +23,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="columns video, material, substrate, repeat, mu_ref, mu_ref_error, reflective (yes or "
         "no), camera; optional: start_s, frame_rate_hz; paths are relative to its folder",
     )
-    parser.add_argument(
-        "--config",
-        required=True,
-        action="append",
-        metavar="FILE",
-        help="configuration of the dataset that the networks were trained on",
+    add_config(
+        parser, "configuration of the dataset that the networks were trained on", one_each=True
     )
     parser.add_argument(
         "--reference",
@@ -38,16 +37,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Ingest all videos of the table; say of each where it starts."""
-    from tqdm import tqdm
-
     from slipstitch.capture.ingest.dataset import ingest
     from slipstitch.config import load_config
+    from slipstitch.progress import progress
 
-    def progress(captures):
-        return tqdm(captures, unit="video", disable=not sys.stderr.isatty(), file=sys.stderr)
-
+    bar = partial(progress, unit="video")
     config = load_config(*arguments.config)
-    rows = ingest(config, arguments.table, arguments.out_dir, arguments.reference, progress)
+    rows = ingest(config, arguments.table, arguments.out_dir, arguments.reference, bar)
     for row in rows:
         how = "found" if row["start_found"] else "stated"
         print(

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from slipstitch.cli.options import check_picture
+
 SUMMARY = "friction of each fabric and substrate from slip angles on an inclined plane"
 EXAMPLE = (
     "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
@@ -26,52 +28,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Estimate, write, print one line a pair."""
-    import csv
-    import json
-    from dataclasses import asdict
+    from slipstitch.capture.reference.writing import reference_to_files
 
-    from slipstitch.capture.reference.angles import read_angles
-    from slipstitch.capture.reference.estimate import estimate
-    from slipstitch.errors import BadInput
-    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
-
-    started = start_clock()
-    if arguments.picture and arguments.picture.suffix not in (".png", ".svg"):
-        raise BadInput(f"{arguments.picture}: a picture's name must end in .png or .svg")
-    table = read_angles(arguments.table)
-    found = [(angles, estimate(angles)) for angles in table]
-    record = provenance_record("capture", inputs=[arguments.table], started=started)
-    columns = ("material", "substrate", "mu", "error", "standard_error", "position_sd",
-               "bench_error", "positions", "orientations", "measurements", "position_p",
-               "orientation_p")  # fmt: skip
-    with atomic_path(arguments.out) as temporary, open(temporary, "w", newline="") as stream:
-        writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        for _, one in found:
-            counts = {
-                "positions": len(one.by_position),
-                "orientations": len(one.by_orientation),
-            }
-            values = asdict(one) | counts
-            writer.writerow({key: _shown(values[key]) for key in columns})
-    write_sidecar(arguments.out, record)
-    if arguments.json:
-        with atomic_path(arguments.json) as temporary:
-            text = json.dumps([asdict(one) for _, one in found], indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
-        write_sidecar(arguments.json, record)
-    if arguments.picture:
-        from slipstitch.capture.reference.picture import draw_references
-
-        with atomic_path(arguments.picture) as temporary:
-            draw_references(found, temporary, arguments.picture.suffix[1:])
-        write_sidecar(arguments.picture, record)
-    for _, one in found:
+    check_picture(arguments.picture)
+    for one in reference_to_files(
+        arguments.table, arguments.out, arguments.json, arguments.picture
+    ):
         print(_line(one))
-
-
-def _shown(value):
-    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 def _line(one) -> str:

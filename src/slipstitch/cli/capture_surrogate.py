@@ -1,8 +1,10 @@
 """slipstitch capture surrogate: films of a bench that does not exist."""
 
 import argparse
-import sys
+from functools import partial
 from pathlib import Path
+
+from slipstitch.cli.options import add_config
 
 SUMMARY = (
     "make surrogate captures: films of simulations unlike the training data, never called real"
@@ -15,7 +17,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--config", required=True, action="append", metavar="FILE")
+    add_config(parser)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--bench",
@@ -41,22 +43,14 @@ def run(arguments: argparse.Namespace) -> None:
         write_bench(config, arguments.bench)
         print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
         return
-    from tqdm import tqdm
-
-    from slipstitch.capture.surrogate.bench import films
+    from slipstitch.capture.surrogate.bench import find_film
     from slipstitch.capture.surrogate.film import make_film
+    from slipstitch.progress import progress
 
     if not arguments.out or arguments.out.suffix != ".mp4":
         raise BadInput("--film needs --out FILE.mp4")
-    known = {film.id: film for film in films(config)}
-    if arguments.film not in known:
-        raise BadInput(f"no surrogate capture {arguments.film!r}; there are: {', '.join(known)}")
-
-    def progress(shots):
-        return tqdm(shots, unit="frame", disable=not sys.stderr.isatty(), file=sys.stderr)
-
-    film = known[arguments.film]
-    count = make_film(config, film, arguments.out, progress)
+    film = find_film(config, arguments.film)
+    count = make_film(config, film, arguments.out, partial(progress, unit="frame"))
     print(
         f"{arguments.out}: {count} frames, {film.pair.material} on {film.pair.substrate}, "
         f"repeat {film.repeat} (surrogate)"

@@ -1,9 +1,6 @@
 """slipstitch criticise: what the model gets wrong in measured data, and why."""
 
-from __future__ import annotations
-
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -36,41 +33,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Criticise one case; exit code 0 whatever the verdict."""
-    from slipstitch import __version__
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.inference.analysis import analyse
-    from slipstitch.criticise.measurements import assemble
-    from slipstitch.criticise.verdict import sentence, verdict_of
+    from slipstitch.criticise.writing import criticise_to_files
     from slipstitch.errors import BadInput
-    from slipstitch.provenance import atomic_path
 
     if arguments.replicates < 50:
         raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
-    analysis = analyse(assemble(case), arguments.seed, arguments.replicates)
-    verdict = verdict_of(case, analysis, arguments.seed, __version__)
-    with atomic_path(Path(arguments.out)) as temporary:
-        temporary.write_text(json.dumps(verdict, indent=1) + "\n", encoding="utf-8")
-    again = None
-    if arguments.resimulate:
-        from slipstitch.criticise.resimulation import resimulate
-
-        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
-        if "drop_drag" in case.protocols:
-            again = resimulate(case, verdict)
-            summary = again.summary
-        with atomic_path(Path(arguments.resimulate)) as temporary:
-            temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    if arguments.report:
-        from slipstitch.criticise.report import page
-
-        with atomic_path(Path(arguments.report)) as temporary:
-            temporary.write_text(page(verdict, analysis, again), encoding="utf-8")
-    if arguments.model:
-        from slipstitch.criticise.extended_model import write_extended_model
-
-        write_extended_model(verdict, Path(arguments.model))
-    print(sentence(verdict))
+    said = criticise_to_files(
+        case,
+        arguments.seed,
+        arguments.replicates,
+        verdict_path=arguments.out,
+        page_path=arguments.report,
+        model_path=arguments.model,
+        resimulation_path=arguments.resimulate,
+    )
+    print(said)
     return 0

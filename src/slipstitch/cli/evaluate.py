@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config, add_threads, check_at_least
+
 SUMMARY = "test the trained networks: metrics, confusion, predictions"
 EXAMPLE = (
     "slipstitch evaluate --config results/config.json --dataset results/sample "
@@ -12,8 +14,6 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config, add_threads
-
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
@@ -41,8 +41,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.errors import BadInput
     from slipstitch.evaluate.evaluation import write_evaluation
 
-    if arguments.threads < 1:
-        raise BadInput("--threads must be at least 1")
+    check_at_least(arguments, threads=1)
     config = load_config(*arguments.config)
     if arguments.captures:
         _captures(config, arguments)

@@ -2,14 +2,14 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "write the table of ids and seeds"
 EXAMPLE = "slipstitch grid --config results/config.json --out results/grid.parquet"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config
-
     add_config(parser)
     parser.add_argument("--out", required=True, help="Parquet file")
 

@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_training, check_at_least
+
 SUMMARY = "train the instrument that measures friction, calibrate its error bars and its alarm"
 EXAMPLE = (
     "slipstitch instrument --config results/config.json --dataset results/sample "
@@ -11,25 +13,15 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config, add_threads
-    from slipstitch.config.train import SPLITS
-
-    add_config(parser)
-    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
-    parser.add_argument("--split", required=True, choices=SPLITS)
-    parser.add_argument("--seed", required=True, type=int)
-    parser.add_argument("--out-dir", required=True, help="folder of the instrument")
-    add_threads(parser)
+    add_training(parser, "folder of the instrument")
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Train, calibrate, write, say how it went."""
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
     from slipstitch.instrument.training import train_instrument
 
-    if arguments.threads < 1 or arguments.seed < 0:
-        raise BadInput("--threads must be at least 1, --seed at least 0")
+    check_at_least(arguments, threads=1, seed=0)
     config = load_config(*arguments.config)
     card = train_instrument(
         config.instrument,

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from slipstitch.cli.options import add_threads, check_at_least
+
 SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
 EXAMPLE = (
     "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json "
@@ -44,49 +46,31 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="of the camera, if the file's own times are wrong",
     )
-    parser.add_argument("--threads", type=int, default=2, help="threads of the computation")
+    add_threads(parser, default=2)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Measure, write the page, print the result."""
-    import json
     import math
 
     from slipstitch.errors import BadInput
-    from slipstitch.measure.measuring import measure_video
-    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+    from slipstitch.measure.writing import measure_to_files
 
-    started = start_clock()
-    if arguments.threads < 1:
-        raise BadInput("--threads must be at least 1")
+    check_at_least(arguments, threads=1)
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
             raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
-    result = measure_video(
+    result = measure_to_files(
         arguments.video,
         arguments.camera,
         arguments.model,
         arguments.config,
+        page_path=arguments.out,
+        numbers_path=arguments.json,
         start_s=arguments.start_s,
         frame_rate_hz=arguments.frame_rate_hz,
         threads=arguments.threads,
     )
-    record = None
-    if arguments.out or arguments.json:
-        inputs = [arguments.video, arguments.camera, result.config_path]
-        record = provenance_record("measure", inputs=inputs, started=started)
-        record["instrument"] = result.instrument
-    if arguments.out:
-        from slipstitch.measure.page import page
-
-        with atomic_path(arguments.out) as temporary:
-            temporary.write_text(page(result), encoding="utf-8")
-        write_sidecar(arguments.out, record)
-    if arguments.json:
-        with atomic_path(arguments.json) as temporary:
-            text = json.dumps(result.numbers(), indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
-        write_sidecar(arguments.json, record)
     for line in result.lines():
         print(line)

@@ -46,10 +46,8 @@ def run(arguments: argparse.Namespace) -> None:
     import json
 
     from slipstitch.config.load import resolve_config
-    from slipstitch.protocol.registry import run_protocol
-    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+    from slipstitch.protocol.registry import run_protocol_to_file
 
-    started = start_clock()
     options = {name: getattr(arguments, name) for name in OPTIONS}
     options = {name: value for name, value in options.items() if value is not None}
     given = {"time_step_s": arguments.time_step}
@@ -57,13 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
         given["vertices_per_side"] = options.pop("vertices", None)
     overrides = {key: value for key, value in given.items() if value is not None}
     settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
-    result = run_protocol(arguments.name, options, settings)
-    with atomic_path(arguments.out) as temporary:
-        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    record = provenance_record(
-        "protocol", config={"options": options, "simulation": settings}, started=started
-    )
-    write_sidecar(arguments.out, record)
+    result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
     # Curves and histories are in the file only.
     numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
     print(json.dumps(numbers, indent=1))

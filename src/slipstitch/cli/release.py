@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "write the dataset as a folder to hand out: shards, splits, card, metadata, records"
 EXAMPLE = (
     "slipstitch release --config results/config.json --results results --out-dir results/release"
@@ -11,8 +13,6 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config
-
     add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
     parser.add_argument("--out-dir", required=True, help="the release; must not exist yet")

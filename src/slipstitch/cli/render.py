@@ -2,7 +2,10 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
+
+from slipstitch.cli.options import add_config
 
 SUMMARY = "render a simulation from one viewpoint with every texture; verify; make previews"
 EXAMPLE = (
@@ -12,12 +15,12 @@ EXAMPLE = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--config",
-        type=Path,
-        action="append",
-        metavar="FILE",
-        help="YAML or JSON configuration, later files override earlier ones (default: built-in)",
+    """Declare the options."""
+    add_config(
+        parser,
+        "YAML or JSON configuration, later files override earlier ones (default: built-in)",
+        required=False,
+        one_each=True,
     )
     parser.add_argument("--trajectory", type=Path, metavar="FILE", help="what simulate wrote")
     parser.add_argument(
@@ -65,6 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
+    """Preview, verify, compose or render; print one line on each result."""
     if arguments.preview:
         _preview(arguments)
     elif arguments.verify:
@@ -109,17 +113,18 @@ def _refused(arguments: argparse.Namespace, names: list[str], mode: str) -> None
 
 def _verify(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
+    from slipstitch.progress import progress
     from slipstitch.render.verification import verify
 
     _needed(arguments, ["trajectories", "packs", "out", "shards"], "--verify")
     _refused(arguments, ["trajectory", "viewpoint", "shading", "from_shading"], "--verify")
     done = verify(
-        load_config(*(arguments.config or [])),
+        load_config(*arguments.config),
         arguments.shards,
         arguments.trajectories,
         arguments.packs,
         arguments.out,
-        _progress,
+        partial(progress, unit="frame"),
     )
     for one in done:
         print(f"{one.video} frame {one.frame}: {one.psnr_db:.1f} dB, SSIM {one.ssim:.3f}")
@@ -127,30 +132,20 @@ def _verify(arguments: argparse.Namespace) -> None:
 
 def _compose(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.provenance import read_metadata
-    from slipstitch.render.packing import Job
-    from slipstitch.render.shards import render_shard
+    from slipstitch.render.shards import render_shards_from_packs
 
     _needed(arguments, ["trajectory", "out_dir"], "--from-shading")
     _refused(arguments, ["viewpoint", "shading", "shards", "out"], "--from-shading")
-    config = load_config(*(arguments.config or []))
-    for pack in arguments.from_shading:
-        out = arguments.out_dir / pack.name
-        try:
-            view = read_metadata(pack).get("viewpoint", {})
-        except (OSError, ValueError):
-            view = {}  # read_pack says what is wrong with it
-        words = (view.get("id", ""), view.get("name", ""))
-        job = Job(
-            arguments.trajectory, *words, config.render, config.sample.frames_kept, config.seed
-        )
-        done = render_shard(job, out, pack_path=pack)
-        print(f"{out}: {done['images']} images of {done['frames']} frames, {job.viewpoint}")
+    config = load_config(*arguments.config)
+    packs, folder = arguments.from_shading, arguments.out_dir
+    for out, done in render_shards_from_packs(config, arguments.trajectory, packs, folder):
+        print(f"{out}: {done['images']} images of {done['frames']} frames, {done['viewpoint']}")
 
 
 def _render(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
+    from slipstitch.progress import progress
     from slipstitch.render.packing import Job, write_pack
 
     _needed(arguments, ["trajectory", "viewpoint"], "rendering")
@@ -160,41 +155,19 @@ def _render(arguments: argparse.Namespace) -> None:
         _needed(arguments, ["out"], "rendering")
     elif arguments.out:
         raise BadInput("--out and --shading: one of them; images from a pack: --from-shading")
-    config = load_config(*(arguments.config or []))
-    job = Job(
-        arguments.trajectory,
-        *_viewpoint(config.render, arguments.viewpoint),
-        config.render,
-        config.sample.frames_kept,
-        config.seed,
-    )
+    config = load_config(*arguments.config)
+    bar = partial(progress, unit="frame")
+    job = Job.of(config, arguments.trajectory, arguments.viewpoint)
     if arguments.shading:
-        pack = write_pack(job, arguments.shading, _progress)
+        pack = write_pack(job, arguments.shading, bar)
         _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
         print(f"{arguments.shading}: light of {len(pack.shots)} frames, {job.viewpoint}")
         return
     from slipstitch.render.shards import render_shard
 
-    done = render_shard(job, arguments.out, progress=_progress)
+    done = render_shard(job, arguments.out, progress=bar)
     _warn(arguments.out, done["smallest_share_of_cloth_in_image"])
     print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {job.viewpoint}")
-
-
-def _viewpoint(settings, given: str) -> tuple[str, str]:
-    """Id and name of a viewpoint that is given by either."""
-    from slipstitch.catalogue import VIEWPOINTS
-    from slipstitch.errors import BadInput
-
-    ids = settings.viewpoint_ids()
-    name = ids.get(given, given)
-    if name not in VIEWPOINTS:
-        known = ", ".join(f"{key} ({value})" for key, value in ids.items())
-        raise BadInput(
-            f"no viewpoint {given!r}; the configuration has {known}; "
-            f"by name there are: {', '.join(VIEWPOINTS)}"
-        )
-    # A viewpoint given by name keeps its id if the configuration has one.
-    return next((key for key, value in ids.items() if value == name), name), name
 
 
 def _warn(path: Path, share_inside: float) -> None:
@@ -204,9 +177,3 @@ def _warn(path: Path, share_inside: float) -> None:
             "vertices are inside",
             file=sys.stderr,
         )
-
-
-def _progress(frames: list):
-    from slipstitch.progress import progress
-
-    return progress(frames, unit="frame")

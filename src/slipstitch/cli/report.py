@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "write one self-contained page about everything in a results folder"
 EXAMPLE = (
     "slipstitch report --config results/config.json --results results "
@@ -11,7 +13,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--config", required=True, nargs="+", help="YAML or JSON configuration")
+    add_config(parser)
     parser.add_argument("--results", required=True, help="results folder; may be incomplete")
     parser.add_argument("--out", required=True, help="HTML file")
 

@@ -3,6 +3,8 @@
 import argparse
 from collections import Counter
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "choose frames of the rendered videos, split them, write the dataset"
 EXAMPLE = (
     "slipstitch sample --config results/config.json --out-dir results/sample "
@@ -12,9 +14,7 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.cli.options import add_config
-
-    add_config(parser)
+    add_config(parser, one_each=True)
     parser.add_argument("--out-dir", required=True, help="folder of the dataset")
     parser.add_argument("shards", nargs="+", metavar="SHARD", help="image shards, all of the grid")
 

@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import add_config
+
 SUMMARY = "what a run has done, is doing, what failed, what it cost, how long yet, disk"
 EXAMPLE = "slipstitch status --results results"
 
@@ -9,10 +11,10 @@ EXAMPLE = "slipstitch status --results results"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--results", default="results", help="results folder (default: results)")
-    parser.add_argument(
-        "--config",
-        nargs="+",
-        help="YAML or JSON configuration (default: config.json in the results folder)",
+    add_config(
+        parser,
+        "YAML or JSON configuration (default: config.json in the results folder)",
+        required=False,
     )
     parser.add_argument(
         "--lines", type=int, default=12, help="lines of a failed job's log to show (default: 12)"

@@ -54,6 +54,14 @@ class GridSettings(Section):
         1, ge=1, le=100, description="simulations of each pair that is for testing only"
     )
 
+    @property
+    def classes(self) -> dict[str, list]:
+        """What networks tell apart: fabrics, as in the catalogue, and friction coefficients."""
+        return {
+            "material": sorted(self.materials, key=fabric_names().index),
+            "friction": list(self.frictions),
+        }
+
     @field_validator("materials", "test_materials")
     @classmethod
     def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:

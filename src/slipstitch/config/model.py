@@ -5,6 +5,7 @@ from pydantic import Field, model_validator
 from slipstitch.config.ablate import AblateSettings
 from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.captures import CaptureSettings
+from slipstitch.config.compute import ComputeSettings
 from slipstitch.config.convergence import ConvergenceSettings
 from slipstitch.config.criticise import CriticiseSettings
 from slipstitch.config.evaluate import EvaluateSettings
@@ -14,7 +15,7 @@ from slipstitch.config.release import ReleaseSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
-from slipstitch.config.simulation import ComputeSettings, SimulationSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.config.train import TrainSettings
 
 

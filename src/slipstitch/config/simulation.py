@@ -111,21 +111,3 @@ class SimulationSettings(Section):
     def recorded_s(self) -> float:
         """Time of the last recorded frame, from the start of the stage."""
         return (self.frames - 1) / self.frame_rate_hz
-
-
-class ComputeSettings(Section):
-    """Where simulations run, and how many at once: to rounding, they are the same."""
-
-    device: str = Field(
-        "cpu",
-        pattern=r"^(cpu|cuda(:\d+)?)$",
-        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; the linear "
-        "systems are solved on the CPU in any case",
-    )
-    batch: int = Field(
-        1,
-        ge=1,
-        le=256,
-        description="simulations in one job, evaluated at once: for cuda; on the cpu a job each "
-        "is faster, as jobs run side by side",
-    )

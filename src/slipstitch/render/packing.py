@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.config import Config
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -73,6 +75,41 @@ class Job:
     settings: RenderSettings
     frames_sampled: int
     seed: int
+
+    @classmethod
+    def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "Job":
+        """The job of a configuration, with a viewpoint by its id or its name.
+
+        Raises
+        ------
+        BadInput
+            If there is no such viewpoint.
+        """
+        ids = config.render.viewpoint_ids()
+        name = ids.get(viewpoint, viewpoint)
+        if name not in VIEWPOINTS:
+            known = ", ".join(f"{key} ({value})" for key, value in ids.items())
+            raise BadInput(
+                f"no viewpoint {viewpoint!r}; the configuration has {known}; "
+                f"by name there are: {', '.join(VIEWPOINTS)}"
+            )
+        # A viewpoint given by name keeps its id if the configuration has one.
+        identity = next((key for key, value in ids.items() if value == name), name)
+        return cls.of_view(config, trajectory_path, identity, name)
+
+    @classmethod
+    def of_view(
+        cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
+    ) -> "Job":
+        """The job of a configuration, with id and name of a viewpoint."""
+        return cls(
+            trajectory_path,
+            viewpoint_id,
+            viewpoint,
+            config.render,
+            config.sample.frames_kept,
+            config.seed,
+        )
 
     @property
     def simulation(self) -> str:

@@ -17,6 +17,7 @@ from slipstitch.config import Config
 from slipstitch.config.captures import CaptureSettings, PairSettings
 from slipstitch.config.grid import simulation_seed
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.render.camera import Camera, Pose, pose, turned
 from slipstitch.render.camera_file import LensCamera, write_camera_file
@@ -64,6 +65,14 @@ def films(config: Config) -> list[Film]:
         seed = simulation_seed(config.seed + 1, f"surrogate {name}", friction, repeat)
         made.append(Film(name, pair, repeat, friction, seed))
     return made
+
+
+def find_film(config: Config, name: str) -> Film:
+    """The film with id `name`; BadInput if there is none."""
+    known = {film.id: film for film in films(config)}
+    if name not in known:
+        raise BadInput(f"no surrogate capture {name!r}; there are: {', '.join(known)}")
+    return known[name]
 
 
 def surrogate_simulation(config: Config) -> SimulationSettings:
