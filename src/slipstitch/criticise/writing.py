@@ -8,8 +8,8 @@ from pathlib import Path
 from slipstitch import __version__
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import write_extended_model
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import sentence, verdict_of
 from slipstitch.provenance import atomic_path
 
