@@ -22,6 +22,7 @@ from slipstitch.provenance import (
     read_metadata,
     start_clock,
 )
+from slipstitch.render.catalogue import catalogue_entries
 from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
@@ -83,6 +84,10 @@ class Job:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
         return [self.trajectory_path, *([camera] if camera else [])]
+
+    def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
+        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        return catalogue_entries([self.viewpoint], textures, self.settings.floors)
 
 
 @dataclass(frozen=True)
@@ -206,6 +211,7 @@ def _pack_record(job: Job, started: tuple[float, float]) -> dict:
             "render": job.settings.model_dump(mode="json", exclude=unused),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
+            "catalogue": job.catalogue_entries(),
         },
         seed=job.seed,
         started=started,

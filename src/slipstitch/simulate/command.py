@@ -107,7 +107,7 @@ def _write(arguments, config, out: str, run, trajectory, columns: dict, started)
     record = provenance_record(
         "simulate",
         inputs=[path for path in (arguments.calibration, config.simulation.model) if path],
-        config={"simulation": config.simulation},
+        config={"simulation": config.simulation, "catalogue": run.catalogue_entries()},
         seed=run.seed,
         started=started,
     )

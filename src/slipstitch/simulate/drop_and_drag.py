@@ -20,7 +20,7 @@ from slipstitch.cloth import (
 from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
-from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.material import ElasticTables, fabric_digest, load_fabric
 from slipstitch.progress import progress
 from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
 from slipstitch.protocol.stage import SIDE_M, TAB_M, StagePath
@@ -84,6 +84,10 @@ class DropAndDrag:
     material: str
     friction: float
     seed: int
+
+    def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
+        """What the record says of the fabric's measured numbers."""
+        return {"fabrics": {self.material: fabric_digest(self.material)}}
 
 
 Recorded = tuple[Trajectory, dict[str, np.ndarray]]
