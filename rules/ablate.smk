@@ -29,10 +29,10 @@ rule ablate_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("ablate", CONFIG),
     params:
-        settings=settings("train", "instrument", "ablate", ablate={"seeds"}),
+        *settings("train", "instrument", "ablate", ablate={"seeds"}),
         frames=CONFIG.sample.frames,
         view_order=CONFIG.view_order,
-        code=code_digest("ablate.training"),
+        code=code_of("ablate.training"),
         config=CONFIG_FILE,
     message:
         "Ablation: {wildcards.question}, seed {wildcards.seed}"
@@ -65,8 +65,8 @@ rule ablate_summary:
         mem_mb=1024,
         runtime=15,
     params:
-        settings=settings("ablate", "evaluate"),
-        code=code_digest("ablate"),
+        *settings("ablate", "evaluate"),
+        code=code_of("ablate"),
         config=CONFIG_FILE,
     message:
         "Sum up the ablations"

@@ -30,14 +30,15 @@ rule convergence_run:
         runtime=120,
     params:
         # What this run depends on and no more: a longer list of runs leaves it alone.
-        settings=settings("simulation"),
+        *settings("simulation"),
         case=lambda wildcards: str(CASES[wildcards.case]),
+        fabric=lambda wildcards: fabrics(CASES[wildcards.case].material),
         window=(
             CONFIG.convergence.window_s,
             CONFIG.convergence.frame_rate_hz,
             CONFIG.convergence.seed,
         ),
-        code=code_digest("simulate"),
+        code=code_of("simulate"),
         config=CONFIG_FILE,
     message:
         "Convergence: simulate {wildcards.case}"
@@ -66,8 +67,8 @@ rule convergence_compare:
         mem_mb=job_memory_mb("simulate"),
         runtime=15,
     params:
-        settings=settings("simulation", "convergence"),
-        code=code_digest("convergence"),
+        *settings("simulation", "convergence"),
+        code=code_of("convergence"),
         config=CONFIG_FILE,
     message:
         "Convergence: compare the runs"

@@ -52,9 +52,9 @@ rule train_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("train", CONFIG),
     params:
-        settings=settings("seed", "train", train={"seeds", "splits"}),
+        *settings("seed", "train", train={"seeds", "splits"}),
         view_order=CONFIG.view_order,
-        code=code_digest("train"),
+        code=code_of("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),
         material=material_option,

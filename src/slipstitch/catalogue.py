@@ -3,7 +3,9 @@
 Standard library only: the configuration and the workflow load it without numpy or Blender.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -102,3 +104,32 @@ FLOORS: dict[str, Floor] = {
     "polyester-mirror": Floor((0.01, 0.03), (0.75, 0.9), (0.02, 0.1)),
     "stainless-steel": Floor((0.02, 0.06), (0.5, 0.62), (0.2, 0.4)),
 }
+
+
+def catalogue_entries(
+    viewpoints: Iterable[str] = (), textures: Iterable[str] = (), floors: Iterable[str] = ()
+) -> dict[str, dict[str, Any]]:
+    """What the catalogue says of these names: it is compared to tell what is up to date.
+
+    Returns
+    -------
+    dict
+        ``viewpoints``, ``textures`` and ``floors``, each name -> plain values, as JSON gives them
+        back; None for what is not in the catalogue, such as a texture's file. With any viewpoint
+        goes the calibrated one, which others are turned from. Kinds without a name are left out.
+    """
+    viewpoints = list(viewpoints)
+    seen = sorted({"calibrated", *viewpoints}) if viewpoints else []
+    entries = {
+        "viewpoints": {name: _plain(VIEWPOINTS.get(name)) for name in seen},
+        "textures": {name: TEXTURES.get(name) for name in sorted(textures)},
+        "floors": {name: _plain(FLOORS.get(name)) for name in sorted(floors)},
+    }
+    return {kind: of_kind for kind, of_kind in entries.items() if of_kind}
+
+
+def _plain(entry: Viewpoint | Floor | None) -> dict[str, Any] | None:
+    if entry is None:
+        return None
+    values = asdict(entry).items()
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in values}

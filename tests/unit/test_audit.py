@@ -4,6 +4,7 @@ import json
 import random
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,10 +21,12 @@ from slipstitch.audit.findings import Kind
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
+from slipstitch.material import load_fabric
 from slipstitch.provenance import attach_metadata, file_digest
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
 from slipstitch.release.manifest import sampled_rows
+from slipstitch.render.surroundings import FLOORS
 from slipstitch.sample.manifest import dataset_digest
 
 ROOT = Path(__file__).parents[2]
@@ -409,6 +412,19 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     slower = synthetic_chain.config(simulation={"frames": 60, "time_step_s": 0.01})
     stages = {finding.where for finding in audit_release(original, slower).findings}
     assert stages == {"simulate"}
+
+
+def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
+    fabrics = {name: load_fabric(name) for name in CONFIG.grid.materials}
+    fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
+    monkeypatch.setattr("slipstitch.material.catalogue._catalogue", lambda: fabrics)
+    monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))
+    audit = audit_release(original)
+    assert audit.verdict == "stale"
+    assert {finding.where for finding in audit.findings} == {"simulate", "render"}
+    (of_simulate,) = (one for one in audit.findings if one.where == "simulate")
+    assert "catalogue.fabrics.ivory-rib-knit: " in of_simulate.what
+    assert len(of_simulate.clips) == 144 / len(CONFIG.grid.materials)
 
 
 def test_one_more_viewpoint_makes_no_shard_stale(original):

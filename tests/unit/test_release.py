@@ -369,6 +369,12 @@ def test_other_configuration_than_the_results_were_made_with_is_refused(results,
         write_release(other, results, tmp_path / "out", ROOT)
 
 
+def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr("slipstitch.release.currency.fabric_digest", lambda name: "0" * 64)
+    with pytest.raises(BadInput, match=r"another catalogue: catalogue\.fabrics\."):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
+
+
 def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly, "current_digest", lambda stage: "0" * 64 if stage == "render" else ""

@@ -7,6 +7,7 @@ that agree, short of editing the configuration and every record with it.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from slipstitch.audit.walk import SAMPLED_MANIFEST, Chain
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
+from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
 from slipstitch.release.assembly import RELEASE_RECORD
 from slipstitch.release.chain import (
@@ -29,7 +31,12 @@ from slipstitch.release.chain import (
     record_file,
 )
 from slipstitch.release.code import SOURCES
-from slipstitch.release.currency import config_changes, current_digest
+from slipstitch.release.currency import (
+    catalogue_changes,
+    config_changes,
+    current_digest,
+    recorded_entries,
+)
 from slipstitch.release.manifest import MANIFEST, sampled_rows
 from slipstitch.release.splits import PREFIX, parts, split_columns
 from slipstitch.sample.dataset import manifest_sides
@@ -80,7 +87,8 @@ def _ours(chain: Chain) -> Iterator[Artefact]:
 
 
 def _is_stale(artefact: Artefact) -> bool:
-    return artefact.provenance.get("code_digest") != current_digest(artefact.stage)
+    made_by = artefact.provenance.get("code_digest")
+    return made_by != current_digest(artefact.stage) or bool(catalogue_changes(artefact))
 
 
 def _links(chain: Chain) -> Iterator[Finding]:
@@ -130,6 +138,18 @@ def _configuration(chain: Chain) -> Iterator[Finding]:
         if sources.is_dir() and digest != current_digest(artefact.stage, sources):
             what = f"its code digest is not that of {artefact.stage} in code/src"
             yield Finding(Kind.BROKEN, where, what, clips)
+        for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
+            if sources.is_dir() and digest != _carried_fabric(sources, name):
+                what = f"was made with another fabric {name} than code/src holds"
+                yield Finding(Kind.BROKEN, where, what, clips)
+
+
+def _carried_fabric(sources: Path, name: str) -> str | None:
+    """Digest of a fabric as the release's own sources have it; None if they do not."""
+    try:
+        return fabric_digest(name, sources / "slipstitch/material/fabrics.json")
+    except BadInput:
+        return None
 
 
 def _sampled(chain: Chain) -> Iterator[Finding]:

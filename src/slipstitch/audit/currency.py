@@ -12,17 +12,17 @@ from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.walk import Chain
 from slipstitch.config import Config
 from slipstitch.release.chain import is_ours
-from slipstitch.release.currency import config_changes, current_digest
+from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
 
 
 def check_currency(contents: Contents, config: Config | None) -> list[Finding]:
-    """Stages whose code has changed, and records made with other values than `config`.
+    """Stages whose code or catalogue has changed, and records of other values than `config`.
 
     Parameters
     ----------
     contents : Contents
     config : Config or None
-        Today's configuration; None to compare the code only.
+        Today's configuration; None to compare code and catalogue only.
 
     Returns
     -------
@@ -37,6 +37,9 @@ def check_currency(contents: Contents, config: Config | None) -> list[Finding]:
         now = current_digest(artefact.stage)
         if artefact.provenance.get("code_digest") != now:
             reason = "there is no such stage any more" if now is None else "its code has changed"
+            touched[artefact.stage, reason].update(chain.clips(path))
+        for change in catalogue_changes(artefact):
+            reason = f"the catalogue has changed: {change}"
             touched[artefact.stage, reason].update(chain.clips(path))
         if config is not None:
             for change in config_changes(artefact, config):

@@ -31,7 +31,7 @@ from slipstitch.release.chain import (
 )
 from slipstitch.release.checksums import SUMS, files_below, write_sums
 from slipstitch.release.code import check_project, copy_code
-from slipstitch.release.currency import config_changes, current_digest
+from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
 from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
 from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
@@ -87,7 +87,7 @@ def _facts(config: Config, project: Path) -> dict[str, Any]:
 
 
 def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
-    """Refuse to release what the code or the configuration would not make now.
+    """Refuse to release what code, configuration or catalogue would not make now.
 
     Raises
     ------
@@ -105,6 +105,9 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
         changes = config_changes(artefact, config)
         if changes:
             raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
+        changes = catalogue_changes(artefact)
+        if changes:
+            raise BadInput(f"{artefact.path}: made with another catalogue: {changes[0]}")
 
 
 def _outside(config: Config) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config import Config
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
@@ -120,6 +120,10 @@ class Job:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
         return [self.trajectory_path, *([camera] if camera else [])]
+
+    def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
+        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        return catalogue_entries([self.viewpoint], textures, self.settings.floors)
 
 
 @dataclass(frozen=True)
@@ -243,6 +247,7 @@ def _pack_record(job: Job, started: tuple[float, float]) -> dict:
             "render": job.settings.model_dump(mode="json", exclude=unused),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
+            "catalogue": job.catalogue_entries(),
         },
         seed=job.seed,
         started=started,

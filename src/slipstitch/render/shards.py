@@ -173,6 +173,7 @@ def _description(
             "render": job.settings.model_dump(mode="json", exclude={"verified_images"}),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
+            "catalogue": job.catalogue_entries(names.values()),
         },
         seed=job.seed,
         started=started,

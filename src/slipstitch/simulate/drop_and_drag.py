@@ -23,7 +23,7 @@ from slipstitch.cloth import (
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
-from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.material import ElasticTables, fabric_digest, load_fabric
 from slipstitch.progress import progress
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import Trajectory
@@ -84,6 +84,10 @@ class DropAndDrag:
     material: str
     friction: float
     seed: int
+
+    def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
+        """What the record says of the fabric's measured numbers."""
+        return {"fabrics": {self.material: fabric_digest(self.material)}}
 
 
 Recorded = tuple[Trajectory, dict[str, np.ndarray]]

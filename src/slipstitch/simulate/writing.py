@@ -94,7 +94,7 @@ def simulate_to_files(
         record = provenance_record(
             "simulate",
             inputs=[file for file in (calibration, settings.model) if file],
-            config={"simulation": settings},
+            config={"simulation": settings, "catalogue": run.catalogue_entries()},
             seed=run.seed,
             started=started,
         )
