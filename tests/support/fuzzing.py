@@ -45,8 +45,8 @@ from slipstitch.predict.predictive import read_verdict
 from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
-from slipstitch.release.chain import read_artefact
 from slipstitch.release.manifest import read_sampled
+from slipstitch.release.records import read_artefact
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
 from slipstitch.render.catalogue import VIEWPOINTS
