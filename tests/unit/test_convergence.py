@@ -7,7 +7,7 @@ import pytest
 
 from slipstitch.config import resolve_config
 from slipstitch.convergence.cases import case_settings, cases
-from slipstitch.convergence.picture import convergence_figure
+from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import (
     SHIFT_MAX_S,
     common_vertices,

@@ -153,7 +153,7 @@ def diversity(videos: Videos, views: list[str], settings: AblateSettings, genera
         for of_pair in drawn.values()
         for simulation, texture in zip(of_pair, generator.permutation(textures), strict=True)
     }
-    one = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
+    of_one = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
     return Plan(
         asks="What is a further video worth: a new replicate, or a new texture of the same one?",
         viewpoints=views,
@@ -163,7 +163,9 @@ def diversity(videos: Videos, views: list[str], settings: AblateSettings, genera
                 f"{count} replicates in one texture each",
                 _ids(videos.training, many),
             ),
-            Variant("textures", f"one replicate in {count} textures", _ids(videos.training, one)),
+            Variant(
+                "textures", f"one replicate in {count} textures", _ids(videos.training, of_one)
+            ),
         ],
         tests={"held-out": _tests(videos, lambda row: row["texture_id"] in textures)},
         networks=settings.networks,

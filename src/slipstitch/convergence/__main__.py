@@ -48,7 +48,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _compare(arguments: argparse.Namespace) -> None:
     from slipstitch.convergence.cases import cases
-    from slipstitch.convergence.picture import convergence_figure
+    from slipstitch.convergence.distance_figure import convergence_figure
     from slipstitch.convergence.study import describe
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
     from slipstitch.simulate.trajectory import read_trajectory

@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> None:
         record = provenance_record("measure", inputs=inputs, started=started)
         record["instrument"] = result.instrument
     if arguments.out:
-        from slipstitch.measure.page import page
+        from slipstitch.measure.measurement_page import page
 
         with atomic_path(arguments.out) as temporary:
             temporary.write_text(page(result), encoding="utf-8")

@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> None:
     write_camera_file(arguments.out, camera_file(result, board, stage))
     write_sidecar(arguments.out, record)
     if arguments.picture:
-        from slipstitch.capture.camera.picture import draw_residuals
+        from slipstitch.capture.camera.residuals_figure import draw_residuals
 
         with atomic_path(arguments.picture) as temporary:
             draw_residuals(result, temporary, arguments.picture.suffix[1:])

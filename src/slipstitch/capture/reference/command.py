@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> None:
             temporary.write_text(text + "\n", encoding="utf-8")
         write_sidecar(arguments.json, record)
     if arguments.picture:
-        from slipstitch.capture.reference.picture import draw_references
+        from slipstitch.capture.reference.angles_figure import draw_references
 
         with atomic_path(arguments.picture) as temporary:
             draw_references(found, temporary, arguments.picture.suffix[1:])

@@ -17,7 +17,7 @@ from slipstitch.criticise.inference.generic import LABELS
 from slipstitch.criticise.measured import pushes as push_data
 from slipstitch.criticise.measured import stick_slip
 from slipstitch.criticise.measured.paper_case import write_paper_case
-from slipstitch.criticise.report.pictures import EXTENDED_COLOUR, FAINT, INK, NULL_COLOUR
+from slipstitch.criticise.report.verdict_pictures import EXTENDED_COLOUR, FAINT, INK, NULL_COLOUR
 from slipstitch.criticise.verdict import sentence, verdict_of
 
 SEED = 1
