@@ -17,7 +17,7 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis, analyse
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.report.pictures import EXTENDED_COLOUR, FAINT, INK, NULL_COLOUR
+from slipstitch.criticise.report.verdict_pictures import EXTENDED_COLOUR, FAINT, INK, NULL_COLOUR
 from slipstitch.criticise.verdict import sentence, verdict_of
 
 SEED = 1

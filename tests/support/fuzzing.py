@@ -47,7 +47,7 @@ from slipstitch.instrument.measuring import (
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
-from slipstitch.release.chain import read_artefact
+from slipstitch.release.records import read_artefact
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
 from slipstitch.render.preview import decode_image, read_images

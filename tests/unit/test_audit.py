@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
 
-from slipstitch.audit import currency, rebuild
+from slipstitch.audit import rebuild, staleness
 from slipstitch.audit.auditing import audit_release
 from slipstitch.audit.contents import read_contents
 from slipstitch.audit.findings import Kind
@@ -436,9 +436,9 @@ def test_one_more_viewpoint_makes_no_shard_stale(original):
 
 
 def test_changed_code_makes_its_stage_stale(original, monkeypatch):
-    now = currency.current_digest
+    now = staleness.current_digest
     monkeypatch.setattr(
-        currency,
+        staleness,
         "current_digest",
         lambda stage, root=None: (
             "0" * 64 if stage == "render" and root is None else now(stage, root)
@@ -465,7 +465,7 @@ def test_commit_that_holds_other_code_is_found(original, monkeypatch, tmp_path):
         record.write_text(json.dumps(content))
     reseal(release)
     assert any("abababababab is not in this checkout" in n for n in audit_release(release).notes)
-    monkeypatch.setattr(currency, "_extract", other_code)
+    monkeypatch.setattr(staleness, "_extract", other_code)
     broken = found(release, Kind.BROKEN)
     assert {"simulate", "render", "sample"} & set(broken)
     assert len(broken["simulate"]) == 144

@@ -9,7 +9,7 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
-from slipstitch.convergence.picture import convergence_figure
+from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import (
     SHIFT_MAX_S,
     common_vertices,

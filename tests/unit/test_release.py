@@ -21,9 +21,9 @@ from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import attach_metadata, read_metadata
 from slipstitch.release import assembly
 from slipstitch.release.assembly import write_release
-from slipstitch.release.chain import rows_digest
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.manifest import sampled_rows
+from slipstitch.release.records import rows_digest
 from slipstitch.release.splits import (
     parts,
     parts_of_splits,

@@ -19,7 +19,7 @@ from slipstitch.cli.main import main
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
-from slipstitch.evaluate.wording import percent
+from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures import floors_in_words, training_floors
@@ -32,7 +32,6 @@ from slipstitch.report.page import (
     write_report,
 )
 from slipstitch.report.results import Results
-from slipstitch.report.wording import duration, evenly
 from slipstitch.sample.manifest import write_manifest
 
 CONFIG = synthetic_results.config()

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from slipstitch.ablate.page import ablations_page
+from slipstitch.ablate.ablations_page import ablations_page
 from slipstitch.ablate.summary import summarise
 from slipstitch.config import Config
 from slipstitch.errors import BadInput

@@ -13,7 +13,12 @@ import numpy as np
 from scipy import stats
 
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.metrics import constant_error, friction_scores
+from slipstitch.evaluate.metrics import (
+    constant_error,
+    friction_scores,
+    mean_over_seeds,
+    spread_over_seeds,
+)
 
 LEVEL = 0.9
 Row = dict[str, Any]
@@ -142,11 +147,18 @@ def _rows(answers: Sequence[dict[str, Any]], step: float) -> list[Row]:
             for place, variant in enumerate(first["variants"]):
                 if variant["network"] == network:
                     of_seeds = [answer["variants"][place] for answer in answers]
-                    found = [
+                    predictions = [
                         _predictions(answer, network, variant["variant"], tested_on)
                         for answer in answers
                     ]
-                    rows.append(_row(of_seeds, list(filter(None, found)), tested_on, step))
+                    rows.append(
+                        _row(
+                            of_seeds,
+                            [of_seed for of_seed in predictions if of_seed],
+                            tested_on,
+                            step,
+                        )
+                    )
     return rows
 
 
@@ -160,8 +172,6 @@ def _row(of_seeds: list[Row], predictions: list[list[Row]], tested_on: str, step
         )
         for of_seed in predictions
     ]
-    names = ("friction_lt_0.1", "friction_lt_0.2", "mean_absolute_error")
-    values = {name: [score[name] for score in scores] for name in names}
     tested = predictions[0] if predictions else []
     return {
         "network": variant["network"],
@@ -182,12 +192,8 @@ def _row(of_seeds: list[Row], predictions: list[list[Row]], tested_on: str, step
         "constant_error": constant_error(np.array([prediction["true"] for prediction in tested]))
         if tested
         else None,
-        "mean": {name: float(np.mean(value)) for name, value in values.items()}
-        if predictions
-        else None,
-        "spread": {name: float(np.std(value, ddof=1)) for name, value in values.items()}
-        if len(predictions) > 1
-        else None,
+        "mean": mean_over_seeds(scores) if scores else None,
+        "spread": spread_over_seeds(scores),
     }
 
 

@@ -334,8 +334,9 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
 
 
 def _draw(pictures, calibration: Mapping[str, Any], record, failed: bool) -> None:
-    from slipstitch.calibrate.picture import calibration_figure, save_figure
-    from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
+    from slipstitch.calibrate.calibration_figure import calibration_figure
+    from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
+    from slipstitch.page.figures import save_figure
 
     figures = {"settings": settings_figure}
     if "chosen" in calibration["strip"]:

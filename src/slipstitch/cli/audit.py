@@ -93,8 +93,8 @@ def _rebuild(arguments: argparse.Namespace) -> int:
 def _audit(arguments: argparse.Namespace) -> int:
     import json
 
+    from slipstitch.audit.audit_page import as_text, write_page
     from slipstitch.audit.auditing import audit_release
-    from slipstitch.audit.page import as_text, write_page
     from slipstitch.config import load_config
 
     config = load_config(*arguments.config) if arguments.config else None

@@ -40,6 +40,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
     from slipstitch.evaluate.evaluation import write_evaluation
+    from slipstitch.evaluate.text_table import test_set_lines
 
     check_at_least(arguments, threads=1)
     config = load_config(*arguments.config)
@@ -64,26 +65,14 @@ def run(arguments: argparse.Namespace) -> None:
         calibrated=config.calibrated_view,
         threads=arguments.threads,
     )
-    print(f"{'split':<16} {'model':<17} {'n':>5} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end="")
-    print(f" {'top-1':>7} {'top-2':>7} {'cover':>7} {'width':>7}")
-    for split, of_model in metrics.items():
-        for model, row in of_model.items():
-            cells = [
-                _percent(row["friction_lt_0.1"]),
-                _percent(row["friction_lt_0.2"]),
-                f"{_number(row['mean_absolute_error']):>8}",
-                _percent(row["material_top1"]),
-                _percent(row["material_top2"]),
-                _percent(row["coverage_90"]),
-                f"{_number(row['interval_width']):>7}",
-            ]
-            print(f"{split:<16} {model:<17} {row['n']:>5} {' '.join(cells)}")
+    print(*test_set_lines(metrics), sep="\n")
 
 
 def _captures(config, arguments: argparse.Namespace) -> None:
     """Evaluate on captures; print a line a model and subset."""
     from slipstitch.errors import BadInput
     from slipstitch.evaluate.captures import write_captures_evaluation
+    from slipstitch.evaluate.text_table import capture_lines
 
     if not (arguments.models or arguments.instruments):
         raise BadInput("--captures needs --models or --instruments, or both")
@@ -97,25 +86,4 @@ def _captures(config, arguments: argparse.Namespace) -> None:
         arguments.page,
         arguments.threads,
     )
-    print(
-        f"{'captures':<22} {'model':<38} {'n':>4} {'< 0.1':>7} {'< 0.2':>7} {'|error|':>8}", end=""
-    )
-    print(f" {'medians':>8} {'equal':>7}")
-    for subset, of_model in metrics.items():
-        for model, row in of_model.items():
-            cells = [
-                _percent(row["friction_lt_0.1"]),
-                _percent(row["friction_lt_0.2"]),
-                f"{_number(row['mean_absolute_error']):>8}",
-                f"{_number(row['median_error']):>8}",
-                _percent(row["equal_predictions"]),
-            ]
-            print(f"{subset:<22} {model:<38} {row['n']:>4} {' '.join(cells)}")
-
-
-def _percent(share: float | None) -> str:
-    return f"{'-':>7}" if share is None else f"{100 * share:>6.1f}%"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
+    print(*capture_lines(metrics), sep="\n")

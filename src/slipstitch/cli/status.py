@@ -27,8 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
-    from slipstitch.status.page import text
     from slipstitch.status.state import status
+    from slipstitch.status.status_text import text
 
     folder = Path(arguments.results)
     if not folder.is_dir():

@@ -86,7 +86,7 @@ def compare_cases(
         temporary.write_text(json.dumps(study, allow_nan=False) + "\n", encoding="utf-8")
     write_sidecar(out, record)
     if picture:
-        from slipstitch.convergence.picture import convergence_figure
+        from slipstitch.convergence.distance_figure import convergence_figure
 
         with atomic_path(picture) as temporary:
             convergence_figure(study).savefig(temporary, dpi=110)

@@ -11,6 +11,7 @@ from slipstitch.config.calibrate import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
 from slipstitch.config.train import NETWORKS
+from slipstitch.page.wording import size
 
 
 @dataclass(frozen=True)
@@ -397,13 +398,6 @@ def job_runtime_min(kind: str, config: Config) -> int:
     return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
 
 
-def _size(size_bytes: float) -> str:
-    for unit, scale in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if size_bytes >= scale:
-            return f"{size_bytes / scale:.3g} {unit}"
-    return f"{size_bytes / 1e3:.3g} kB"
-
-
 def _time(cpu_s: float) -> str:
     if cpu_s >= 3600:
         return f"{cpu_s / 3600:.3g} CPU h"
@@ -415,14 +409,14 @@ def estimate_line(config: Config) -> str:
     stages = estimate(config)
     jobs, cpu_s = sum(one.jobs for one in stages), sum(one.cpu_s for one in stages)
     disk = sum(one.disk_bytes for one in stages)
-    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {_size(disk)} of disk"
+    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
 
 
 def estimate_table(config: Config) -> str:
     """`estimate` as aligned text; release, captures and the line of the whole chain last."""
     apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
-        (one.stage, str(one.jobs), _time(one.cpu_s), _size(one.disk_bytes))
+        (one.stage, str(one.jobs), _time(one.cpu_s), size(one.disk_bytes))
         for one in [*estimate(config), *apart]
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]

@@ -86,7 +86,7 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
         probabilities = predicted_probabilities(
             models, (split, network, seed), own, settings.batch_size
         )
-        values = np.array([entry["value"] for entry in card["classes"]])
+        values = np.array([of_class["value"] for of_class in card["classes"]])
         found.append(
             Predictions(
                 name,
@@ -103,7 +103,7 @@ def _materials(models, key, videos: Videos, settings) -> dict[str, list]:
     if key not in models:
         return {}
     probabilities = predicted_probabilities(models, key, videos, settings.batch_size)
-    names = [entry["name"] for entry in models[key].card["classes"]]
+    names = [of_class["name"] for of_class in models[key].card["classes"]]
     order = np.argsort(-probabilities, axis=1, kind="stable")
     return {"materials": [[names[k] for k in row] for row in order], "known_materials": names}
 
@@ -115,19 +115,25 @@ def _instruments(dataset, folder) -> list[Predictions]:
         videos = read_videos(dataset)
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])
         measurements = [
-            instrument.measure(np.ascontiguousarray(video[frames]), np.random.default_rng(0))
-            for video in videos.pixels
+            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0))
+            for pixels in videos.pixels
         ]
         found.append(
             Predictions(
                 "instrument",
                 path.parts[-3],
                 int(path.parts[-2].removeprefix("seed")),
-                np.array([measured.friction_coefficient for measured in measurements]),
-                np.array([measured.interval_90 for measured in measurements], dtype=float),
-                [_likeliest_first(measured.material_probabilities) for measured in measurements],
+                np.array([measurement.friction_coefficient for measurement in measurements]),
+                np.array([measurement.interval_90 for measurement in measurements], dtype=float),
+                [
+                    _likeliest_first(measurement.material_probabilities)
+                    for measurement in measurements
+                ],
                 list(measurements[0].material_probabilities),
-                [measured.alarm_reason if measured.alarm else "" for measured in measurements],
+                [
+                    measurement.alarm_reason if measurement.alarm else ""
+                    for measurement in measurements
+                ],
             )
         )
     return found
@@ -155,8 +161,7 @@ def evaluate_captures(
     for name, chosen in subsets(known).items():
         groups: dict[str, list[Predictions]] = defaultdict(list)
         for predictions in found:
-            label = f"{predictions.model}, trained {predictions.trained_on}"
-            groups[label].append(predictions)
+            groups[predictions.label].append(predictions)
         metrics[name] = {}
         for label, members in groups.items():
             scores = [

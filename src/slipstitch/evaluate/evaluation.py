@@ -138,7 +138,7 @@ def evaluation_sets(
                 ),
             )
         )
-    return [test_set for test_set in sets if any(map(test_set.holds, rows))]
+    return [test for test in sets if any(map(test.holds, rows))]
 
 
 def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
@@ -308,12 +308,12 @@ def evaluate(
         details[test.name] = scores
         metrics[test.name] = {}
         for name, network in MODELS.items():
-            scored = [network] + ["material_baseline"] * (name == "lrcn_baseline")
-            scored = [network for network in scored if network in scores]
-            if scored:
-                seeds = sorted({seed for network in scored for seed in by_network[network]})
+            used = [network] + ["material_baseline"] * (name == "lrcn_baseline")
+            used = [network for network in used if network in scores]
+            if used:
+                seeds = sorted({seed for network in used for seed in by_network[network]})
                 metrics[test.name][name] = entry(
-                    len(part), seeds, *(scores[network]["mean"] for network in scored)
+                    len(part), seeds, *(scores[network]["mean"] for network in used)
                 )
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
@@ -329,9 +329,9 @@ def evaluate(
 def _score(
     settings, card, probabilities: np.ndarray, rows: list[dict[str, Any]]
 ) -> dict[str, float]:
-    """Scores of one network; empty for the fabrics of videos of which one is no class."""
+    """Scores of one network; empty for the fabrics of videos of which any is no class."""
     if card["target"] == "friction":
-        values = np.array([entry["value"] for entry in card["classes"]])
+        values = np.array([of_class["value"] for of_class in card["classes"]])
         true = np.array([row["friction"] for row in rows])
         return friction_scores(values[probabilities.argmax(1)], true, settings.friction_step)
     truth = known_labels(rows, card)
@@ -340,7 +340,7 @@ def _score(
 
 def known_labels(rows: list[dict[str, Any]], card: dict[str, Any]) -> np.ndarray | None:
     """Class numbers of videos; None if one is of no class, as off the grid."""
-    known = {entry["id"] for entry in card["classes"]}
+    known = {of_class["id"] for of_class in card["classes"]}
     if any(row[f"{card['target']}_id"] not in known for row in rows):
         return None
     return labels_of(rows, card["classes"], card["target"])
@@ -387,7 +387,9 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         "confusion": None,
     }
     if truth is not None:
-        counts = sum(np.array(confusion(of_one, truth)) for of_one in of_seed.values())
+        counts = sum(
+            np.array(confusion(probabilities, truth)) for probabilities in of_seed.values()
+        )
         result["confusion"] = counts.tolist()
     if card["target"] == "friction":
         true = np.array([row["friction"] for row in part.rows])
@@ -408,11 +410,10 @@ def _rows(
 ) -> list[dict[str, Any]]:
     card = model.card
     truth = known_labels(part.rows, card)
-    check_probabilities(
-        probabilities, np.zeros(len(probabilities), np.int64) if truth is None else truth
-    )
-    ids = [entry["id"] for entry in card["classes"]]
-    values = [entry.get("value", math.nan) for entry in card["classes"]]
+    no_truth = np.zeros(len(probabilities), np.int64)
+    check_probabilities(probabilities, no_truth if truth is None else truth)
+    ids = [of_class["id"] for of_class in card["classes"]]
+    values = [of_class.get("value", math.nan) for of_class in card["classes"]]
     return [
         {
             "video": row["video"],
@@ -424,12 +425,12 @@ def _rows(
             "network": key[1],
             "seed": key[2],
             "true": row[f"{card['target']}_id"],
-            "predicted": ids[int(likely.argmax())],
+            "predicted": ids[int(of_classes.argmax())],
             "true_value": row["friction"] if card["target"] == "friction" else math.nan,
-            "predicted_value": values[int(likely.argmax())],
-            "probabilities": likely.tolist(),
+            "predicted_value": values[int(of_classes.argmax())],
+            "probabilities": of_classes.tolist(),
         }
-        for row, likely in zip(part.rows, probabilities, strict=True)
+        for row, of_classes in zip(part.rows, probabilities, strict=True)
     ]
 
 

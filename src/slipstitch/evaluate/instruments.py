@@ -10,15 +10,17 @@ import numpy as np
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.metrics import (
+    BY_NAME,
+    TEST_SETS,
+    Answers,
     constant_error,
-    friction_scores,
     material_scores,
     mean_over_seeds,
+    scores_of,
     spread_over_seeds,
 )
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.conformal import covered
 from slipstitch.instrument.measuring import WEIGHTS, Instrument, Measurement, load_instrument
 from slipstitch.sample.videos import Videos
 
@@ -68,24 +70,25 @@ def scores(
     Returns
     -------
     dict
-        Those of `friction_scores` and `material_scores`; ``coverage_90`` and, of more than one
-        simulation, its standard error (every simulation counts once), ``interval_width`` (mean,
-        in mu), ``alarm_rate``.
+        Those of `slipstitch.evaluate.metrics.METRICS` for test sets; of more than one simulation
+        the coverage's standard error, ``coverage_90_error`` (every simulation counts once);
+        ``alarm_rate``.
     """
-    true = np.array([row["friction"] for row in rows])
     names = list(measurements[0].material_probabilities)
-    low, high = np.array([measurement.interval_90 for measurement in measurements]).T
-    share, error = covered(low, high, true, [row["simulation"] for row in rows])
+    answers = Answers(
+        settings.friction_step,
+        np.array([measurement.friction_coefficient for measurement in measurements]),
+        np.array([row["friction"] for row in rows]),
+        intervals=np.array([measurement.interval_90 for measurement in measurements]),
+        groups=[row["simulation"] for row in rows],
+        alarms=np.array([measurement.alarm for measurement in measurements]),
+    )
     result = {
-        **friction_scores(
-            np.array([measurement.friction_coefficient for measurement in measurements]),
-            true,
-            settings.friction_step,
-        ),
-        "coverage_90": share,
-        "interval_width": float((high - low).mean()),
-        "alarm_rate": float(np.mean([measurement.alarm for measurement in measurements])),
+        **scores_of(answers, "friction"),
+        **scores_of(answers, "interval", table=TEST_SETS),
+        "alarm_rate": BY_NAME["alarms"].compute(answers),
     }
+    _, error = answers.coverage
     if np.isfinite(error):  # more than one simulation
         result["coverage_90_error"] = error
     if all(row["material"] in names for row in rows):
@@ -171,8 +174,10 @@ def alarm_rates(
         if not mine.all():
             kinds["viewpoint"] = frames[~mine]
         result[str(seed)] = {
-            kind: float(np.mean([measurement.alarm for measurement in measured(instrument, some)]))
-            for kind, some in kinds.items()
+            kind: float(
+                np.mean([measurement.alarm for measurement in measured(instrument, of_kind)])
+            )
+            for kind, of_kind in kinds.items()
         }
     return result
 

@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
+from slipstitch.measure.measurement_page import page
 from slipstitch.measure.measuring import MeasuredVideo, measure_video
-from slipstitch.measure.page import page
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
 

@@ -19,7 +19,12 @@ from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.release.card import write_card
-from slipstitch.release.chain import (
+from slipstitch.release.checksums import SUMS, files_below, write_sums
+from slipstitch.release.code import check_project, copy_code
+from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
+from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
+from slipstitch.release.previews import write_previews
+from slipstitch.release.records import (
     RECORDS,
     VERIFICATION,
     Artefact,
@@ -29,11 +34,6 @@ from slipstitch.release.chain import (
     locate,
     write_record,
 )
-from slipstitch.release.checksums import SUMS, files_below, write_sums
-from slipstitch.release.code import check_project, copy_code
-from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
-from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
-from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
 from slipstitch.release.splits import parts, parts_of_splits, split_columns
 from slipstitch.sample.manifest import MANIFEST_SCHEMA, read_manifest
@@ -296,23 +296,27 @@ def _verification(folder: Path) -> list[dict[str, Any]]:
         return []
     comparisons = json.loads(path.read_text(encoding="utf-8"))["comparisons"]
     kinds = {"matte": [], "mirrors": []}
-    for one in comparisons:
-        kinds["matte" if FLOORS[one["floor"]].reflectance[1] == 0 else "mirrors"].append(one)
+    for compared in comparisons:
+        kinds["matte" if FLOORS[compared["floor"]].reflectance[1] == 0 else "mirrors"].append(
+            compared
+        )
     return [
         {
             "floor": kind,
-            "images": len(ones),
-            "least_psnr_db": ones[0]["least_psnr_db"],
-            "lowest_psnr_db": min(one["psnr_db"] for one in ones),
-            "mean_psnr_db": sum(one["psnr_db"] for one in ones) / len(ones),
-            "lowest_ssim": min(one["ssim"] for one in ones),
+            "images": len(of_kind),
+            "least_psnr_db": of_kind[0]["least_psnr_db"],
+            "lowest_psnr_db": min(compared["psnr_db"] for compared in of_kind),
+            "mean_psnr_db": sum(compared["psnr_db"] for compared in of_kind) / len(of_kind),
+            "lowest_ssim": min(compared["ssim"] for compared in of_kind),
         }
-        for kind, ones in kinds.items()
-        if ones
+        for kind, of_kind in kinds.items()
+        if of_kind
     ]
 
 
 def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
-    records = [one.provenance for one in artefacts.values() if one.provenance is not None]
+    records = [
+        artefact.provenance for artefact in artefacts.values() if artefact.provenance is not None
+    ]
     commits = {record["git_commit"] for record in records if record["git_commit"]}
     return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}

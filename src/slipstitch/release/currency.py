@@ -8,7 +8,7 @@ from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import code_digest
-from slipstitch.release.chain import Artefact
+from slipstitch.release.records import Artefact
 
 # Which viewpoints there are decides which shards there are, not what one shard holds
 # (rules/render.smk); a shard's own viewpoint is compared by its id.

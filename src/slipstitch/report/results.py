@@ -39,8 +39,8 @@ STAGES = (
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """What the report needs of one simulation.
+class SimulationSummary:
+    """What the report shows of one simulation.
 
     Attributes
     ----------
@@ -157,14 +157,18 @@ class Results:
 
     def simulated(self) -> list[Simulation]:
         """The simulations of the grid whose trajectory is there."""
-        return [one for one in simulations(self.config) if self.simulation_path(one).exists()]
+        return [
+            simulation
+            for simulation in simulations(self.config)
+            if self.simulation_path(simulation).exists()
+        ]
 
-    def trajectories(self, chosen: list[Simulation] | None = None) -> Iterator[Trajectory]:
+    def trajectories(self, chosen: list[Simulation] | None = None) -> Iterator[SimulationSummary]:
         """Trajectories, one by one: they are large."""
-        for one in self.simulated() if chosen is None else chosen:
-            yield self._trajectory(one)
+        for simulation in self.simulated() if chosen is None else chosen:
+            yield self._trajectory(simulation)
 
-    def _trajectory(self, simulation: Simulation) -> Trajectory:
+    def _trajectory(self, simulation: Simulation) -> SimulationSummary:
         path = self.simulation_path(simulation)
         run = read_trajectory(path)
         solver = _table(path, ["residual", "newton_iterations"])
@@ -174,7 +178,7 @@ class Results:
         line = line[np.argsort(run.uv[line, 1], kind="stable")]
         centre = run.positions_m[:, line][:, :, [0, 2]].astype(float)
         centre[:, :, 0] -= run.stage_x_m[:, None]
-        return Trajectory(
+        return SimulationSummary(
             simulation=simulation,
             time_s=run.time_s,
             stage_x_m=run.stage_x_m,
@@ -317,7 +321,9 @@ class Results:
         """One record of each stage, with the artefact that carries it."""
         candidates = {
             "calibrate": ["calibrate/calibration.json"],
-            "simulate": [f"simulate/{one.id}.parquet" for one in self.simulated()[:1]],
+            "simulate": [
+                f"simulate/{simulation.id}.parquet" for simulation in self.simulated()[:1]
+            ],
             "render": [
                 path.relative_to(self.folder)
                 for path in sorted((self.folder / "render").glob("m*_v*.parquet"))[:1]

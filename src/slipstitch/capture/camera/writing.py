@@ -53,7 +53,7 @@ def calibrate_to_file(
     write_camera_file(out, camera_file(result, board, stage))
     write_sidecar(out, record)
     if picture:
-        from slipstitch.capture.camera.picture import draw_residuals
+        from slipstitch.capture.camera.residuals_figure import draw_residuals
 
         with atomic_path(picture) as temporary:
             draw_residuals(result, temporary, picture.suffix[1:])

@@ -55,7 +55,7 @@ def reference_to_files(
             temporary.write_text(text + "\n", encoding="utf-8")
         write_sidecar(details, record)
     if picture:
-        from slipstitch.capture.reference.picture import draw_references
+        from slipstitch.capture.reference.angles_figure import draw_references
 
         with atomic_path(picture) as temporary:
             draw_references(found, temporary, picture.suffix[1:])

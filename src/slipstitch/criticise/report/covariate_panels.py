@@ -1,4 +1,4 @@
-"""Residuals of plain Coulomb friction against every recorded covariate, as one SVG."""
+"""Residuals of plain Coulomb friction against every recorded covariate, in one picture."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from matplotlib.figure import Figure
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.structure import Outcome
-from slipstitch.criticise.report.pictures import (
-    FAINT,
-    INK,
+from slipstitch.criticise.report.verdict_pictures import (
     NULL_COLOUR,
     drawn,
     pattern,
     relative_residuals,
     series,
-    svg,
 )
+from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.palette import FAINT, INK
 
 COLUMNS = 3
 
 
-def covariate_picture(analysis: Analysis) -> str:
+@styled
+def covariate_picture(analysis: Analysis) -> Figure | None:
     """A panel a covariate, with the strongest shape that was tested along it and its p.
 
-    Empty where no covariate was recorded at more than one level.
+    None where no covariate was recorded at more than one level.
     """
     panels = []
     residual, good = relative_residuals(analysis, analysis.null)
@@ -35,9 +35,9 @@ def covariate_picture(analysis: Analysis) -> str:
         if len(np.unique(x[shown])) > 1:
             panels.append((name, x[shown], residual[shown]))
     if not panels:
-        return ""
+        return None
     rows = -(-len(panels) // COLUMNS)
-    figure = Figure(figsize=(9.0, 2.5 * rows))
+    figure = new_figure(9.0, 2.5 * rows)
     grid = figure.subplots(rows, COLUMNS, squeeze=False)
     for axes in grid.flat[len(panels) :]:
         axes.remove()
@@ -47,21 +47,18 @@ def covariate_picture(analysis: Analysis) -> str:
         found = _strongest(outcome, name)
         if found is not None:
             p = outcome.adjusted[found]
-            axes.set_title(f"p = {p:.2g}", fontsize=9, color=INK if p < 0.05 else FAINT)
+            axes.set_title(f"p = {p:.2g}", color=INK if p < 0.05 else FAINT)
             if not COVARIATES[name].text:
                 pattern(axes, analysis, name, outcome)
-        axes.set_xlabel(COVARIATES[name].axis_label, color=INK, fontsize=9)
+        axes.set_xlabel(COVARIATES[name].axis_label)
         if COVARIATES[name].text:
             labels = sorted({label for label in analysis.measurements.rows[name] if label})
             axes.set_xticks(range(len(labels)), labels)
         axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
-        axes.tick_params(colors=INK, labelsize=8)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        axes.tick_params(labelsize=8)
     for row in grid:
-        row[0].set_ylabel("% of friction", color=INK, fontsize=9)
-    figure.tight_layout()
-    return svg(figure)
+        row[0].set_ylabel("% of friction")
+    return figure
 
 
 def _strongest(outcome: Outcome, name: str) -> int | None:

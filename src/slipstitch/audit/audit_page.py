@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
-import jinja2
-
 from slipstitch.audit.findings import MEANING, Audit, Kind, in_words
+from slipstitch.page.templates import render
+from slipstitch.page.wording import size
 from slipstitch.provenance import atomic_path
+
+_TEMPLATE = Path(__file__).with_name("audit.html.j2")
 
 _MOST_LINES = 12
 VERDICTS = {
@@ -20,7 +22,7 @@ def as_text(audit: Audit) -> str:
     numbers = audit.numbers
     lines = [
         f"{audit.release}: {VERDICTS[audit.verdict]}",
-        f"{numbers['files']} files, {numbers['bytes'] / 1e6:.1f} MB, {numbers['images']} images of "
+        f"{numbers['files']} files, {size(numbers['bytes'])}, {numbers['images']} images of "
         f"{numbers['clips']} clips looked at in {numbers['wall_s']:.1f} s; "
         f"{len(audit.damaged_clips())} clips damaged",
         f"SHA-256 of SHA256SUMS: {audit.sums_sha256}",
@@ -41,14 +43,8 @@ def as_text(audit: Audit) -> str:
 
 def write_page(audit: Audit, path: Path) -> None:
     """Write the outcome as one self-contained HTML page."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slipstitch.audit", "."),
-        undefined=jinja2.StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    text = environment.get_template("page.html.j2").render(
+    text = render(
+        _TEMPLATE,
         audit=audit,
         verdict=VERDICTS[audit.verdict],
         groups=[(kind.value, MEANING[kind], audit.of_kind(kind)) for kind in Kind],

@@ -7,23 +7,18 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from slipstitch.calibrate.picture import FAINT, MEASURED, THEORY
 from slipstitch.config.calibrate import BASE, KEYS
+from slipstitch.page.palette import BLUE, FAINT, MEASURED, THEORY
 from slipstitch.theory import strip_state, strip_state_at_foot_angle
 
 LENGTH_M = 0.20
-SECOND = "#0072B2"  # Okabe & Ito 2008, as the others
-FABRICS = ((MEASURED, "o"), (SECOND, "D"))
+FABRICS = ((MEASURED, "o"), (BLUE, "D"))
 # Settings as words, and the unit of their values.
 NAMES = {
     "time_step_s": ("time step", "s"),
@@ -216,7 +211,7 @@ def _largest_errors(axes: Axes, key: str, tried, base, demand: float | None) -> 
         error = NOTHING_AT if error is None else max(error, 1e-4)
         axes.plot(
             place, error, "s" if trial is base else "o", ms=7,
-            color=SECOND if trial["meets"] else MEASURED, mfc=SECOND if trial["meets"] else "white",
+            color=BLUE if trial["meets"] else MEASURED, mfc=BLUE if trial["meets"] else "white",
         )  # fmt: skip
         said = f"{trial['cpu_s']:.0f} s"
         if trial["wrong_regimes"]:

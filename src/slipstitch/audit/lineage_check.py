@@ -15,21 +15,13 @@ import numpy as np
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
-from slipstitch.audit.walk import SAMPLED_MANIFEST, Chain
+from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
 from slipstitch.release.assembly import RELEASE_RECORD
-from slipstitch.release.chain import (
-    VERIFICATION,
-    Artefact,
-    carried_file,
-    is_carried,
-    is_ours,
-    record_file,
-)
 from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import (
     catalogue_changes,
@@ -38,6 +30,14 @@ from slipstitch.release.currency import (
     recorded_entries,
 )
 from slipstitch.release.manifest import MANIFEST, sampled_rows
+from slipstitch.release.records import (
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    is_carried,
+    is_ours,
+    record_file,
+)
 from slipstitch.release.splits import PREFIX, parts, split_columns
 from slipstitch.sample.dataset import manifest_sides
 from slipstitch.sample.manifest import dataset_digest
@@ -45,7 +45,9 @@ from slipstitch.sample.manifest import dataset_digest
 _STAGE_TOLERANCE_M = 1e-9
 
 
-def check_chain(contents: Contents, shards: Mapping[str, Shard]) -> tuple[list[Finding], list[str]]:
+def check_lineage(
+    contents: Contents, shards: Mapping[str, Shard]
+) -> tuple[list[Finding], list[str]]:
     """Follow every clip.
 
     Parameters
@@ -63,27 +65,31 @@ def check_chain(contents: Contents, shards: Mapping[str, Shard]) -> tuple[list[F
     """
     if not contents.rows:
         return [Finding(Kind.BROKEN, MANIFEST, "no clip can be followed without it")], []
-    chain = Chain(contents)
+    lineage = Lineage(contents)
     findings = [
-        *_links(chain),
-        *_configuration(chain),
-        *_sampled(chain),
+        *_links(lineage),
+        *_configuration(lineage),
+        *_sampled(lineage),
         *_release_record(contents),
     ]
     notes = []
     if contents.config is not None:
-        stale = sorted({one.stage for one in _ours(chain) if _is_stale(one)})
+        stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
         if stale:
             notes.append(
                 "seeds, perturbations, stage positions, labels and splits were computed with code "
                 f"that has changed since ({', '.join(stale)})"
             )
-        findings += _recomputed(chain, shards, stale)
+        findings += _recomputed(lineage, shards, stale)
     return findings, notes
 
 
-def _ours(chain: Chain) -> Iterator[Artefact]:
-    return (one for path, one in chain.artefacts.items() if is_ours(path) and one.provenance)
+def _ours(lineage: Lineage) -> Iterator[Artefact]:
+    return (
+        artefact
+        for path, artefact in lineage.artefacts.items()
+        if is_ours(path) and artefact.provenance
+    )
 
 
 def _is_stale(artefact: Artefact) -> bool:
@@ -91,14 +97,14 @@ def _is_stale(artefact: Artefact) -> bool:
     return made_by != current_digest(artefact.stage) or bool(catalogue_changes(artefact))
 
 
-def _links(chain: Chain) -> Iterator[Finding]:
+def _links(lineage: Lineage) -> Iterator[Finding]:
     """Records that are missing, or about other files than what was made from them says."""
-    folder = chain.contents.folder
-    starts = {path for row in chain.contents.rows for path in chain.behind(row)}
-    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(chain.artefacts))
+    folder = lineage.contents.folder
+    starts = {path for row in lineage.contents.rows for path in lineage.behind(row)}
+    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(lineage.artefacts))
     for path in sorted(starts):
-        artefact = chain.artefacts.get(path)
-        where, clips = record_file(path), chain.clips(path)
+        artefact = lineage.artefacts.get(path)
+        where, clips = record_file(path), lineage.clips(path)
         if artefact is None:
             yield Finding(Kind.BROKEN, where, f"there is no readable record of {path}", clips)
             continue
@@ -110,26 +116,28 @@ def _links(chain: Chain) -> Iterator[Finding]:
                 what = f"not the file that {record_file(path)} is about"
                 yield Finding(Kind.BROKEN, carried_file(path), what, clips)
         for name, digest in artefact.inputs.items():
-            behind = chain.artefacts.get(name)
+            behind = lineage.artefacts.get(name)
             if behind is not None and behind.sha256 != digest:
                 what = f"was made from another {name} than {record_file(name)} is about"
-                touched = clips if len(clips) < len(chain.clips(name)) else chain.clips(name)
+                touched = clips if len(clips) < len(lineage.clips(name)) else lineage.clips(name)
                 yield Finding(Kind.BROKEN, where, what, touched)
-    listed = chain.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in chain.artefacts else {}
-    for row in chain.contents.rows:
+    listed = (
+        lineage.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in lineage.artefacts else {}
+    )
+    for row in lineage.contents.rows:
         if f"results/sample/{row['sampled_file']}" not in listed:
             what = f"the manifest was not made from {row['sampled_file']}"
             yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
-    for path in sorted(set(chain.artefacts) - starts):
+    for path in sorted(set(lineage.artefacts) - starts):
         yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
 
 
-def _configuration(chain: Chain) -> Iterator[Finding]:
+def _configuration(lineage: Lineage) -> Iterator[Finding]:
     """Records against the configuration and the sources that the release carries."""
-    contents = chain.contents
+    contents = lineage.contents
     sources = contents.folder / SOURCES
-    for artefact in _ours(chain):
-        where, clips = record_file(artefact.path), chain.clips(artefact.path)
+    for artefact in _ours(lineage):
+        where, clips = record_file(artefact.path), lineage.clips(artefact.path)
         changes = config_changes(artefact, contents.config) if contents.config else []
         if changes:
             what = f"made with another configuration than records/config.json: {changes[0]}"
@@ -152,10 +160,10 @@ def _carried_fabric(sources: Path, name: str) -> str | None:
         return None
 
 
-def _sampled(chain: Chain) -> Iterator[Finding]:
+def _sampled(lineage: Lineage) -> Iterator[Finding]:
     """The manifest against the digest that the sampling stage noted of its rows."""
-    contents = chain.contents
-    record = chain.artefacts.get(SAMPLED_MANIFEST)
+    contents = lineage.contents
+    record = lineage.artefacts.get(SAMPLED_MANIFEST)
     names = contents.notes.get("sampled_columns")
     try:
         digest = dataset_digest(sampled_rows(contents.rows, names))
@@ -184,36 +192,36 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
 
 
 def _recomputed(
-    chain: Chain, shards: Mapping[str, Shard], stale: Collection[str]
+    lineage: Lineage, shards: Mapping[str, Shard], stale: Collection[str]
 ) -> Iterator[Finding]:
     """What follows from configuration and seed, computed anew by code that has not changed."""
-    contents, config = chain.contents, chain.contents.config
-    grid = {one.id: one for one in simulations(config)}
+    contents, config = lineage.contents, lineage.contents.config
+    grid = {simulation.id: simulation for simulation in simulations(config)}
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     times_s = frames / config.simulation.frame_rate_hz
     stage_x: dict[str, np.ndarray | None] = {}
     for row in contents.rows:
         video, name = row["video"], row["simulation"]
-        one = grid.get(name)
-        if one is None:
+        simulation = grid.get(name)
+        if simulation is None:
             yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not of the configured grid", (video,))
             continue
-        problem = _row_problem(row, one)
+        problem = _row_problem(row, simulation)
         if problem:
             yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {problem}", (video,))
         if name not in stage_x:
             stage_x[name] = None
-            for record in chain.of_stage(row, "simulate"):
-                yield from _simulation(chain, record, one)
+            for record in lineage.of_stage(row, "simulate"):
+                yield from _simulation(lineage, record, simulation)
                 stage_x[name] = _stage_x_m(record, times_s)
         shard = shards.get(row["shard"])
         columns = shard.columns.get(video) if shard else None
         problem = _times(columns, frames, times_s, stage_x[name]) if columns else None
         if problem:
             yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
-        yield from _rendering(chain, row)
+        yield from _rendering(lineage, row)
         if "render" not in stale:
-            yield from _drawn(chain, row)
+            yield from _drawn(lineage, row)
     missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
     if missing:
         yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
@@ -221,26 +229,26 @@ def _recomputed(
         yield from _sides(contents)
 
 
-def _row_problem(row: Mapping[str, Any], one: Simulation) -> str | None:
+def _row_problem(row: Mapping[str, Any], simulation: Simulation) -> str | None:
     for name in ("material", "friction", "material_id", "friction_id", "replicate_id"):
-        if name in row and row[name] != getattr(one, name):
-            return f"{name} is {row[name]!r}, the configuration says {getattr(one, name)!r}"
+        if name in row and row[name] != getattr(simulation, name):
+            return f"{name} is {row[name]!r}, the configuration says {getattr(simulation, name)!r}"
     return None
 
 
-def _simulation(chain: Chain, record: Artefact, one: Simulation) -> Iterator[Finding]:
+def _simulation(lineage: Lineage, record: Artefact, simulation: Simulation) -> Iterator[Finding]:
     """What the record of a simulation says against what the grid makes of its id."""
     from slipstitch.simulate.drop_and_drag import draw_perturbation
 
-    where, clips = record_file(record.path), chain.clips(record.path)
+    where, clips = record_file(record.path), lineage.clips(record.path)
     for name in ("material", "friction", "seed"):
-        if record.metadata.get(name) != getattr(one, name):
+        if record.metadata.get(name) != getattr(simulation, name):
             what = (
                 f"{name} is {record.metadata.get(name)!r}, the configuration gives "
-                f"{getattr(one, name)!r}"
+                f"{getattr(simulation, name)!r}"
             )
             yield Finding(Kind.BROKEN, where, what, clips)
-    drawn = vars(draw_perturbation(chain.contents.config.simulation, one.seed))
+    drawn = vars(draw_perturbation(lineage.contents.config.simulation, simulation.seed))
     if record.metadata.get("perturbation") != drawn:
         yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
 
@@ -270,9 +278,9 @@ def _times(
     return None
 
 
-def _rendering(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
+def _rendering(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
     """The record of the rendering against the clip's labels."""
-    for record in chain.of_stage(row, "render"):
+    for record in lineage.of_stage(row, "render"):
         view = record.metadata.get("viewpoint")
         if view != {"id": row["viewpoint_id"], "name": row["viewpoint"]}:
             what = f"shows viewpoint {view!r}, not {row['viewpoint']!r}"
@@ -282,17 +290,17 @@ def _rendering(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
         if texture != row["texture"]:
             what = f"{row['texture_id']} is {texture!r} there, {row['texture']!r} in the manifest"
             yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
-    if not chain.of_stage(row, "render") or not chain.of_stage(row, "simulate"):
+    if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
         what = f"{row['video']}: no rendering or no simulation stands behind it"
         yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 
-def _drawn(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
+def _drawn(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
     """Floor, lamp and camera of a clip against what the seed draws."""
     from slipstitch.render.augmentation import draw_augmentation
     from slipstitch.render.surroundings import draw_surroundings
 
-    settings, seed = chain.contents.config.render, chain.contents.config.seed
+    settings, seed = lineage.contents.config.render, lineage.contents.config.seed
     drawn = draw_surroundings(settings, seed, row["simulation"])
     labels = {
         "floor": drawn.floor,
@@ -306,7 +314,7 @@ def _drawn(chain: Chain, row: Mapping[str, Any]) -> Iterator[Finding]:
     words = (row["simulation"], row["texture"], row["viewpoint"])
     camera = draw_augmentation(settings.augmentation, seed, *words).record()
     bench = drawn.record() | {"lamp_position_m": list(drawn.lamp_position_m)}
-    for record in chain.of_stage(row, "render"):
+    for record in lineage.of_stage(row, "render"):
         recorded = record.metadata.get("augmentation") or {}
         found = {
             "floor or lamp": (record.metadata.get("surroundings"), bench),

@@ -1,16 +1,17 @@
 """The page of one measurement: the frames, the moments that decided, the distribution."""
 
-import base64
 from pathlib import Path
 
 import cv2
-import jinja2
 import numpy as np
 
-from slipstitch import __version__
 from slipstitch.measure.measuring import MeasuredVideo
+from slipstitch.page.figures import png_uri
+from slipstitch.page.templates import render
+from slipstitch.page.wording import number, percent, span
 from slipstitch.render.encoding import encode_png
 
+_TEMPLATE = Path(__file__).with_name("measurement.html.j2")
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5
 _WIDTH, _HEIGHT = 920, 190
@@ -23,9 +24,9 @@ def page(result: MeasuredVideo) -> str:
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
     frames = [
         {
-            "image": _data_uri(image),
+            "image": _enlarged(image),
             "time": f"{max(time_s, 0):.1f} s",
-            "weight": f"{100 * weight:.1f} %",
+            "weight": percent(weight),
             "bar": f"{100 * weight / max(weights.max(), 1e-9):.1f}",
             "decisive": k in ranks,
         }
@@ -33,22 +34,14 @@ def page(result: MeasuredVideo) -> str:
             zip(video.frames, video.time_s, weights, strict=True)
         )
     ]
-    low, high = measured.interval_90
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("page.html.j2").render(
+    return render(
+        _TEMPLATE,
         name=result.name,
-        version=__version__,
-        mu=f"{measured.friction_coefficient:.3f}",
-        uncertainty=f"{result.uncertainty:.3f}",
-        interval=f"{low:.3f} … {high:.3f}",
-        materials=[(name, f"{100 * share:.1f}") for name, share in materials],
+        mu=number(measured.friction_coefficient),
+        uncertainty=number(result.uncertainty),
+        interval=span(measured.interval_90),
+        materials=materials,
         alarm=measured.alarm_reason if measured.alarm else None,
         frames=frames,
         decisive=[f"{max(video.time_s[k], 0):.1f} s" for k in sorted(ranks)],
@@ -60,10 +53,10 @@ def page(result: MeasuredVideo) -> str:
     )
 
 
-def _data_uri(image: np.ndarray) -> str:
+def _enlarged(image: np.ndarray) -> str:
     side = max(_SIDE, len(image))
     large = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
-    return f"data:image/png;base64,{base64.b64encode(encode_png(large)).decode()}"
+    return png_uri(encode_png(large))
 
 
 def _points(x: np.ndarray, y: np.ndarray) -> str:

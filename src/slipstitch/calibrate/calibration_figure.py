@@ -5,23 +5,16 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slipstitch.page.figures import save_figure
+from slipstitch.page.palette import FAINT, MEASURED, THEORY
 from slipstitch.theory import flexible_strip_drag, incline, steady_strip_drag
 
 # As the protocol holds it: by a hinge.
 STRIP_LENGTH_M, STRIP_HEIGHT_M = 0.20, 0.15
-
-# Okabe & Ito 2008: told apart by colour-blind readers.
-MEASURED = "#D55E00"
-THEORY = "#1a1a1a"
-FAINT = "#8c8c8c"
 
 
 def _runs(calibration: Mapping[str, Any], protocol: str) -> list[Mapping[str, Any]]:
@@ -169,11 +162,3 @@ def draw_calibration(
         File format.
     """
     save_figure(calibration_figure(calibration), path, kind)
-
-
-def save_figure(figure: Figure, path: str | os.PathLike, kind: str = "png") -> None:
-    """Write a figure without date and with fixed ids: equal input, equal bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": "slipstitch"}):
-        figure.savefig(
-            path, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else None
-        )

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
-from slipstitch.audit.walk import Chain
+from slipstitch.audit.lineage import Lineage
 from slipstitch.config import Config
-from slipstitch.release.chain import is_ours
 from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
+from slipstitch.release.records import is_ours
 
 
-def check_currency(contents: Contents, config: Config | None) -> list[Finding]:
+def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     """Stages whose code or catalogue has changed, and records of other values than `config`.
 
     Parameters
@@ -29,7 +29,7 @@ def check_currency(contents: Contents, config: Config | None) -> list[Finding]:
     list of Finding
         All of kind STALE, one a stage and reason.
     """
-    chain = Chain(contents)
+    lineage = Lineage(contents)
     touched: dict[tuple[str, str], set[str]] = defaultdict(set)
     for path, artefact in contents.artefacts.items():
         if artefact.provenance is None or not is_ours(path):
@@ -37,14 +37,14 @@ def check_currency(contents: Contents, config: Config | None) -> list[Finding]:
         now = current_digest(artefact.stage)
         if artefact.provenance.get("code_digest") != now:
             reason = "there is no such stage any more" if now is None else "its code has changed"
-            touched[artefact.stage, reason].update(chain.clips(path))
+            touched[artefact.stage, reason].update(lineage.clips(path))
         for change in catalogue_changes(artefact):
             reason = f"the catalogue has changed: {change}"
-            touched[artefact.stage, reason].update(chain.clips(path))
+            touched[artefact.stage, reason].update(lineage.clips(path))
         if config is not None:
             for change in config_changes(artefact, config):
                 reason = f"its configuration has changed: {change}"
-                touched[artefact.stage, reason].update(chain.clips(path))
+                touched[artefact.stage, reason].update(lineage.clips(path))
     own = contents.release.get("provenance", {}).get("code_digest")
     if own is not None and own != current_digest("release"):
         touched["release", "its code has changed"].update(())
@@ -87,14 +87,14 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
             if not _extract(checkout, commit, Path(folder)):
                 notes.append(f"commit {commit[:12]} is not in this checkout: code not compared")
                 continue
-            findings += _claims(Chain(contents), commit, stages, Path(folder) / "src")
+            findings += _claims(Lineage(contents), commit, stages, Path(folder) / "src")
     return findings, notes
 
 
-def _claims(chain: Chain, commit: str, stages: dict, source: Path) -> Iterator[Finding]:
+def _claims(lineage: Lineage, commit: str, stages: dict, source: Path) -> Iterator[Finding]:
     for (stage, digest), paths in stages.items():
         if current_digest(stage, source) != digest:
-            clips = {clip for path in paths for clip in chain.clips(path)}
+            clips = {clip for path in paths for clip in lineage.clips(path)}
             what = f"commit {commit[:12]} holds other code of {stage} than the records say"
             yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
 

@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
 from matplotlib.figure import Figure
 
 from slipstitch.capture.camera.calibration import Calibration
+from slipstitch.page.figures import save_figure
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
 
@@ -53,4 +51,4 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
     bars.set(ylabel="rms (px)", title="view by view")
     names = [Path(view.name).name for view in result.views]
     bars.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
-    figure.savefig(path, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
+    save_figure(figure, path, kind, dots_per_inch=110)

@@ -9,9 +9,11 @@ from matplotlib.figure import Figure
 
 from slipstitch.capture.reference.angles import SlipAngles
 from slipstitch.capture.reference.estimate import Reference
+from slipstitch.page.figures import FIXED_IDS, save_figure
+from slipstitch.page.palette import BLACK, INTERVAL, SERIES
 
-# Okabe & Ito 2008.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+# Black is the estimate.
+_COLOURS = tuple(colour for colour in SERIES if colour != BLACK)
 
 
 def draw_references(
@@ -28,13 +30,13 @@ def draw_references(
     """
     names = sorted({name for angles, _ in measured for name in angles.orientation})
     colour = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
-    with matplotlib.rc_context({"svg.hashsalt": "slipstitch", "font.size": 9}):
+    with matplotlib.rc_context(FIXED_IDS | {"font.size": 9}):
         figure = Figure(figsize=(7.5, 1.1 + 0.75 * len(measured)), layout="constrained")
         axes = figure.subplots()
         for row, (angles, reference) in enumerate(measured):
             places = sorted(set(angles.position))
             offset = {name: 0.16 + 0.5 * k / max(len(places), 2) for k, name in enumerate(places)}
-            axes.axvspan(*_interval(reference), *_band(row, len(measured)), color="#dce9f2")
+            axes.axvspan(*_interval(reference), *_band(row, len(measured)), color=INTERVAL)
             axes.plot([reference.mu], [row], "D", color="black", markersize=4, zorder=3)
             for position, orientation, friction in zip(
                 angles.position, angles.orientation, np.tan(angles.angle_rad), strict=True
@@ -61,7 +63,7 @@ def draw_references(
             fontsize=9,
             loc="left",
         )
-        figure.savefig(path, format=kind, dpi=150, metadata={"Date": None} if kind == "svg" else {})
+        save_figure(figure, path, kind)
 
 
 def _interval(reference: Reference) -> tuple[float, float]:

@@ -1,54 +1,39 @@
 """`Status` as text."""
 
-import math
 import time
+from functools import partial
 from pathlib import Path
 
+from slipstitch.page.wording import duration, size
 from slipstitch.status.runs import Failure, failure_lines, last_lines
-from slipstitch.status.state import Running, Stage, Status
+from slipstitch.status.state import Running, StageProgress, Status
 
 MOST_RUNNING = 8
 MOST_FAILURES = 3
 
 
-def duration(seconds: float | None) -> str:
-    """A time in the unit that reads best."""
-    if seconds is None or math.isnan(seconds):
-        return "?"
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    if seconds < 100 * 60:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
+_about = partial(duration, digits=0, unknown="?")
 
 
-def size(size_bytes: float) -> str:
-    """A size in the unit that reads best."""
-    for unit, scale in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if size_bytes >= scale:
-            return f"{size_bytes / scale:.3g} {unit}"
-    return f"{size_bytes / 1e3:.3g} kB"
-
-
-def _table(stages: list[Stage]) -> list[str]:
-    total = Stage("together")
+def _table(stages: list[StageProgress]) -> list[str]:
+    total = StageProgress("together")
     for stage in stages:
         for key, value in vars(stage).items():
             if key != "name":
                 setattr(total, key, getattr(total, key) + value)
     rows = [("stage", "done", "running", "failed", "to do", "CPU", "to come", "disk", "to come")]
-    for one in [*stages, total]:
+    for stage in [*stages, total]:
         rows.append(
             (
-                one.name,
-                f"{one.done}/{one.jobs}",
-                str(one.running or "-"),
-                str(one.failed or "-"),
-                str(one.waiting or "-"),
-                duration(one.cpu_s),
-                duration(one.left_s) if one.left_s else "-",
-                size(one.disk_bytes),
-                size(one.disk_to_come_bytes) if one.disk_to_come_bytes else "-",
+                stage.name,
+                f"{stage.done}/{stage.jobs}",
+                str(stage.running or "-"),
+                str(stage.failed or "-"),
+                str(stage.waiting or "-"),
+                _about(stage.cpu_s),
+                _about(stage.left_s) if stage.left_s else "-",
+                size(stage.disk_bytes),
+                size(stage.disk_to_come_bytes) if stage.disk_to_come_bytes else "-",
             )
         )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -64,17 +49,17 @@ def _head(found: Status, now_s: float) -> str:
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head["time"]))
     if run.success is True:
         state = (
-            f"all done {duration(max(0.0, run.last_s - run.head['time']))} later; CPU time of "
-            f"its jobs {duration(run.jobs_cpu_s)}, of Snakemake itself {duration(run.own_cpu_s)}"
+            f"all done {_about(max(0.0, run.last_s - run.head['time']))} later; CPU time of "
+            f"its jobs {_about(run.jobs_cpu_s)}, of Snakemake itself {_about(run.own_cpu_s)}"
         )
     elif run.success is False:
         state = "stopped by a failure; once mended, the same snakemake command goes on from here"
     elif found.alive:
         state = "running"
         if found.left_s is not None:
-            state += f", about {duration(found.left_s)} to go on {run.head['cores']} cores"
+            state += f", about {_about(found.left_s)} to go on {run.head['cores']} cores"
     elif found.alive is None:
-        ago = duration(max(0.0, now_s - run.last_s))
+        ago = _about(max(0.0, now_s - run.last_s))
         state = f"started on another machine, last heard of {ago} ago"
     else:
         state = (
@@ -88,12 +73,12 @@ def _running(base: Path, running: list[Running], alive: bool | None, now_s: floa
     if not running:
         return []
     lines = ["", "Under way:" if alive is not False else "Broken off:"]
-    for one in running[:MOST_RUNNING]:
-        told = f"  {one.output} ({one.rule}), since {duration(max(0.0, now_s - one.since_s))}"
-        if one.expected_s is not None:
-            told += f" of about {duration(one.expected_s)}"
+    for job in running[:MOST_RUNNING]:
+        told = f"  {job.output} ({job.rule}), since {_about(max(0.0, now_s - job.since_s))}"
+        if job.expected_s is not None:
+            told += f" of about {_about(job.expected_s)}"
         lines.append(told)
-        for log in one.log:
+        for log in job.log:
             if (base / log).is_file():
                 lines.append(f"    {last_lines(base / log, 1)[0]}")
     if len(running) > MOST_RUNNING:
@@ -103,11 +88,11 @@ def _running(base: Path, running: list[Running], alive: bool | None, now_s: floa
 
 def _failed(folder: Path, failures: list[Failure], count: int) -> list[str]:
     """The failures that still stand, with their logs, first; of the others, how many."""
-    standing = [one for one in failures if one.then == "not made"]
+    standing = [failure for failure in failures if failure.then == "not made"]
     mended = len(failures) - len(standing)
     lines = []
-    for one in standing[-MOST_FAILURES:]:
-        lines += [*failure_lines(folder, one, count), ""]
+    for failure in standing[-MOST_FAILURES:]:
+        lines += [*failure_lines(folder, failure, count), ""]
     if len(standing) > MOST_FAILURES:
         lines += [f"and {len(standing) - MOST_FAILURES} more that failed", ""]
     if mended:

@@ -6,13 +6,13 @@ from functools import cached_property
 from typing import Any
 
 from slipstitch.audit.contents import Contents
-from slipstitch.release.chain import RECORD_SUFFIX, RECORDS, VERIFICATION, Artefact, carried_file
 from slipstitch.release.manifest import MANIFEST
+from slipstitch.release.records import RECORD_SUFFIX, RECORDS, VERIFICATION, Artefact, carried_file
 
 SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 
 
-class Chain:
+class Lineage:
     """The records of a release and what each clip comes from."""
 
     def __init__(self, contents: Contents):
@@ -50,7 +50,7 @@ class Chain:
     def of_stage(self, row: Mapping[str, Any], stage: str) -> list[Artefact]:
         """Records of one stage behind a clip."""
         records = (self.artefacts.get(path) for path in self.behind(row))
-        return [one for one in records if one is not None and one.stage == stage]
+        return [record for record in records if record is not None and record.stage == stage]
 
     @cached_property
     def clips_after(self) -> dict[str, tuple[str, ...]]:

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+
+from slipstitch.page.palette import FAINT, SOFT
 
 LEAST_MM = 1e-3
 
@@ -40,7 +39,7 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
             axes.set_yscale("log")
             axes.axhline(
                 1e3 * study["settings"]["convergence"]["mean_distance_m"],
-                color="#8c8c8c", lw=0.8, ls=":",
+                color=FAINT, lw=0.8, ls=":",
             )  # fmt: skip
             if not shown:
                 axes.text(0.5, 0.5, "not run", transform=axes.transAxes, ha="center")
@@ -59,7 +58,7 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
         ("--", 0.9, "chosen, time shift allowed"),
         (":", 0.8, "counts as converged"),
     ):
-        handles.append(Line2D([], [], color="#5b5e63", ls=style, lw=width, label=name))
+        handles.append(Line2D([], [], color=SOFT, ls=style, lw=width, label=name))
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7.5)
     return figure
 

@@ -1,9 +1,6 @@
-"""The three pictures of a verdict's page, as SVG."""
+"""The three pictures of a verdict's page."""
 
 from __future__ import annotations
-
-import io
-import re
 
 import numpy as np
 import pandas as pd
@@ -15,27 +12,16 @@ from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.protocols import QUANTITIES
+from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.palette import BLUE, FAINT, INK, PALE, VERMILION
 
-INK, FAINT, NULL_COLOUR, EXTENDED_COLOUR = "#26323a", "#9aa5ab", "#c8553d", "#2a7f9e"
+NULL_COLOUR, EXTENDED_COLOUR = VERMILION, BLUE
 QUANTITY = "quantity"
 
 
-def svg(figure: Figure) -> str:
-    """The figure as an SVG element, the same bytes for the same figure."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
-
-
 def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(width, height))
-    axes = figure.add_subplot()
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(colors=INK, labelsize=9)
-    return figure, axes
+    figure = new_figure(width, height)
+    return figure, figure.add_subplot()
 
 
 def telling_covariate(analysis: Analysis) -> str:
@@ -133,7 +119,8 @@ def _by_quantity(axes, analysis, fits):
     axes.set_ylabel("measured − model, in standard deviations")
 
 
-def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
+@styled
+def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Residuals of the null (and of the extended model) against the telling covariate."""
     covariate = telling_covariate(analysis)
     figure, axes = _figure()
@@ -151,11 +138,11 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> str:
                 series(axes, values[good], residual[good], colour, label)
         if extended is None and analysis.verdict == "unknown":
             pattern(axes, analysis, covariate, analysis.left_over or analysis.null_outcome)
-        axes.set_xlabel(COVARIATES[covariate].axis_label, color=INK)
-        axes.set_ylabel("measured − model (% of friction)", color=INK)
+        axes.set_xlabel(COVARIATES[covariate].axis_label)
+        axes.set_ylabel("measured − model (% of friction)")
     axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
-    axes.legend(frameon=False, fontsize=9)
-    return svg(figure)
+    axes.legend(frameon=False)
+    return figure
 
 
 def pattern(axes, analysis, covariate, outcome):
@@ -185,7 +172,8 @@ def pattern(axes, analysis, covariate, outcome):
     axes.plot(x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].shape)
 
 
-def ranking_picture(verdict: dict, most: int = 10) -> str:
+@styled
+def ranking_picture(verdict: dict, most: int = 10) -> Figure:
     """How far each rival lies behind the best."""
     entries = verdict["ranking"]
     shown = entries[:most]
@@ -197,18 +185,19 @@ def ranking_picture(verdict: dict, most: int = 10) -> str:
     places = np.arange(len(shown))[::-1]
     tied = [sorted(causes) for causes in verdict["alternatives"]]
     colours = [
-        NULL_COLOUR if not e["model"] else EXTENDED_COLOUR if sorted(e["model"]) in tied else FAINT
+        NULL_COLOUR if not e["model"] else EXTENDED_COLOUR if sorted(e["model"]) in tied else PALE
         for e in shown
     ]
     axes.barh(places, np.maximum(values, 0.15), color=colours, height=0.65)
     axes.set_xscale("symlog", linthresh=10)
     axes.set_yticks(places, labels)
     axes.axvline(6, color=INK, lw=0.8, ls=":")
-    axes.set_xlabel("BIC behind the best (dotted: 6)", color=INK)
-    return svg(figure)
+    axes.set_xlabel("BIC behind the best (dotted: 6)")
+    return figure
 
 
-def prediction_picture(analysis: Analysis, extended: Fit | None) -> str:
+@styled
+def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Standardised residuals of all features, null and extended, against a standard normal."""
     figure, axes = _figure()
     fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
@@ -231,7 +220,7 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> str:
     axes.plot(
         x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, lw=1.2, label="if all is well"
     )
-    axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)", color=INK)
+    axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
     axes.set_yticks([])
-    axes.legend(frameon=False, fontsize=9)
-    return svg(figure)
+    axes.legend(frameon=False)
+    return figure

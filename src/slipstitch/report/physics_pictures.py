@@ -1,4 +1,4 @@
-"""Figures of physics, simulations and cost: an SVG as text, or None where there is nothing."""
+"""Figures of physics and simulations, or None where there is nothing to draw."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,12 +6,14 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
-from slipstitch.calibrate.picture import FAINT, THEORY, calibration_figure
-from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
-from slipstitch.convergence.picture import convergence_figure
-from slipstitch.report.drawing import BLUE, GREEN, ORANGE, PINK, new_figure, styled, svg
-from slipstitch.report.results import Benchmark, Trajectory
+from slipstitch.calibrate.calibration_figure import calibration_figure
+from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
+from slipstitch.convergence.distance_figure import convergence_figure
+from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, THEORY
+from slipstitch.report.results import SimulationSummary
 
 
 def friction_colour(friction: float, frictions: Sequence[float]):
@@ -21,27 +23,27 @@ def friction_colour(friction: float, frictions: Sequence[float]):
 
 
 @styled
-def calibration(data: Mapping[str, Any]) -> str:
+def calibration(data: Mapping[str, Any]) -> Figure:
     """Measured against theory, a panel an experiment."""
-    return svg(calibration_figure(data))
+    return calibration_figure(data)
 
 
 @styled
-def strip(data: Mapping[str, Any]) -> str:
+def strip(data: Mapping[str, Any]) -> Figure:
     """Slip strain and shapes of the pushed strip, over theory."""
-    return svg(strip_figure(data))
+    return strip_figure(data)
 
 
 @styled
-def settings(data: Mapping[str, Any]) -> str:
+def settings(data: Mapping[str, Any]) -> Figure:
     """The pushed strip with one numerical setting changed at a time."""
-    return svg(settings_figure(data))
+    return settings_figure(data)
 
 
 @styled
-def convergence(study: Mapping[str, Any]) -> str:
+def convergence(study: Mapping[str, Any]) -> Figure:
     """Distance from the finest runs over time."""
-    return svg(convergence_figure(study))
+    return convergence_figure(study)
 
 
 # What the profiles show: the paper's protocol (Sec. 4.1) lowers for 7 s, each stroke takes 31 s.
@@ -55,27 +57,27 @@ MOMENTS = (
 
 
 @styled
-def profiles(trajectories: Sequence[Trajectory]) -> str | None:
+def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     """Side views: the line down the middle of each cloth at some moments, seen with the stage.
 
     Parameters
     ----------
-    trajectories : sequence of Trajectory
+    trajectories : sequence of SimulationSummary
         One for each material and friction coefficient that is to be shown.
     """
     if not trajectories:
         return None
-    materials = list(dict.fromkeys(one.simulation.material for one in trajectories))
-    frictions = sorted({one.simulation.friction for one in trajectories})
+    materials = list(dict.fromkeys(run.simulation.material for run in trajectories))
+    frictions = sorted({run.simulation.friction for run in trajectories})
     width = max(2.25 * len(frictions) + 0.3, 7.0)
     figure = new_figure(width, 1.75 * len(materials) + 0.5)
     panels = figure.subplots(
         len(materials), len(frictions), sharex=True, sharey=True, squeeze=False
     )
-    reach = max(float(np.abs(one.centre_m[:, :, 0]).max()) for one in trajectories)
+    reach = max(float(np.abs(run.centre_m[:, :, 0]).max()) for run in trajectories)
     reach = 1e3 * min(reach, 0.2) + 8
     used = {}
-    drawn = {(one.simulation.material, one.simulation.friction) for one in trajectories}
+    drawn = {(run.simulation.material, run.simulation.friction) for run in trajectories}
     for (row, column), axes in np.ndenumerate(panels):
         if (materials[row], frictions[column]) not in drawn:
             axes.text(0.0, 80.0, "not run", ha="center", color=FAINT, fontsize=8)
@@ -87,19 +89,19 @@ def profiles(trajectories: Sequence[Trajectory]) -> str | None:
         axes.spines["bottom"].set_visible(False)
         axes.set_yticks([0, 100])
         axes.set_xticks([-100, 0, 100])
-    for one in trajectories:
-        axes = panels[materials.index(one.simulation.material)][
-            frictions.index(one.simulation.friction)
+    for run in trajectories:
+        axes = panels[materials.index(run.simulation.material)][
+            frictions.index(run.simulation.friction)
         ]
         for moment, name, colour in MOMENTS:
-            if moment > one.time_s[-1] + 0.5:
+            if moment > run.time_s[-1] + 0.5:
                 continue
-            frame = int(np.argmin(np.abs(one.time_s - moment)))
+            frame = int(np.argmin(np.abs(run.time_s - moment)))
             (line,) = axes.plot(
-                1e3 * one.centre_m[frame, :, 0], 1e3 * one.centre_m[frame, :, 1], color=colour,
+                1e3 * run.centre_m[frame, :, 0], 1e3 * run.centre_m[frame, :, 1], color=colour,
                 lw=1.6, solid_capstyle="round",
             )  # fmt: skip
-            used.setdefault(f"{name} ({one.time_s[frame]:.0f} s)", line)
+            used.setdefault(f"{name} ({run.time_s[frame]:.0f} s)", line)
     for axes, friction in zip(panels[0], frictions, strict=True):
         axes.set_title(f"µ = {friction:g}")
     for row, material in zip(panels, materials, strict=True):
@@ -109,22 +111,22 @@ def profiles(trajectories: Sequence[Trajectory]) -> str | None:
         used.values(), used.keys(), loc="outside upper center", ncols=5 if width > 9 else 3,
         frameon=False, fontsize=8,
     )  # fmt: skip
-    return svg(figure)
+    return figure
 
 
 @styled
-def tails(trajectories: Sequence[Trajectory]) -> str | None:
+def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     """Where the lower edge is, relative to the clamps, over time: what a camera can read.
 
     Parameters
     ----------
-    trajectories : sequence of Trajectory
+    trajectories : sequence of SimulationSummary
         All replicates of all materials and coefficients.
     """
     if not trajectories:
         return None
-    materials = list(dict.fromkeys(one.simulation.material for one in trajectories))
-    frictions = sorted({one.simulation.friction for one in trajectories})
+    materials = list(dict.fromkeys(run.simulation.material for run in trajectories))
+    frictions = sorted({run.simulation.friction for run in trajectories})
     columns = min(3, len(materials))
     rows = math.ceil(len(materials) / columns)
     figure = new_figure(max(3.2 * columns + 0.6, 6.0), 2.3 * rows + 0.6)
@@ -132,13 +134,13 @@ def tails(trajectories: Sequence[Trajectory]) -> str | None:
     for axes in panels.flat[len(materials) :]:
         axes.set_axis_off()
     lines = {}
-    for one in trajectories:
-        axes = panels.flat[materials.index(one.simulation.material)]
+    for run in trajectories:
+        axes = panels.flat[materials.index(run.simulation.material)]
         (line,) = axes.plot(
-            one.time_s, 1e3 * one.centre_m[:, -1, 0], lw=1.1, alpha=0.9,
-            color=friction_colour(one.simulation.friction, frictions),
+            run.time_s, 1e3 * run.centre_m[:, -1, 0], lw=1.1, alpha=0.9,
+            color=friction_colour(run.simulation.friction, frictions),
         )  # fmt: skip
-        lines.setdefault(f"µ = {one.simulation.friction:g}", line)
+        lines.setdefault(f"µ = {run.simulation.friction:g}", line)
     for axes, material in zip(panels.flat, materials, strict=False):
         axes.axhline(0.0, color=FAINT, lw=0.6)
         axes.set_title(material)
@@ -149,23 +151,4 @@ def tails(trajectories: Sequence[Trajectory]) -> str | None:
         [lines[name] for name in order], order, loc="outside upper center",
         ncols=min(8, len(order)), frameon=False, fontsize=8,
     )  # fmt: skip
-    return svg(figure)
-
-
-@styled
-def costs(benchmarks: Sequence[Benchmark]) -> str | None:
-    """CPU and wall time of every stage."""
-    if not benchmarks:
-        return None
-    figure = new_figure(7.6, 0.42 * len(benchmarks) + 0.7)
-    axes = figure.subplots()
-    places = np.arange(len(benchmarks))[::-1]
-    cpu = [one.cpu_s / 60 for one in benchmarks]
-    wall = [one.wall_s / 60 for one in benchmarks]
-    axes.barh(places + 0.17, cpu, height=0.32, color=BLUE, label="CPU time")
-    axes.barh(places - 0.17, wall, height=0.32, color="#b9d3e6", label="wall time, jobs added up")
-    axes.set_yticks(places, [one.stage for one in benchmarks])
-    axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("minutes")
-    axes.legend(frameon=False, fontsize=8)
-    return svg(figure)
+    return figure
