@@ -77,7 +77,7 @@ class _Strip:
         along = np.array([-normal[1], normal[0], 0.0])
         height = path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
-        sinking = np.linalg.norm(np.diff(lens.project(clamps), axis=0))
+        sinking = float(np.linalg.norm(np.diff(lens.project(clamps), axis=0)))
         self.pixel_m = max(0.01 / max(sinking, 1.0) / _OVERSAMPLING, _FINEST_M)
         top, bottom = height + _ABOVE_M + _UP_M, height - _BELOW_M - _DOWN_M
         rows = round((top - bottom) / self.pixel_m)

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     if by_hand:
         if arguments.seed < 0:
             raise BadInput(f"--seed {arguments.seed}: must be at least 0")
-        runs = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
+        runs: list = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
     elif arguments.config:
         runs = runs_of_the_grid(config, arguments.simulation)
     else:

@@ -48,7 +48,10 @@ class CaptureSettings(Section):
         None, description="slip angles of a real bench, for rows of the table without mu_ref"
     )
     pairs: list[PairSettings] = Field(
-        [PairSettings(**dict(zip(PairSettings.model_fields, one, strict=True))) for one in _PAIRS],
+        [
+            PairSettings(material=fabric, substrate=floor, friction=friction, texture=texture)
+            for fabric, floor, friction, texture in _PAIRS
+        ],
         min_length=1,
         max_length=100,
         description="surrogates: the pairs",

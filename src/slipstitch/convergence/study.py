@@ -195,7 +195,8 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
         runs only), or are None where not studied. ``converged`` is None then, if nothing else
         speaks against it.
     """
-    study, rows = config.convergence, {}
+    study = config.convergence
+    rows: dict[tuple[str, float], dict] = {}
     for one in compared:
         row = rows.setdefault(
             (one["material"], one["friction"]),

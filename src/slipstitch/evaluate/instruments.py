@@ -194,7 +194,7 @@ def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
         "network": "instrument",
         "seed": seed,
         "true": row["friction_id"],
-        "predicted": max(probabilities, key=probabilities.get),
+        "predicted": max(probabilities, key=probabilities.__getitem__),
         "true_value": row["friction"],
         "predicted_value": measurement.friction_coefficient,
         "probabilities": measurement.distribution[1].tolist(),

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slipstitch.errors import BadInput
 from slipstitch.instrument.conformal import covered
@@ -199,9 +200,9 @@ def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
         raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
 
 
-def distance(friction: np.ndarray, reference: np.ndarray, error: np.ndarray | float) -> np.ndarray:
+def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.ndarray:
     """Distance of predictions from the intervals reference +- error."""
-    return np.maximum(np.abs(friction - reference) - error, 0.0)
+    return np.maximum(np.abs(np.subtract(friction, reference)) - error, 0.0)
 
 
 def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarray:
@@ -275,12 +276,12 @@ def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     return {name: [of_seed[name] for of_seed in scores] for name in names}
 
 
-def mean_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def mean_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
     """The mean of every score over trainings that differ by the seed."""
     return {name: float(np.mean(values)) for name, values in _common(scores).items()}
 
 
-def spread_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float] | None:
+def spread_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float] | None:
     """Standard deviation (n - 1) of every score over the seeds; None of one seed only."""
     if len(scores) < 2:
         return None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil, pi, sin, sqrt, tan
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def drag_tracked(
     fixed[:, 1] = True
     fixed[down == 0] = True
     along = sin(run.tilt_downhill_rad)
-    common = {
+    common: dict[str, Any] = {
         "fixed": fixed,
         "gravity_m_s2": (GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
     }

@@ -49,9 +49,9 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
     cell = (y // step) * side + x // step
     hits = [np.bincount(one, minlength=side**2) for one in (cell, cell[~sight.lying])]
     of_floor = cv2.resize(sight.bare.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
-    shares = [*np.reshape(hits, (2, side, side)) / step**2, of_floor]
     width = cv2.resize(sight.width, (side, side), interpolation=cv2.INTER_LINEAR) * cells
-    shares = np.stack(shares, axis=-1).astype(np.float32)
+    shares = np.stack([*np.reshape(hits, (2, side, side)) / step**2, of_floor], axis=-1)
+    shares = shares.astype(np.float32)
     shares = blurred(shares, blur_weights(width, GGX), sight.squeeze)
     inside = np.s_[sight.margin * cells : -sight.margin * cells,] * 2
     shares = shares[inside]

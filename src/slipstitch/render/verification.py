@@ -166,7 +166,7 @@ def verify(
     """
     started = start_clock()
     rows = []
-    for path in sorted(map(os.fspath, shards)):
+    for path in sorted(map(str, shards)):
         with open_parquet(path) as file:
             if file.schema_arrow.names != SCHEMA.names:
                 raise BadInput(f"{path}: not an image shard")

@@ -92,7 +92,7 @@ def write_dataset(
     sides = manifest_sides(config)
     grid = {one.id: one for one in simulations(config)}
     paths_of: dict[str, list[str]] = defaultdict(list)
-    for path in map(os.fspath, shards):
+    for path in map(str, shards):
         for name in simulations_of(path):
             if name not in grid:
                 raise BadInput(f"{path}: simulation {name!r} is not of the configured grid")

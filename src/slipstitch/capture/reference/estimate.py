@@ -182,7 +182,7 @@ class _Mixed:
         by_design = weighted(self.design)
         information = self.design.T @ by_design
         coefficients = np.linalg.solve(information, by_design.T @ self.values)
-        left = self.values - self.design @ coefficients
+        left: np.ndarray = self.values - self.design @ coefficients
         free = len(self.values) - self.design.shape[1]
         sigma2 = max(float(left @ weighted(left)) / free, 1e-300)
         cost = np.log(scale).sum() + np.linalg.slogdet(information)[1] + free * np.log(sigma2)
