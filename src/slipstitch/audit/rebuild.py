@@ -55,8 +55,8 @@ def _run(*words: str) -> None:
         text=True,
     )
     if answer.returncode:
-        said = answer.stderr.strip().splitlines()
-        raise SlipstitchError(f"slipstitch {words[0]}: {said[-1] if said else 'failed'}")
+        errors = answer.stderr.strip().splitlines()
+        raise SlipstitchError(f"slipstitch {words[0]}: {errors[-1] if errors else 'failed'}")
 
 
 def _configuration(contents: Contents, config: Config, folder: Path) -> Path:

@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
     x_mm, y_mm = arguments.place_mm
     place = FloorPlace(x_mm, y_mm, arguments.angle_deg, arguments.thickness_mm)
-    said = calibrate_to_file(
+    line = calibrate_to_file(
         board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
     )
-    print(f"{arguments.out}: {said}")
+    print(f"{arguments.out}: {line}")

@@ -103,7 +103,7 @@ class CaptureSettings(Section):
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> "CaptureSettings":
-        names = [(one.material, one.substrate) for one in self.pairs]
+        names = [(pair.material, pair.substrate) for pair in self.pairs]
         if len(set(names)) != len(names):
             raise ValueError("pairs: a fabric is named twice on the same substrate")
         return self

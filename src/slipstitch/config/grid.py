@@ -213,8 +213,13 @@ def grid_rows(config: Config) -> list[dict]:
         for view in viewpoints(config)
     ]
     rows += [
-        {"kind": "simulation", "name": one.id, "value": one.friction, **asdict(one)}
-        for one in simulations(config)
+        {
+            "kind": "simulation",
+            "name": simulation.id,
+            "value": simulation.friction,
+            **asdict(simulation),
+        }
+        for simulation in simulations(config)
     ]
     return [{"role": "train", "value": math.nan, **row} for row in rows]
 

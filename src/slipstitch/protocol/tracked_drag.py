@@ -161,7 +161,7 @@ def drag_tracked(
         seen.append(_seen(solver, rows, down))
     time_s = np.arange(frames + 1) / frame_rate_hz
     edge, contact = np.array(seen).T
-    stage = np.array([stage_m(one) for one in time_s])
+    stage = np.array([stage_m(moment_s) for moment_s in time_s])
     return TrackedShape(time_s, stage, edge - edge[0], contact)
 
 

@@ -128,7 +128,7 @@ def _means(values, number, names: list[str]) -> dict[str, tuple[float, int]]:
 
 def _f_test(values: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float | None:
     """Probability of what the columns of `full` beyond `reduced` explain, by chance alone."""
-    ranks = [np.linalg.matrix_rank(one) for one in (full, reduced)]
+    ranks = [np.linalg.matrix_rank(design) for design in (full, reduced)]
     left, extra = len(values) - ranks[0], ranks[0] - ranks[1]
     if extra < 1 or left < 1:
         return None
