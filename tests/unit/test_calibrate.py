@@ -7,11 +7,12 @@ import pytest
 
 from slipstitch import theory
 from slipstitch.calibrate.calibration import DemandNotMet, calibrate, write_calibration
-from slipstitch.calibrate.calibration_figure import draw_calibration
+from slipstitch.calibrate.calibration_figure import calibration_figure
 from slipstitch.calibrate.experiments import compare, experiments
 from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import NotConverged, SlipstitchError
+from slipstitch.page.figures import save_figure
 
 SETTINGS = CalibrateSettings()
 SIMULATION = SimulationSettings()
@@ -137,8 +138,8 @@ def test_relative_error_where_theory_is_zero_needs_exactly_zero():
 
 def test_picture_is_the_same_every_time_and_survives_what_was_not_run(tmp_path):
     calibration = calibrate(SETTINGS, SIMULATION, answers_of_theory)
-    draw_calibration(calibration, tmp_path / "a.svg", "svg")
-    draw_calibration(calibration, tmp_path / "b.svg", "svg")
+    save_figure(calibration_figure(calibration), tmp_path / "a.svg", "svg")
+    save_figure(calibration_figure(calibration), tmp_path / "b.svg", "svg")
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
-    draw_calibration({"experiments": []}, tmp_path / "c.png")
+    save_figure(calibration_figure({"experiments": []}), tmp_path / "c.png", "png")
     assert (tmp_path / "c.png").stat().st_size > 1000

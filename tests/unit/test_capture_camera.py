@@ -10,6 +10,7 @@ from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.calibration import FloorPlace
+from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
@@ -106,9 +107,9 @@ def test_a_crop_of_a_real_image_shows_what_the_renderer_draws(work):
     # The floor's board, cut from the photograph as the crop of the calibrated view is cut.
     lens = read_camera_file(work / "camera.json")
     crop = crop_to(lens.pose, cloth_room(0.1, 0.15, 0.2, 0.2), 256)
-    image = cv2.imread(str(work / "floor.png"), cv2.IMREAD_GRAYSCALE)
-    cut = cv2.remap(image, *lens.crop_map(crop), cv2.INTER_CUBIC)
-    seen = Board((10, 7), 0.025).find(cut)
+    image = cv2.imread(str(work / "floor.png"))
+    cut, _ = rectify(image, lens, crop, stage_plane(crop, 0.1))
+    seen = Board((10, 7), 0.025).find(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY))
     on_stage = FloorPlace(*bench.PLACE_MM, bench.ANGLE_DEG, bench.THICKNESS_MM)
     expected = crop.project(on_stage.on_stage(seen.points_m.astype(float)))
     assert np.abs(seen.corners_px - expected).max() < 0.8

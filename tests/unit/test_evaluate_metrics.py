@@ -15,7 +15,6 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
     steps_off,
-    top_k,
 )
 from slipstitch.page.wording import number, percent, seeds_in_words
 
@@ -56,7 +55,6 @@ def test_top_1_and_top_2():
         "material_top1": pytest.approx(1 / 3),
         "material_top2": pytest.approx(2 / 3),
     }
-    assert top_k(shares, truth, 3) == 1.0
 
 
 def test_chance_and_the_best_constant():

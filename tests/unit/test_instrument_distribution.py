@@ -6,7 +6,7 @@ import torch
 from scipy.stats import norm
 
 from slipstitch.errors import BadInput
-from slipstitch.instrument.conformal import covered, grouped_quantile, least_groups
+from slipstitch.instrument.conformal import covered, grouped_quantile
 from slipstitch.instrument.distribution import (
     friction_grid,
     mixture_cumulative,
@@ -69,7 +69,6 @@ def test_the_quantile_counts_every_group_once():
 
 
 def test_too_few_groups_promise_nothing():
-    assert (least_groups(0.9), least_groups(0.95)) == (9, 19)
     scores = np.arange(9.0)
     assert np.isfinite(grouped_quantile(scores, [str(n) for n in range(9)], 0.9))
     assert grouped_quantile(scores[:8], [str(n) for n in range(8)], 0.9) == np.inf

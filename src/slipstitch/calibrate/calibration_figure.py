@@ -1,7 +1,6 @@
 """Theory in black, the simulator's measurements in colour."""
 
 import math
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.page.figures import save_figure
 from slipstitch.page.palette import FAINT, MEASURED, THEORY
 from slipstitch.theory import flexible_strip_drag, incline, steady_strip_drag
 
@@ -145,20 +143,3 @@ def calibration_figure(calibration: Mapping[str, Any]) -> Figure:
             axes.set_axis_off()
             axes.text(0.5, 0.5, "not run", ha="center", va="center", color=FAINT)
     return figure
-
-
-def draw_calibration(
-    calibration: Mapping[str, Any], path: str | os.PathLike, kind: str = "png"
-) -> None:
-    """Write `calibration_figure` to a file.
-
-    Parameters
-    ----------
-    calibration : mapping
-        A calibration.
-    path : path
-        Where to.
-    kind : {"png", "svg"}
-        File format.
-    """
-    save_figure(calibration_figure(calibration), path, kind)

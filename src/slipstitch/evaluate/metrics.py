@@ -222,11 +222,6 @@ def rank_of_truth(probabilities: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return (order == truth[:, None]).argmax(axis=1)
 
 
-def top_k(probabilities: np.ndarray, truth: np.ndarray, k: int) -> float:
-    """Share of the rows whose true class is among the k likeliest."""
-    return float((rank_of_truth(probabilities, truth) < k).mean())
-
-
 def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dict[str, float]:
     """Scores of predicted friction coefficients, on the grid or off it.
 

@@ -45,11 +45,6 @@ def grouped_quantile(scores: np.ndarray, groups: Sequence[str], level: float) ->
     return float(scores[order][reached.argmax()]) if reached.any() else float("inf")
 
 
-def least_groups(level: float) -> int:
-    """Groups that a finite `grouped_quantile` needs: K with K / (K + 1) >= level."""
-    return int(np.ceil(level / (1.0 - level) - 1e-9))
-
-
 def covered(
     low: np.ndarray, high: np.ndarray, truth: np.ndarray, groups: Sequence[str]
 ) -> tuple[float, float]:

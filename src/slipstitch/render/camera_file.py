@@ -1,7 +1,7 @@
 """Camera files: a real camera's lens and place at the stage, as calibration writes them.
 
 A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
-same pinhole. `crop_map` cuts from a real image exactly what the renderer draws.
+same pinhole (`slipstitch.capture.rectification`).
 """
 
 import json
@@ -57,28 +57,6 @@ class LensCamera:
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         image, _ = cv2.projectPoints(points, turn, place, self.camera.matrix, self.distortion)
         return image.reshape(-1, 2)
-
-    def crop_map(self, crop: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """Where in the real image each pixel of a rendered crop is found, for `cv2.remap`.
-
-        Parameters
-        ----------
-        crop : Camera
-            Cut from this camera: same place and rotation, any intrinsics.
-
-        Returns
-        -------
-        x, y : ndarray (rows, columns) float32
-        """
-        if not (
-            np.allclose(crop.rotation, self.camera.rotation, atol=1e-9)
-            and np.allclose(crop.translation_m, self.camera.translation_m, atol=1e-9)
-        ):
-            raise ValueError("the crop belongs to a camera that stands elsewhere")
-        size = (crop.pixels, crop.rows or crop.pixels)
-        return cv2.initUndistortRectifyMap(
-            self.camera.matrix, self.distortion, None, crop.matrix, size, cv2.CV_32FC1
-        )
 
 
 def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> None:
