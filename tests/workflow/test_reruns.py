@@ -53,7 +53,7 @@ def test_another_number_of_a_formula_reruns_the_stages_that_use_it(chain):
 
 
 def test_a_page_alone_is_written_again_with_its_template(chain):
-    with chain.edited("report/style.css", "\nbody { margin: 0 }\n"):
+    with chain.edited("report/report.css", "\nbody { margin: 0 }\n"):
         assert chain.pending() == {"report/index.html"}
 
 
