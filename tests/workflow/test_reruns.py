@@ -58,6 +58,6 @@ def test_a_page_alone_is_written_again_with_its_template(chain):
 
 
 def test_the_reason_names_the_changed_setting(chain):
-    answer = chain.snakemake("-n", "--config", "simulation={damping_s: 0.003}", "--", "simulate")
+    answer = chain.snakemake("-n", "--config", "train={dropout: 0.3}", "--", "train")
     assert answer.returncode == 0, answer.stderr
-    assert "simulation.damping_s: 0.003" in answer.stdout + answer.stderr
+    assert "train.dropout: 0.3" in answer.stdout + answer.stderr
