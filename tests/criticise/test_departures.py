@@ -268,7 +268,7 @@ def test_noncentrality_grows_with_the_square_of_a_small_effect():
     assert strengths.noncentrality(plan, {}) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("which", range(3))
+@pytest.mark.parametrize("which", range(len(AMBIGUOUS)))
 def test_an_ambiguous_design_cannot_tell(which):
     """What one of the tie explains, the other explains as well: nothing is left to separate."""
     _, _, tie = AMBIGUOUS[which]
@@ -279,6 +279,8 @@ def test_an_ambiguous_design_cannot_tell(which):
     (true,) = plan.effects
     (rival,) = set(tie) - {true}
     effects = {true: laws.scaled(true, 0.05)}
+    if true == "tilt":
+        effects["tilt"]["tilt_azimuth"] = 0.0
     left = strengths.separation(plan, effects, [rival])
     assert left < 0.05 * strengths.noncentrality(plan, effects)
 

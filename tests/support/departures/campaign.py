@@ -224,6 +224,8 @@ def _sized(rng, plan, names):
     effects = {}
     for name in names:
         fixed = _details(rng, name)
+        if name == "tilt" and plan.tie:  # along the nap, or the design can tell
+            fixed["tilt_azimuth"] = 180.0 * (fixed["tilt_azimuth"] > 180)
         low, high = {"single": (9, 1000), "pair": (30, 600)}.get(plan.family, (25, 1000))
         large = rng.uniform() < 0.3  # of the size that such effects have, however plain it is
         aim = np.exp(rng.uniform(np.log(low), np.log(high)))
