@@ -31,7 +31,7 @@ from support.departures import FAMILIES, make_case
 from support.departures.sensors import REPORTABLE
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
+from slipstitch.criticise.measurements import assemble
 from slipstitch.predict.predictive import predict_model
 
 KEPT = ("verdict", "causes", "alternatives", "parameters", "null", "gain", "scatter", "ranking")
