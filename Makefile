@@ -17,7 +17,7 @@ help:
 	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
-	@echo 'make lint       ruff and snakefmt, check only'
+	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
@@ -48,6 +48,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile rules
+	$(BIN)/mypy
 
 format: setup
 	$(BIN)/ruff check --fix .
@@ -108,5 +109,5 @@ criticise-measured: setup
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true
-	rm -rf .snakemake .pytest_cache .ruff_cache .hypothesis build dist
+	rm -rf .snakemake .pytest_cache .ruff_cache .mypy_cache .hypothesis build dist
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
