@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
+.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-departures benchmark-audit \
+	benchmark-batch \
 	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
 	benchmark-scale captures convergence criticise-measured clean
 
@@ -20,6 +21,7 @@ help:
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
+	@echo 'make benchmark-departures  the same on a second bench, half of it with faulty instruments'
 	@echo 'make captures   films ingested, scored, shown in the report; surrogates by default, 1 to 2 CPU h'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
@@ -63,6 +65,9 @@ benchmark: setup
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
+
+benchmark-departures: setup
+	$(SINGLE) $(BIN)/python benchmarks/criticise_departures.py --cases 300 --processes $(CORES)
 
 captures: setup
 	$(BIN)/snakemake --cores $(CORES) captures
