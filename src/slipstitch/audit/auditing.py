@@ -28,10 +28,6 @@ def audit_release(
     jobs : int
         Threads.
 
-    Returns
-    -------
-    Audit
-
     Raises
     ------
     BadInput

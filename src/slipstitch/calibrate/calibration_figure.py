@@ -123,10 +123,6 @@ def calibration_figure(calibration: Mapping[str, Any]) -> Figure:
     ----------
     calibration : mapping
         What `slipstitch.calibrate.calibration.calibrate` returns, or calibration.json read.
-
-    Returns
-    -------
-    Figure
     """
     painters = (
         draw_incline,

@@ -92,10 +92,6 @@ def compare(
         Whether the error is relative to theory's number.
     unit : str
         Unit of the numbers.
-
-    Returns
-    -------
-    Check
     """
     found, expected = _finite(measured), _finite(theory)
     error = None
@@ -272,10 +268,6 @@ def experiments(settings: CalibrateSettings) -> list[Experiment]:
     ----------
     settings : CalibrateSettings
         Friction coefficients and demands.
-
-    Returns
-    -------
-    list of Experiment
     """
     inclines = [
         item for friction in settings.incline_frictions for item in _incline(friction, settings)

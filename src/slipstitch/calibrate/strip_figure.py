@@ -61,10 +61,6 @@ def strip_figure(calibration: Mapping[str, Any]) -> Figure:
     calibration : mapping
         calibration.json, or what `slipstitch.calibrate.calibration.strip_calibration` gives under
         its key ``strip``.
-
-    Returns
-    -------
-    Figure
     """
     runs = calibration["strip"]["chosen"]["runs"]
     moduli = sorted({run["young_modulus_Pa"] for run in runs})
@@ -155,10 +151,6 @@ def settings_figure(calibration: Mapping[str, Any]) -> Figure:
     ----------
     calibration : mapping
         As for `strip_figure`; only ``strip.trials`` and ``strip.demand`` are read.
-
-    Returns
-    -------
-    Figure
     """
     trials = calibration["strip"]["trials"]
     base = next(trial for trial in trials if trial["key"] == BASE)

@@ -165,10 +165,6 @@ class Instrument:
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
 
-        Returns
-        -------
-        Measurement
-
         Raises
         ------
         BadInput

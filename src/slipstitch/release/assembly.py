@@ -154,10 +154,6 @@ def write_release(
     project : path
         Checkout of the code that runs.
 
-    Returns
-    -------
-    Released
-
     Raises
     ------
     BadInput

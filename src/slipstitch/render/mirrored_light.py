@@ -65,12 +65,6 @@ def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) ->
     The floor is a GGX mirror (Walter et al. 2007, height-correlated masking) of Schlick's
     reflectance over a Lambertian body, the lamp is taken as a point.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-    floor_z_m : float
-    camera : Camera
-
     Returns
     -------
     ndarray (pixels, pixels) float32
