@@ -9,13 +9,7 @@ from slipstitch.ablate.ablations_page import ablations_page
 from slipstitch.ablate.summary import summarise
 from slipstitch.config import Config
 from slipstitch.errors import BadInput
-from slipstitch.provenance import (
-    atomic_path,
-    provenance_record,
-    read_json,
-    start_clock,
-    write_sidecar,
-)
+from slipstitch.provenance import provenance_record, read_json, start_clock, write_text
 
 KEYS = {"question", "seed", "asks", "left_out", "dataset_digest", "variants", "predictions"}
 
@@ -51,9 +45,7 @@ def write_summary(
         texts[Path(page)] = ablations_page(summary)
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-        write_sidecar(path, record)
+        write_text(path, text, record)
     return summary
 
 

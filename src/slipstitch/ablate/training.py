@@ -22,13 +22,7 @@ from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.instrument.measuring import load_instrument
 from slipstitch.instrument.training import train_instrument
-from slipstitch.provenance import (
-    atomic_path,
-    code_digest,
-    provenance_record,
-    start_clock,
-    write_sidecar,
-)
+from slipstitch.provenance import code_digest, provenance_record, start_clock, write_json
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.classes import labels_of
@@ -316,8 +310,7 @@ class _Runs:
         except DivergedError as failure:
             found = {"failure": str(failure)}
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(marker) as temporary:
-            temporary.write_text(json.dumps({**found, "identity": identity}), encoding="utf-8")
+        write_json(marker, {**found, "identity": identity}, indent=None, allow_nan=True)
         return found
 
     def _row(self, variant: Variant, passes: float) -> dict[str, Any]:
@@ -380,8 +373,6 @@ def write_answer(
     out = Path(out)
     found = answer(config, dataset, question, seed, out.with_suffix(""), threads)
     out.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(out) as temporary:
-        temporary.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     record = provenance_record(
         "ablate",
         inputs=[Path(dataset) / MANIFEST],
@@ -389,5 +380,5 @@ def write_answer(
         seed=seed,
         started=started,
     )
-    write_sidecar(out, record)
+    write_json(out, found, record)
     return found

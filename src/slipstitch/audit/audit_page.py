@@ -5,7 +5,7 @@ from pathlib import Path
 from slipstitch.audit.findings import MEANING, Audit, Kind, in_words
 from slipstitch.page.templates import render
 from slipstitch.page.wording import size
-from slipstitch.provenance import atomic_path
+from slipstitch.provenance import write_text
 
 _TEMPLATE = Path(__file__).with_name("audit.html.j2")
 
@@ -51,5 +51,4 @@ def write_page(audit: Audit, path: Path) -> None:
         damaged=audit.damaged_clips(),
         in_words=lambda clips: in_words(clips, len(audit.clips)),
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)

@@ -24,11 +24,11 @@ from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
-    atomic_path,
     provenance_record,
     read_json,
+    recorded_path,
     start_clock,
-    write_sidecar,
+    write_json,
 )
 
 # What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
@@ -152,11 +152,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
         json.dump(calibration, sys.stderr, indent=1, default=str)
         print(file=sys.stderr, flush=True)
         raise DemandNotMet(_failure(failed))
-    with atomic_path(path) as temporary:
-        Path(temporary).write_text(
-            json.dumps(calibration, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
-    write_sidecar(path, record)
+    write_json(path, calibration, record)
 
 
 def _failure(failed: list[Mapping[str, Any]]) -> str:
@@ -237,10 +233,9 @@ def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, An
 
     started = start_clock()
     trials = sweep(key, config.calibrate, config.simulation, run_protocol)
-    with atomic_path(out) as temporary:
-        Path(temporary).write_text(json.dumps(trials, allow_nan=False) + "\n", encoding="utf-8")
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
-    write_sidecar(out, provenance_record("calibrate", config=sections, started=started))
+    record = provenance_record("calibrate", config=sections, started=started)
+    write_json(out, trials, record, indent=None)
     return trials
 
 
@@ -349,6 +344,5 @@ def _draw(pictures, calibration: Mapping[str, Any], record, failed: bool) -> Non
         path = Path(pictures[name])
         if failed:
             path = path.with_suffix(f".failed{path.suffix}")
-        with atomic_path(path) as temporary:
+        with recorded_path(path, record) as temporary:
             save_figure(figure(calibration), temporary, path.suffix.lstrip(".") or "png")
-        write_sidecar(path, record)

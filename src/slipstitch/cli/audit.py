@@ -70,13 +70,12 @@ def _inside(path: Path, folder: Path) -> bool:
 
 
 def _write(text: str, path: str | None) -> None:
-    from slipstitch.provenance import atomic_path
+    from slipstitch.provenance import write_text
 
     if path == "-":
         print(text)
     elif path is not None:
-        with atomic_path(path) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_text(path, text + "\n")
 
 
 def _rebuild(arguments: argparse.Namespace) -> int:

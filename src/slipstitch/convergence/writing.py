@@ -15,8 +15,9 @@ from slipstitch.provenance import (
     atomic_path,
     provenance_record,
     read_sidecar,
+    recorded_path,
     start_clock,
-    write_sidecar,
+    write_json,
 )
 from slipstitch.simulate.convergence import MEASURED
 from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
@@ -82,15 +83,12 @@ def compare_cases(
         config={"convergence": config.convergence, "simulation": config.simulation},
         started=started,
     )
-    with atomic_path(out) as temporary:
-        temporary.write_text(json.dumps(study, allow_nan=False) + "\n", encoding="utf-8")
-    write_sidecar(out, record)
+    write_json(out, study, record, indent=None)
     if picture:
         from slipstitch.convergence.distance_figure import convergence_figure
 
-        with atomic_path(picture) as temporary:
+        with recorded_path(picture, record) as temporary:
             convergence_figure(study).savefig(temporary, dpi=110)
-        write_sidecar(picture, record)
     return study
 
 
@@ -120,6 +118,5 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
         },
         "cases": study["summary"],
     }
-    with atomic_path(MEASURED) as temporary:
-        temporary.write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(MEASURED, table)
     return len(study["summary"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from slipstitch import __version__
@@ -11,7 +10,7 @@ from slipstitch.criticise.extended_model import write_extended_model
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import sentence, verdict_of
-from slipstitch.provenance import atomic_path
+from slipstitch.provenance import write_json, write_text
 
 
 def criticise_to_files(
@@ -36,7 +35,7 @@ def criticise_to_files(
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
-    _write_json(verdict, verdict_path)
+    write_json(verdict_path, verdict, allow_nan=True)
     again = None
     if resimulation_path:
         from slipstitch.criticise.resimulation import resimulate
@@ -45,17 +44,11 @@ def criticise_to_files(
         if "drop_drag" in case.protocols:
             again = resimulate(case, verdict)
             summary = again.summary
-        _write_json(summary, resimulation_path)
+        write_json(resimulation_path, summary, allow_nan=True)
     if page_path:
         from slipstitch.criticise.report import page
 
-        with atomic_path(Path(page_path)) as temporary:
-            temporary.write_text(page(verdict, analysis, again), encoding="utf-8")
+        write_text(page_path, page(verdict, analysis, again))
     if model_path:
         write_extended_model(verdict, Path(model_path))
     return sentence(verdict)
-
-
-def _write_json(content: dict, path: str) -> None:
-    with atomic_path(Path(path)) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,6 +1,5 @@
 """Trained networks on captures, real or surrogate: predictions, tables, page."""
 
-import json
 import os
 from collections import defaultdict
 from collections.abc import Sequence
@@ -19,11 +18,11 @@ from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probab
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.instrument import load_instrument
 from slipstitch.provenance import (
-    atomic_path,
     provenance_record,
     start_clock,
+    write_json,
     write_parquet,
-    write_sidecar,
+    write_text,
 )
 from slipstitch.sample.manifest import MANIFEST
 from slipstitch.sample.videos import Videos, read_videos
@@ -223,14 +222,9 @@ def write_captures_evaluation(
     inputs = [Path(dataset) / name for name in (MANIFEST, CAPTURES)]
     keys = {"evaluate": settings}
     record = provenance_record("evaluate", inputs=inputs + weights, config=keys, started=started)
-    with atomic_path(out) as temporary:
-        text = json.dumps(metrics, indent=1, allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
-    write_sidecar(out, record)
+    write_json(out, metrics, record)
     write_parquet(pa.Table.from_pylist(rows), predictions_out, {}, record)
     if page_out is not None:
         page = captures_page(Path(dataset), known, found, metrics, settings.friction_step)
-        with atomic_path(page_out) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-        write_sidecar(page_out, record)
+        write_text(page_out, page, record)
     return metrics

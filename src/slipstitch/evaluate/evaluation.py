@@ -1,6 +1,5 @@
 """Trained networks on the videos that test them."""
 
-import json
 import math
 import os
 from collections import defaultdict
@@ -33,13 +32,7 @@ from slipstitch.evaluate.metrics import (
     spread_over_seeds,
 )
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
-from slipstitch.provenance import (
-    atomic_path,
-    provenance_record,
-    start_clock,
-    write_parquet,
-    write_sidecar,
-)
+from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
 from slipstitch.train.classes import labels_of
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
@@ -461,10 +454,7 @@ def write_evaluation(
         "evaluate", inputs=inputs, config={"evaluate": settings}, started=started
     )
     for path, content in ((out, metrics), (details_out, details)):
-        with atomic_path(path) as temporary:
-            text = json.dumps(content, indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
-        write_sidecar(path, record)
+        write_json(path, content, record)
     table = pa.Table.from_pylist(predictions, schema=PREDICTIONS_SCHEMA)
     write_parquet(table, predictions_out, {}, record)
     return metrics

@@ -1,11 +1,10 @@
 """A measurement as files: the page, and all numbers."""
 
-import json
 from pathlib import Path
 
 from slipstitch.measure.measurement_page import page
 from slipstitch.measure.measuring import MeasuredVideo, measure_video
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import provenance_record, start_clock, write_json, write_text
 
 
 def measure_to_files(
@@ -35,12 +34,7 @@ def measure_to_files(
     record = provenance_record("measure", inputs=inputs, started=started)
     record["instrument"] = result.instrument
     if page_path:
-        with atomic_path(page_path) as temporary:
-            temporary.write_text(page(result), encoding="utf-8")
-        write_sidecar(page_path, record)
+        write_text(page_path, page(result), record)
     if numbers_path:
-        with atomic_path(numbers_path) as temporary:
-            text = json.dumps(result.numbers(), indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
-        write_sidecar(numbers_path, record)
+        write_json(numbers_path, result.numbers(), record)
     return result

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from slipstitch.protocol.landed_strip import landed_strip
 from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import provenance_record, start_clock, write_json
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,7 @@ def run_protocol_to_file(
     """
     started = start_clock()
     result = run_protocol(name, options, settings)
-    with atomic_path(out) as temporary:
-        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     config = {"options": dict(options), "simulation": settings}
-    write_sidecar(out, provenance_record("protocol", config=config, started=started))
+    record = provenance_record("protocol", config=config, started=started)
+    write_json(out, result, record, allow_nan=True)
     return result

@@ -19,9 +19,12 @@ from slipstitch.provenance.record import (
     read_metadata,
     read_provenance,
     read_sidecar,
+    recorded_path,
     start_clock,
+    write_json,
     write_parquet,
     write_sidecar,
+    write_text,
 )
 
 __all__ = [
@@ -43,7 +46,10 @@ __all__ = [
     "read_sidecar",
     "read_yaml",
     "reading",
+    "recorded_path",
     "start_clock",
+    "write_json",
     "write_parquet",
     "write_sidecar",
+    "write_text",
 ]

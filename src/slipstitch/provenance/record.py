@@ -182,11 +182,32 @@ def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> Path:
     side = _sidecar(path)
     if Path(path).is_file():
         record = {**record, "sha256": file_digest(path)}
-    with atomic_path(side) as temporary:
-        temporary.write_text(
-            json.dumps(_plain(record), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+    write_json(side, _plain(record))
     return side
+
+
+def write_text(path: str | os.PathLike, text: str, record: Mapping[str, Any] | None = None) -> None:
+    """Write a text file, whole or not at all, and `record` beside it if there is one."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    if record is not None:
+        write_sidecar(path, record)
+
+
+def write_json(
+    path: str | os.PathLike, content: Any, record: Mapping[str, Any] | None = None, **options: Any
+) -> None:
+    """As `write_text`; `options` go to ``json.dumps`` (indented, NaN refused unless said so)."""
+    options = {"indent": 1, "allow_nan": False} | options
+    write_text(path, json.dumps(content, **options) + "\n", record)
+
+
+@contextlib.contextmanager
+def recorded_path(path: str | os.PathLike, record: Mapping[str, Any]) -> Iterator[Path]:
+    """As `atomic_path`; afterwards `record` is written beside the file."""
+    with atomic_path(path) as temporary:
+        yield temporary
+    write_sidecar(path, record)
 
 
 def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:

@@ -15,10 +15,7 @@ import cv2
 import numpy as np
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import (
-    atomic_path,
-    reading,
-)
+from slipstitch.provenance import reading, write_json
 from slipstitch.render.camera import Camera
 
 FORMAT = "slipstitch camera 1"
@@ -62,9 +59,7 @@ class LensCamera:
 def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> None:
     """Write what `read_camera_file` reads, atomically; numbers with all their digits."""
     whole = {"format": FORMAT, "convention": CONVENTION, **content}
-    with atomic_path(path) as temporary:
-        text = json.dumps(whole, indent=1, allow_nan=False, default=float)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(path, whole, default=float)
 
 
 def read_camera_file(path: str | os.PathLike) -> LensCamera:

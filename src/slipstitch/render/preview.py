@@ -9,12 +9,11 @@ import numpy as np
 
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
-    atomic_path,
     check_image,
     provenance_record,
     read_parquet,
+    recorded_path,
     start_clock,
-    write_sidecar,
 )
 from slipstitch.render.shards import SCHEMA
 
@@ -103,18 +102,16 @@ def preview(
         for (s, v), all_ in textures.items():
             for k in range(0, len(all_) if len(all_) > 1 else 0, _SHEET_COLUMNS):
                 rows.append([image(s, t, v, middle) for t in all_[k : k + _SHEET_COLUMNS]])
-        with atomic_path(sheet) as temporary:
+        with recorded_path(sheet, record) as temporary:
             temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
-        write_sidecar(sheet, record)
     if video is not None:
         if Path(video).suffix != ".mp4":
             raise BadInput(f"{video}: a video's name must end in .mp4")
         pictures = (
             _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
         )
-        with atomic_path(video) as temporary:
+        with recorded_path(video, record) as temporary:
             _write_video(temporary, pictures, rate_hz=max(1.0, len(common) / _SECONDS))
-        write_sidecar(video, record)
 
 
 def _evenly(count: int, wanted: int) -> list[int]:

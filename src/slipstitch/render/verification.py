@@ -1,6 +1,5 @@
 """A random sample of the dataset's images against Blender with the texture itself on the cloth."""
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -12,13 +11,12 @@ import numpy as np
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import (
-    atomic_path,
     open_parquet,
     provenance_record,
     read_metadata,
     read_parquet,
     start_clock,
-    write_sidecar,
+    write_json,
 )
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_srgb
@@ -191,8 +189,6 @@ def verify(
     failed = [comparison for comparison in comparisons if not comparison.passed]
     if failed:
         raise SlipstitchError("; ".join(map(_complaint, failed)))
-    with atomic_path(out) as temporary:
-        temporary.write_text(json.dumps(worst, indent=1) + "\n", encoding="utf-8")
     record = provenance_record(
         "render",
         inputs=sorted(inputs),
@@ -201,7 +197,7 @@ def verify(
         seed=config.seed,
         started=started,
     )
-    write_sidecar(out, record)
+    write_json(out, worst, record, allow_nan=True)
     return comparisons
 
 

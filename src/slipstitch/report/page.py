@@ -16,7 +16,7 @@ from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.templates import render
 from slipstitch.page.wording import counted
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import provenance_record, start_clock, write_text
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures import captures_section
 from slipstitch.report.cost import cost_section
@@ -201,8 +201,6 @@ def write_report(
     found = Results(results, config)
     context = page_context(found, now)
     page = render_page(context)
-    with atomic_path(out) as temporary:
-        Path(temporary).write_text(page, encoding="utf-8")
     inputs = [
         path
         for path in (
@@ -215,5 +213,6 @@ def write_report(
         )
         if path.exists()
     ]
-    write_sidecar(out, provenance_record("report", inputs=inputs, config=config, started=started))
+    record = provenance_record("report", inputs=inputs, config=config, started=started)
+    write_text(out, page, record)
     return context

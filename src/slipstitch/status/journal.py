@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from slipstitch.provenance.files import atomic_path
+from slipstitch.provenance import write_json
 
 FOLDER = Path("results/status")
 PLAN = "plan.json"
@@ -86,8 +86,7 @@ class Journal(logging.Handler):
         """Write the plan and the head of the run."""
         self._begun = True
         plan = plan_of(dag)
-        with atomic_path(self._folder / PLAN) as temporary:
-            temporary.write_text(json.dumps({"jobs": plan}) + "\n", encoding="utf-8")
+        write_json(self._folder / PLAN, {"jobs": plan}, indent=None)
         needed = sum(job["needed"] for job in plan)
         self._write("run", cores=cores, jobs=len(plan), needed=needed, **process_identity())
 

@@ -14,7 +14,7 @@ from torch import nn
 
 from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance import atomic_path, file_digest
+from slipstitch.provenance import atomic_path, file_digest, write_json
 from slipstitch.train.network import build_network
 
 FORMAT = "slipstitch-lrcn-1"
@@ -48,8 +48,7 @@ def write_weights(
     with atomic_path(weights) as temporary:
         save_file(whole, temporary, {"card": json.dumps(card, sort_keys=True)})
     written = {**card, "weights_sha256": file_digest(weights)}
-    with atomic_path(card_path) as temporary:
-        temporary.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    write_json(card_path, written, allow_nan=True)
     return written
 
 

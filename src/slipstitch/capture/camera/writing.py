@@ -6,7 +6,7 @@ from pathlib import Path
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.calibration import FloorPlace, calibrate, camera_file
 from slipstitch.capture.camera.views import read_image, read_views
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import provenance_record, recorded_path, start_clock, write_sidecar
 from slipstitch.render.camera_file import write_camera_file
 
 
@@ -55,7 +55,6 @@ def calibrate_to_file(
     if picture:
         from slipstitch.capture.camera.residuals_figure import draw_residuals
 
-        with atomic_path(picture) as temporary:
+        with recorded_path(picture, record) as temporary:
             draw_residuals(result, temporary, picture.suffix[1:])
-        write_sidecar(picture, record)
     return f"{result.summary()}{stage.summary() if stage else ''}"

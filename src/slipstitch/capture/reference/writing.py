@@ -1,13 +1,12 @@
 """Reference friction as files: a table, all details, a picture."""
 
 import csv
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 from slipstitch.capture.reference.angles import read_angles
 from slipstitch.capture.reference.estimate import Reference, estimate
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.provenance import provenance_record, recorded_path, start_clock, write_json
 
 COLUMNS = (
     "material",
@@ -41,25 +40,20 @@ def reference_to_files(
     found = [(angles, estimate(angles)) for angles in read_angles(table)]
     references = [pair for _, pair in found]
     record = provenance_record("capture", inputs=[table], started=started)
-    with atomic_path(out) as temporary, open(temporary, "w", newline="") as stream:
+    with recorded_path(out, record) as temporary, open(temporary, "w", newline="") as stream:
         writer = csv.DictWriter(stream, COLUMNS, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         for pair in references:
             counts = {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
             values = asdict(pair) | counts
             writer.writerow({key: _shown(values[key]) for key in COLUMNS})
-    write_sidecar(out, record)
     if details:
-        with atomic_path(details) as temporary:
-            text = json.dumps([asdict(pair) for pair in references], indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
-        write_sidecar(details, record)
+        write_json(details, [asdict(pair) for pair in references], record)
     if picture:
         from slipstitch.capture.reference.angles_figure import draw_references
 
-        with atomic_path(picture) as temporary:
+        with recorded_path(picture, record) as temporary:
             draw_references(found, temporary, picture.suffix[1:])
-        write_sidecar(picture, record)
     return references
 
 
