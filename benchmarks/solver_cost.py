@@ -82,7 +82,7 @@ def _simulate(material, friction, window_s, start_height_m, changes):
 
 def protocol_part(window_s):
     """All fabrics at four friction coefficients, as the factory simulates them, in one shuffle."""
-    from slipstitch.material.catalogue import fabric_names
+    from slipstitch.material.fabrics import fabric_names
 
     runs = [(material, friction) for material in fabric_names() for friction in FRICTIONS]
     random.Random(0).shuffle(runs)

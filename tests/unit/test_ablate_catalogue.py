@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from slipstitch.ablate.catalogue import plan
+from slipstitch.ablate.questions import plan
 from slipstitch.config import resolve_config
 from slipstitch.config.ablate import QUESTIONS, AblateSettings
 from slipstitch.errors import BadInput

@@ -5,8 +5,8 @@ import json
 import pytest
 from support import synthetic_videos
 
-from slipstitch.ablate import training
-from slipstitch.ablate.training import answer, lrcn_settings, phases
+from slipstitch.ablate import answering
+from slipstitch.ablate.answering import answer, lrcn_settings, phases
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
@@ -95,8 +95,8 @@ def test_the_true_material_is_what_the_test_videos_are_made_of(dataset, tmp_path
         told.append(condition)
         return original(network, pixels, condition, **options)
 
-    original = training.predict
-    monkeypatch.setattr(training, "predict", watched)
+    original = answering.predict
+    monkeypatch.setattr(answering, "predict", watched)
     config = configuration(networks=["lrcn"])
     found = answer(config, dataset, "conditioning", 0, tmp_path)
     videos = sorted({one["video"] for one in found["predictions"]})
@@ -127,8 +127,8 @@ def test_a_finished_variant_is_not_trained_again(dataset, tmp_path, monkeypatch)
             raise KeyboardInterrupt
         return original(settings, *words, **options)
 
-    original = training.train_network
-    monkeypatch.setattr(training, "train_network", killed_at_the_third)
+    original = answering.train_network
+    monkeypatch.setattr(answering, "train_network", killed_at_the_third)
     with pytest.raises(KeyboardInterrupt):
         answer(config, dataset, "initialisation", 0, tmp_path / "killed")
     found = answer(config, dataset, "initialisation", 0, tmp_path / "killed")
@@ -147,7 +147,7 @@ def test_divergence_is_remembered_too(dataset, tmp_path, monkeypatch):
         raise DivergedError("the loss became nan")
 
     calls = []
-    monkeypatch.setattr(training, "train_network", diverges)
+    monkeypatch.setattr(answering, "train_network", diverges)
     config = configuration(networks=["lrcn"])
     first = answer(config, dataset, "initialisation", 0, tmp_path)
     assert answer(config, dataset, "initialisation", 0, tmp_path) == first and len(calls) == 3

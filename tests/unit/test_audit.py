@@ -417,7 +417,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
     fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
-    monkeypatch.setattr("slipstitch.material.catalogue._catalogue", lambda: fabrics)
+    monkeypatch.setattr("slipstitch.material.fabrics._catalogue", lambda: fabrics)
     monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))
     audit = audit_release(original)
     assert audit.verdict == "stale"

@@ -9,7 +9,7 @@ import pytest
 from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
-from slipstitch.capture.camera.calibration import FloorPlace
+from slipstitch.capture.camera.lens_calibration import FloorPlace
 from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput

@@ -7,7 +7,7 @@ import pytest
 
 from slipstitch.errors import BadInput
 from slipstitch.material import ElasticTables, fabric_names, load_fabric, read_fabric_file
-from slipstitch.material.catalogue import CATALOGUE
+from slipstitch.material.fabrics import CATALOGUE
 from slipstitch.material.law import stretching_stiffness
 
 

@@ -22,7 +22,7 @@ from slipstitch.evaluate.cumulative import cumulative_error
 from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.report import learning_pictures
-from slipstitch.report.captures import floors_in_words, training_floors
+from slipstitch.report.captures_section import floors_in_words, training_floors
 from slipstitch.report.learning_pictures import confusion_counts
 from slipstitch.report.page import (
     closest_frictions,

@@ -77,7 +77,7 @@ def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
     Parameters
     ----------
     answers : sequence of dict
-        What `slipstitch.ablate.training.answer` returned, for all questions and seeds.
+        What `slipstitch.ablate.answering.answer` returned, for all questions and seeds.
     step : float
         Grid step of mu for the shares of small errors.
 

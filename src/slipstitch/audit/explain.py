@@ -146,7 +146,7 @@ def _short(value: Any, most: int = 400) -> str:
 
 def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     """The measured fabric, as the carried sources have it, against today's."""
-    from slipstitch.material.catalogue import CATALOGUE
+    from slipstitch.material.fabrics import CATALOGUE
 
     name = row["material"]
     there = contents.folder / "code/src/slipstitch/material/fabrics.json"

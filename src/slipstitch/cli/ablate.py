@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise BadInput(
             "--dataset, --question and --seed are needed, or --summary (to which --page belongs)"
         )
-    from slipstitch.ablate.training import write_answer
+    from slipstitch.ablate.answering import write_answer
 
     found = write_answer(
         config,

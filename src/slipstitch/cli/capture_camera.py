@@ -60,8 +60,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.capture.camera.board import Board
-    from slipstitch.capture.camera.calibration import FloorPlace
-    from slipstitch.capture.camera.writing import calibrate_to_file
+    from slipstitch.capture.camera.calibration_files import calibrate_to_file
+    from slipstitch.capture.camera.lens_calibration import FloorPlace
 
     check_picture(arguments.picture)
     board = Board.named(

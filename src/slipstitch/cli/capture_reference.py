@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Estimate, write, print one line a pair."""
-    from slipstitch.capture.reference.writing import reference_to_files
+    from slipstitch.capture.reference.reference_files import reference_to_files
 
     check_picture(arguments.picture)
     for pair in reference_to_files(

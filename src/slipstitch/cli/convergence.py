@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.convergence.writing import simulate_case
+    from slipstitch.convergence.study_files import simulate_case
 
     config = load_config(*arguments.config, calibration=arguments.calibration)
     run, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
@@ -51,7 +51,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _compare(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.convergence.writing import compare_cases
+    from slipstitch.convergence.study_files import compare_cases
 
     config = load_config(*arguments.config, calibration=arguments.calibration)
     study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
@@ -71,7 +71,7 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _publish(arguments: argparse.Namespace) -> None:
-    from slipstitch.convergence.writing import publish
+    from slipstitch.convergence.study_files import publish
     from slipstitch.simulate.convergence import MEASURED
 
     count = publish(arguments.study, arguments.out)

@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Criticise one case; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.writing import criticise_to_files
+    from slipstitch.criticise.criticism_files import criticise_to_files
     from slipstitch.errors import BadInput
 
     if arguments.replicates < 50:

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
 def _captures(config, arguments: argparse.Namespace) -> None:
     """Evaluate on captures; print a line a model and subset."""
     from slipstitch.errors import BadInput
-    from slipstitch.evaluate.captures import write_captures_evaluation
+    from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
     from slipstitch.evaluate.text_table import capture_lines
 
     if not (arguments.models or arguments.instruments):

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> None:
     import math
 
     from slipstitch.errors import BadInput
-    from slipstitch.measure.writing import measure_to_files
+    from slipstitch.measure.measurement_files import measure_to_files
 
     check_at_least(arguments, threads=1)
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; prints one line on each result."""
     from slipstitch.errors import BadInput
     from slipstitch.simulate.drop_and_drag import DropAndDrag
-    from slipstitch.simulate.writing import runs_of_the_grid, simulate_to_files
+    from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
 
     by_hand = arguments.material is not None and arguments.friction is not None
     if by_hand == (arguments.simulation is not None):

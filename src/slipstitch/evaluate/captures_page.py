@@ -41,7 +41,7 @@ def captures_page(
     dataset : path
         Of the captures, for their pictures.
     known, found, metrics
-        See `slipstitch.evaluate.captures`.
+        See `slipstitch.evaluate.capture_evaluation`.
     step : float
         Of the grid of friction.
     """

@@ -15,8 +15,8 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import SPLITS
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
-from slipstitch.instrument.calibration import calibrated
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
+from slipstitch.instrument.error_bars import calibrated
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.provenance import start_clock

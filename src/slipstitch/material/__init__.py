@@ -1,6 +1,6 @@
 """Fabrics and their data-driven elastic law: measured tables, no solver."""
 
-from slipstitch.material.catalogue import (
+from slipstitch.material.fabrics import (
     Fabric,
     fabric_digest,
     fabric_names,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.material.catalogue import Fabric
+from slipstitch.material.fabrics import Fabric
 
 STRAIN_NODES = 30
 NORMAL_STRAIN_MIN = -0.25  # of G00 and G11; |G01| starts at 0

@@ -51,7 +51,7 @@ NOT_PART_OF_A_RESULT = (
 )
 CATALOGUES = (
     "slipstitch.catalogue",
-    "slipstitch.material.catalogue",
+    "slipstitch.material.fabrics",
 )
 CONFIGURATION = "slipstitch.config"
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")

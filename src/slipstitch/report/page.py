@@ -18,7 +18,7 @@ from slipstitch.page.templates import render
 from slipstitch.page.wording import counted
 from slipstitch.provenance import provenance_record, start_clock, write_text
 from slipstitch.report import learning_pictures
-from slipstitch.report.captures import captures_section
+from slipstitch.report.captures_section import captures_section
 from slipstitch.report.cost import cost_section
 from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import (

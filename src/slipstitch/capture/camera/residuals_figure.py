@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipstitch.capture.camera.calibration import Calibration
+from slipstitch.capture.camera.lens_calibration import Calibration
 from slipstitch.page.figures import save_figure
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.ablate.catalogue import Plan, Variant, plan
+from slipstitch.ablate.questions import Plan, Variant, plan
 from slipstitch.config import Config
 from slipstitch.config.ablate import QUESTIONS
 from slipstitch.config.instrument import InstrumentSettings

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slipstitch.capture.camera.board import Board
-from slipstitch.capture.camera.calibration import FloorPlace, calibrate, camera_file
+from slipstitch.capture.camera.lens_calibration import FloorPlace, calibrate, camera_file
 from slipstitch.capture.camera.views import read_image, read_views
 from slipstitch.provenance import provenance_record, recorded_path, start_clock, write_sidecar
 from slipstitch.render.camera_file import write_camera_file
