@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.doctor.checks import CheckState, examine
+from slipstitch.doctor.checks import Standing, examine
 
 SUMMARY = "what is installed, what is missing and how to get it; what a scale costs"
 EXAMPLE = "slipstitch doctor --estimate config.yaml config/paper.yaml"
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         print()
         for finding in remedies:
             print(f"{finding.name}: {finding.remedy}")
-    missing = [finding.name for finding in findings if finding.state is CheckState.MISSING]
+    missing = [finding.name for finding in findings if finding.state is Standing.MISSING]
     print()
     if missing:
         print(f"Slipstitch cannot run everything: {', '.join(missing)} (see above).")
