@@ -11,7 +11,7 @@ from slipstitch.config.calibrate import KEYS
 from slipstitch.config.grid import batches, simulations, textures, viewpoints
 from slipstitch.config.model import Config
 from slipstitch.config.train import NETWORKS
-from slipstitch.page.wording import size
+from slipstitch.page.wording import aligned, size
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ def job_cpu_s(kind: str, config: Config) -> float:
 
 
 def job_runtime_min(kind: str, config: Config) -> int:
-    """Minutes after which a scheduler may end stage job: five times the estimate, at least 15."""
+    """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
     return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
 
 
@@ -405,7 +405,7 @@ def _time(cpu_s: float) -> str:
 
 
 def estimate_line(config: Config) -> str:
-    """The whole chain from nothing, in stage line."""
+    """The whole chain from nothing, in one line."""
     stages = estimate(config)
     jobs, cpu_s = sum(stage.jobs for stage in stages), sum(stage.cpu_s for stage in stages)
     disk = sum(stage.disk_bytes for stage in stages)
@@ -419,9 +419,4 @@ def estimate_table(config: Config) -> str:
         (stage.stage, str(stage.jobs), _time(stage.cpu_s), size(stage.disk_bytes))
         for stage in [*estimate(config), *apart]
     ]
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    lines = [
-        f"{row[0]:<{widths[0]}}" + "".join(f"  {row[i]:>{widths[i]}}" for i in (1, 2, 3))
-        for row in rows
-    ]
-    return "\n".join([*lines, estimate_line(config)])
+    return "\n".join([*aligned(rows), estimate_line(config)])

@@ -4,7 +4,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from slipstitch.page.wording import duration, size
+from slipstitch.page.wording import aligned, duration, size
 from slipstitch.status.runs import Failure, Run, failure_lines, last_lines
 from slipstitch.status.state import Running, StageProgress, Status
 
@@ -36,12 +36,7 @@ def _table(stages: list[StageProgress]) -> list[str]:
                 size(stage.disk_to_come_bytes) if stage.disk_to_come_bytes else "-",
             )
         )
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        f"{row[0]:<{widths[0]}}"
-        + "".join(f"  {cell:>{wide}}" for cell, wide in zip(row[1:], widths[1:], strict=True))
-        for row in rows
-    ]
+    return aligned(rows)
 
 
 def _head(found: Status, run: Run, now_s: float) -> str:
