@@ -4,6 +4,7 @@ import csv
 import io
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -287,15 +288,14 @@ class Results:
                     io.StringIO(path.read_text(encoding="utf-8", errors="replace")), delimiter="\t"
                 )
             ]
-            wall = [_number(row.get("s")) for row in rows]
-            wall = [value for value in wall if isinstance(value, float)]
+            # Snakemake writes "-" or NA for a job that was over before it could look.
+            wall, cpu, memory = (
+                [value for row in rows if isinstance(value := _number(row.get(key)), float)]
+                for key in ("s", "cpu_time", "max_rss")
+            )
             if not wall:
                 continue
-            # Snakemake writes "-" or NA for a job that was over before it could look.
-            cpu = [_number(row.get("cpu_time")) for row in rows]
-            cpu = [value for value in cpu if isinstance(value, float)] or [float("nan")]
-            memory = [_number(row.get("max_rss")) for row in rows]
-            memory = [value for value in memory if isinstance(value, float)]
+            cpu = cpu or [float("nan")]
             found.append(
                 Benchmark(
                     stage=name,
@@ -319,29 +319,18 @@ class Results:
 
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:
         """One record of each stage, with the artefact that carries it."""
-        candidates: dict[str, list[str | Path]] = {
-            "calibrate": ["calibrate/calibration.json"],
-            "simulate": [
-                f"simulate/{simulation.id}.parquet" for simulation in self.simulated()[:1]
-            ],
-            "render": [
-                path.relative_to(self.folder)
-                for path in sorted((self.folder / "render").glob("m*_v*.parquet"))[:1]
-            ],
-            "sample": ["sample/manifest.parquet"],
-            "train": [
-                path.relative_to(self.folder)
-                for path in sorted((self.folder / "train").glob("*/*/*/model.safetensors"))[:1]
-            ],
-            "evaluate": ["evaluate/metrics.json"],
-        }
+        candidates = [
+            self.folder / "calibrate" / "calibration.json",
+            *map(self.simulation_path, self.simulated()[:1]),
+            *sorted((self.folder / "render").glob("m*_v*.parquet"))[:1],
+            self.folder / "sample" / "manifest.parquet",
+            *sorted((self.folder / "train").glob("*/*/*/model.safetensors"))[:1],
+            self.folder / "evaluate" / "metrics.json",
+        ]
         found = []
-        for paths in candidates.values():
-            for path in paths:
-                try:
-                    found.append((str(path), read_provenance(self.folder / path)))
-                except (FileNotFoundError, ValueError):
-                    continue
+        for path in candidates:
+            with suppress(FileNotFoundError, ValueError):
+                found.append((str(path.relative_to(self.folder)), read_provenance(path)))
         return found
 
 
