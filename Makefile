@@ -51,7 +51,7 @@ format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	$(BIN)/snakefmt Snakefile rules
-	$(BIN)/python -m slipstitch.config.schema > workflow/schemas/config.schema.json
+	$(BIN)/slipstitch schema > workflow/schemas/config.schema.json
 
 test: lint
 	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)
@@ -69,7 +69,7 @@ captures: setup
 
 convergence: setup
 	$(BIN)/snakemake --cores $(CORES) convergence
-	$(BIN)/python -m slipstitch.convergence publish
+	$(BIN)/slipstitch convergence publish
 
 benchmark-audit: setup
 	$(SINGLE) $(BIN)/python benchmarks/audit.py --size-gb 1 --jobs $(CORES)
@@ -99,7 +99,7 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/scale.py
 
 criticise-measured: setup
-	$(BIN)/python -m slipstitch.criticise.measured --data data/measured --out docs
+	$(BIN)/python benchmarks/measured_data --data data/measured --out docs
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

@@ -20,8 +20,8 @@ import time
 import numpy as np
 import warp as wp
 
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.simulate.drop_and_drag import DropAndDrag, simulate_batch
-from slipstitch.simulate.settings import SimulationSettings
 
 MATERIALS = ("gray-interlock", "navy-sparkle-sweat", "royal-target", "11oz-black-denim")
 FRICTIONS = (0.1, 0.3, 0.6, 1.0)

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
+from slipstitch.catalogue import FLOORS, TEXTURES
+from slipstitch.config.render import RenderSettings
 from slipstitch.render.blender import ClothScene
-from slipstitch.render.catalogue import FLOORS, TEXTURES
 from slipstitch.render.composition import compose, join
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.packing import render_shadings, usable_trajectory
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shots import shots
 from slipstitch.render.surroundings import draw_surroundings, generator
 from slipstitch.render.textures import texture

@@ -23,11 +23,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
-from slipstitch.criticise.inference.analysis import analyse, candidate
+from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Weights, fit
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.inference.selection import candidate
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.verdict import verdict_of
 from slipstitch.predict.predictive import predict_model
 
@@ -79,10 +80,8 @@ def strength(folder, bare_folder, measured, truth):
     clean.y = np.where(slips & keep, clean.predict(values, ()) + change, clean.y)
     null, weights = None, None
     for _ in range(2):
-        base = clean.predict(values, ())
-        moved = clean.predict({k: v + 0.01 for k, v in values.items()}, ())
-        sensitivity = (moved - base) / 0.01
-        groups = make_groups(clean.protocol, clean.run, clean.specimen, clean.u, sensitivity, keep)
+        sensitivity = clean.sensitivity(values)
+        groups = make_groups(clean, sensitivity, keep)
         weights = Weights.build(groups, scatters, clean, sensitivity, keep)
         null = fit(clean, weights, (), values)
         values = null.as_dict()

@@ -23,8 +23,8 @@ from collections import Counter
 from pathlib import Path
 
 from slipstitch.config import Config, load_config, write_config
-from slipstitch.config.cost import estimate, verification_cpu_s
 from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.doctor.cost import estimate, verification_cpu_s
 from slipstitch.render.surroundings import draw_surroundings
 
 ROOT = Path(__file__).parents[1]

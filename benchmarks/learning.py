@@ -20,12 +20,12 @@ import numpy as np
 import torch
 from support import synthetic_videos
 
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.instrument.training import losses, training_looks
-from slipstitch.train.network import LRCN, computes_bfloat16, cross_entropy
-from slipstitch.train.settings import TrainSettings
-from slipstitch.train.training import set_up_torch
+from slipstitch.instrument.training import losses, training_views
+from slipstitch.train.network import LRCN, build_network, cross_entropy
+from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
 
 FRAMES = 30
 CLASSES = 10
@@ -75,7 +75,7 @@ def lrcn_step(network: LRCN, frames: torch.Tensor, bfloat16: bool) -> Callable[[
 def lrcn_of(frames: torch.Tensor, **changes) -> LRCN:
     """The paper's network at a quarter width, ready for these frames."""
     torch.manual_seed(0)
-    network = LRCN(TrainSettings(**changes), CLASSES, frames.shape[2])
+    network = build_network(TrainSettings(**changes), CLASSES, frames.shape[2])
     network.mean.fill_(frames.float().mean())
     network.deviation.fill_(frames.float().std())
     return network
@@ -101,8 +101,8 @@ def instrument_step(videos: np.ndarray, bfloat16: bool) -> Callable[[], None]:
     generator = np.random.default_rng(0)
 
     def step():
-        looks, ordered = training_looks(videos, FRAMES, settings, generator)
-        part = losses(network, looks, friction, material, ordered, bfloat16)
+        views, ordered = training_views(videos, FRAMES, settings, generator)
+        part = losses(network, views, friction, material, ordered, bfloat16)
         optimizer.zero_grad()
         (part["friction"] + part["material"] + part["order"]).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

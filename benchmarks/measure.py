@@ -21,11 +21,11 @@ import cv2
 import numpy as np
 from support import analytic_stage as stage
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import resolve_config, write_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.render.camera import pose
-from slipstitch.render.catalogue import VIEWPOINTS
 
 REST_S = 4.0
 DRAWN_WIDTH = 320

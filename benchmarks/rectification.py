@@ -14,8 +14,8 @@ import numpy as np
 
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import phased, rectified_with_errors
-from slipstitch.train.training import set_up_torch
-from slipstitch.train.videos import read_videos, takes_part
+from slipstitch.sample.videos import read_videos, takes_part
+from slipstitch.train.torch_setup import set_up_torch
 
 # Corners' moves in pixels (upper left, upper right, lower left; across and down), blur in pixels.
 SIDEWAYS, DOWN = np.array([[1.0, 0.0]] * 3), np.array([[0.0, 1.0]] * 3)
@@ -52,18 +52,18 @@ def main() -> None:
         frames = phased(videos.pixels, instrument.card["frames"], None)[:: arguments.every]
         true = np.array([row["friction"] for row in videos.rows])[:: arguments.every]
         for name, (corners, blur) in ERRORS.items():
-            said = [
+            measurements = [
                 instrument.measure(
                     np.stack([rectified_with_errors(frame, corners, blur) for frame in video])
                 )
                 for video in frames
             ]
-            away = np.array([one.friction_coefficient for one in said]) - true
-            low, high = np.array([one.interval_90 for one in said]).T
+            away = np.array([measured.friction_coefficient for measured in measurements]) - true
+            low, high = np.array([measured.interval_90 for measured in measurements]).T
             print(
                 f"{folder:<40} {name:<26} {away.mean():>+7.3f} {abs(away).mean():>7.3f} "
                 f"{np.mean((low <= true) & (true <= high)):>6.0%} "
-                f"{np.mean([one.alarm for one in said]):>6.0%}",
+                f"{np.mean([measured.alarm for measured in measurements]):>6.0%}",
                 flush=True,
             )
 

@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from support import synthetic_cloth
 
+from slipstitch.config.render import RenderSettings
 from slipstitch.render import blender
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, read_pack, usable_trajectory, write_pack
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shards import composed_images, render_shard
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 

@@ -1,6 +1,6 @@
 """What 10^4 and 10^6 simulations would take: the measured costs of jobs, played through a cluster.
 
-The cost of jobs is that of `slipstitch.config.cost`; building graphs and running jobs that of
+The cost of jobs is that of `slipstitch.doctor.cost`; building graphs and running jobs that of
 `benchmarks/dag.py`. A file system that all share serves bytes and operations in the order in which
 jobs ask. With --replay, a finished run is played again from its jobs' measured times and compared
 with how long it really took.
@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from slipstitch.config import load_config
-from slipstitch.config.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
 from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.doctor.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
 from slipstitch.status.runs import read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
 from slipstitch.status.state import read_benchmark

@@ -49,9 +49,9 @@ def simulate(material, friction, window_s, start_height_m=None, **settings):
 
 
 def _simulate(material, friction, window_s, start_height_m, changes):
-    from slipstitch.protocol.stage import StagePath
+    from slipstitch.bench.stage_path import StagePath
+    from slipstitch.config.simulation import SimulationSettings
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
-    from slipstitch.simulate.settings import SimulationSettings
 
     path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)
     warm = SimulationSettings(vertices_per_side=5, frames=2, settle_s=0.0)
@@ -147,8 +147,8 @@ def _side_by_side():
     from vertex_block_descent import VertexBlockDescent
 
     from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord
+    from slipstitch.config.simulation import SimulationSettings
     from slipstitch.material import isotropic_tables
-    from slipstitch.simulate.settings import SimulationSettings
 
     mesh, fixed, hung_m = _scene()
     cloth = ClothSolver(

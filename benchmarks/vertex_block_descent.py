@@ -10,7 +10,8 @@ import numpy as np
 import torch
 import warp as wp
 
-GRAVITY_M_S2 = 9.81
+from slipstitch.bench.gravity import GRAVITY_M_S2
+
 RADIUS_M = 1.0e-3  # particles touch the ground at this height; the ground lies as much lower
 
 

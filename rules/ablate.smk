@@ -1,8 +1,8 @@
 """What each choice in the training is worth, one at a time; not part of `all`."""
 
-from slipstitch.ablate.settings import QUESTIONS
+from slipstitch.config.ablate import QUESTIONS
 
-ASKED = CONFIG.ablate.questions or QUESTIONS
+ASKED = CONFIG.ablate.asked
 
 
 wildcard_constraints:
@@ -29,10 +29,10 @@ rule ablate_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("ablate", CONFIG),
     params:
-        settings=settings("train", "instrument", "ablate", ablate={"seeds"}),
+        *settings("train", "instrument", "ablate", ablate={"seeds"}),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
-        code=code_digest("ablate.training"),
+        view_order=CONFIG.view_order,
+        code=code_of("ablate.training"),
         config=CONFIG_FILE,
     message:
         "Ablation: {wildcards.question}, seed {wildcards.seed}"
@@ -65,8 +65,8 @@ rule ablate_summary:
         mem_mb=1024,
         runtime=15,
     params:
-        settings=settings("ablate", "evaluate"),
-        code=code_digest("ablate"),
+        *settings("ablate", "evaluate"),
+        code=code_of("ablate"),
         config=CONFIG_FILE,
     message:
         "Sum up the ablations"

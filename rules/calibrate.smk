@@ -1,6 +1,6 @@
 """Settings chosen by the pushed strip, one job a swept setting, and checked against theory."""
 
-from slipstitch.calibrate.settings import BASE, KEYS
+from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.calibrate.sweep import sweep_inputs
 
 
@@ -29,7 +29,7 @@ rule calibrate_sweep:
         inputs=lambda wildcards: json.dumps(
             sweep_inputs(wildcards.swept, CONFIG.calibrate, CONFIG.simulation)
         ),
-        code=code_digest("calibrate"),
+        code=code_of("calibrate"),
         config=CONFIG_FILE,
     message:
         "Push the strip with other values of {wildcards.swept}"
@@ -66,8 +66,8 @@ rule calibrate_settings:
         mem_mb=job_memory_mb("calibrate"),
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
-        settings=settings("simulation", "calibrate"),
-        code=code_digest("calibrate"),
+        *settings("simulation", "calibrate"),
+        code=code_of("calibrate"),
         config=CONFIG_FILE,
     message:
         "Choose settings, check the simulator against theory"

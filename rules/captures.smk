@@ -7,6 +7,11 @@ SLIP_ANGLES = CONFIG.captures.angles or (
 FILMS = [] if CONFIG.captures.table else CONFIG.captures.surrogate_ids()
 
 
+def pair_of(film):
+    """The fabric and floor that a surrogate film shows."""
+    return CONFIG.captures.pairs[int(film[1:3])]
+
+
 wildcard_constraints:
     film=r"c\d\d_r\d\d",
 
@@ -30,9 +35,13 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        settings=settings("seed", "captures"),
+        *settings("seed", "captures"),
         view=CONFIG.render.camera,
-        code=code_digest("capture"),
+        catalogue=entries(
+            viewpoints=["calibrated"],
+            floors={pair.substrate for pair in CONFIG.captures.pairs},
+        ),
+        code=code_of("capture"),
         config=CONFIG_FILE,
     message:
         "Set up the surrogate bench"
@@ -53,9 +62,15 @@ rule surrogate_film:
         mem_mb=job_memory_mb("render"),
         runtime=120,
     params:
-        settings=settings("seed", "simulation", "captures"),
+        *settings("seed", "simulation", "captures"),
         render=(CONFIG.render.camera, CONFIG.render.samples),
-        code=code_digest("capture"),
+        fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
+        catalogue=lambda wildcards: entries(
+            viewpoints=["calibrated"],
+            textures=[pair_of(wildcards.film).texture],
+            floors=[pair_of(wildcards.film).substrate],
+        ),
+        code=code_of("capture"),
         config=CONFIG_FILE,
     message:
         "Simulate and film {wildcards.film}, a surrogate"
@@ -86,7 +101,7 @@ if SLIP_ANGLES:
             mem_mb=1024,
             runtime=15,
         params:
-            code=code_digest("capture"),
+            code=code_of("capture"),
         message:
             "Friction from slip angles"
         shell:
@@ -111,8 +126,10 @@ rule captures_ingest:
         mem_mb=2048,
         runtime=60,
     params:
-        settings=settings("simulation", "render", "sample"),
-        code=code_digest("capture"),
+        *settings("simulation", "render", "sample"),
+        materials=fabric_names(),
+        catalogue=entries(viewpoints=["calibrated"]),
+        code=code_of("capture"),
         config=CONFIG_FILE,
         reference="--reference results/captures/reference.csv" if SLIP_ANGLES else "",
     message:
@@ -144,8 +161,8 @@ rule captures_evaluate:
         mem_mb=job_memory_mb("evaluate"),
         runtime=30,
     params:
-        settings=settings("evaluate"),
-        code=code_digest("evaluate"),
+        *settings("evaluate"),
+        code=code_of("evaluate.captures"),
         config=CONFIG_FILE,
     message:
         "Evaluate networks and instruments on the captures"

@@ -1,14 +1,17 @@
 """The configuration, checked; what all rules share."""
 
+import hashlib
 import json
 import os
 import sys
 
 from slipstitch.config import resolve_config, write_config
-from slipstitch.config.cost import estimate_line, job_memory_mb, job_runtime_min
-from slipstitch.config.grid import batches, simulations, textures, viewpoints
+from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
+from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
+from slipstitch.material import fabric_digest, fabric_names
 from slipstitch.provenance import code_digest, file_digest
+from slipstitch.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"
 
@@ -17,10 +20,6 @@ try:
 except BadInput as error:
     print(f"snakemake: error: {error}", file=sys.stderr)
     sys.exit(2)
-
-# Only the main process compares a job's parameters with those that its files were made with.
-if not workflow.is_main_process:
-    code_digest = str
 
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
@@ -37,8 +36,34 @@ wildcard_constraints:
 
 
 def settings(*sections, **exclude):
-    """Sections of the configuration as a rule's parameter: the rule reruns when they change."""
-    return json.dumps(CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude))
+    """Sections of the configuration, a parameter a key: the rule reruns when one changes."""
+    kept = CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude)
+    parameters = []
+    for section, values in kept.items():
+        if isinstance(values, dict):
+            parameters += [f"{section}.{key}: {json.dumps(values[key])}" for key in values]
+        else:
+            parameters.append(f"{section}: {json.dumps(values)}")
+    return parameters
+
+
+def code_of(stage):
+    """Digest of a stage's code as a rule's parameter: the rule reruns when what computes changes.
+
+    Only the main process compares a job's parameters with those that its files were made with; the
+    processes of single jobs do not read all sources again.
+    """
+    return code_digest(stage) if workflow.is_main_process else stage
+
+
+def fabrics(*names):
+    """Measured fabrics as a rule's parameter: one more in the catalogue reruns nothing."""
+    return [f"{name}: {fabric_digest(name)}" for name in names]
+
+
+def entries(**names):
+    """Entries of the catalogue, by kind, as a rule's parameter: one more reruns nothing."""
+    return json.dumps(catalogue_entries(**names))
 
 
 def digest_if_there(path):
@@ -52,11 +77,9 @@ rule grid:
     log:
         "results/logs/grid.log",
     params:
-        settings=settings("seed", "grid"),
-        textures=json.dumps(textures(CONFIG)),
-        viewpoints=json.dumps(viewpoints(CONFIG)),
+        rows=hashlib.sha256(json.dumps(grid_rows(CONFIG)).encode()).hexdigest(),
         config=CONFIG_FILE,
     message:
         "Table of ids and seeds"
     shell:
-        "python -m slipstitch.config.grid --config {params.config} --out {output} > {log} 2>&1"
+        "slipstitch grid --config {params.config} --out {output} > {log} 2>&1"

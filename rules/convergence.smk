@@ -30,19 +30,20 @@ rule convergence_run:
         runtime=120,
     params:
         # What this run depends on and no more: a longer list of runs leaves it alone.
-        settings=settings("simulation"),
+        *settings("simulation"),
         case=lambda wildcards: str(CASES[wildcards.case]),
+        fabric=lambda wildcards: fabrics(CASES[wildcards.case].material),
         window=(
             CONFIG.convergence.window_s,
             CONFIG.convergence.frame_rate_hz,
             CONFIG.convergence.seed,
         ),
-        code=code_digest("simulate"),
+        code=code_of("simulate"),
         config=CONFIG_FILE,
     message:
         "Convergence: simulate {wildcards.case}"
     shell:
-        "python -m slipstitch.convergence run --config {params.config} --calibration {input}"
+        "slipstitch convergence run --config {params.config} --calibration {input}"
         " --case {wildcards.case} --out {output} > {log} 2>&1"
 
 
@@ -66,12 +67,12 @@ rule convergence_compare:
         mem_mb=job_memory_mb("simulate"),
         runtime=15,
     params:
-        settings=settings("simulation", "convergence"),
-        code=code_digest("convergence"),
+        *settings("simulation", "convergence"),
+        code=code_of("convergence"),
         config=CONFIG_FILE,
     message:
         "Convergence: compare the runs"
     shell:
-        "python -m slipstitch.convergence compare --config {params.config}"
+        "slipstitch convergence compare --config {params.config}"
         " --calibration {input.calibration} --runs results/convergence/runs"
         " --out {output.study} --picture {output.picture} > {log} 2>&1"

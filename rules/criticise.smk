@@ -32,7 +32,7 @@ rule criticise_one:
         runtime=job_runtime_min("criticise", CONFIG),
     params:
         case=lambda wildcards: MEASURED[wildcards.measured],
-        code=code_digest("criticise"),
+        code=code_of("criticise"),
     message:
         "Criticise {wildcards.measured}"
     shell:

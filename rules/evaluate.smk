@@ -30,10 +30,10 @@ rule evaluate_all:
         mem_mb=job_memory_mb("evaluate", CONFIG),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
-        settings=settings("evaluate"),
+        *settings("evaluate"),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
-        code=code_digest("evaluate"),
+        view_order=CONFIG.view_order,
+        code=code_of("evaluate.evaluation"),
         config=CONFIG_FILE,
     message:
         "Evaluate the networks"

@@ -32,10 +32,10 @@ rule instrument_one:
         mem_mb=job_memory_mb("instrument", CONFIG),
         runtime=job_runtime_min("instrument", CONFIG),
     params:
-        settings=settings("instrument", instrument={"seeds"}),
+        *settings("instrument", instrument={"seeds"}),
         frames=CONFIG.sample.frames,
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
-        code=code_digest("instrument"),
+        view_order=CONFIG.view_order,
+        code=code_of("instrument"),
         config=CONFIG_FILE,
         folder=subpath(output.weights, parent=True),
     message:

@@ -10,9 +10,9 @@ rule release_folder:
     input:
         rules.calibrate.input,
         rules.simulate.input,
-        rules.render.input[: len(SIMULATIONS) * len(VIEWPOINTS)],
+        rules.render.input.shards,
         rules.sample.input,
-        "results/render/verification.json",
+        rules.render.input.verification,
         grid="results/grid.parquet",
     output:
         # Write-protected: a release that was handed out is removed by hand or not at all.
@@ -26,8 +26,8 @@ rule release_folder:
         mem_mb=job_memory_mb("release"),
         runtime=job_runtime_min("release", CONFIG),
     params:
-        settings=settings("seed", "release"),
-        code=code_digest("release"),
+        *settings("seed", "release"),
+        code=code_of("release"),
         config=CONFIG_FILE,
         project=workflow.basedir,
     message:

@@ -22,17 +22,17 @@ def camera_file(wildcards):
 
 rule render:
     input:
-        expand(
+        shards=expand(
             "results/render/{simulation}_{viewpoint}.parquet",
             simulation=SIMULATIONS,
             viewpoint=VIEWPOINTS,
         ),
-        expand(
+        previews=expand(
             "results/render/preview/{simulation}.{kind}",
             simulation=SIMULATIONS,
             kind=["png", "mp4"],
         ),
-        "results/render/verification.json",
+        verification="results/render/verification.json",
 
 
 rule render_shading:
@@ -50,12 +50,15 @@ rule render_shading:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("render", CONFIG),
     params:
-        settings=SHADING_SETTINGS,
+        *SHADING_SETTINGS,
         lamp=CONFIG.render.augmentation.lamp_m,
         seed=CONFIG.seed,
         frames=CONFIG.sample.frames_kept,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
-        code=code_digest("render.packing"),
+        catalogue=lambda wildcards: entries(
+            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]], floors=CONFIG.render.floors
+        ),
+        code=code_of("render.packing"),
         config=CONFIG_FILE,
     message:
         "Render the light of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
@@ -82,9 +85,10 @@ rule render_images:
         mem_mb=job_memory_mb("compose"),
         runtime=job_runtime_min("compose", CONFIG),
     params:
-        settings=RENDER_SETTINGS,
+        *RENDER_SETTINGS,
         seed=CONFIG.seed,
-        code=code_digest("render"),
+        catalogue=entries(textures=CONFIG.render.texture_ids().values()),
+        code=code_of("render"),
         config=CONFIG_FILE,
     message:
         "Compose the images of {wildcards.simulation}"
@@ -95,12 +99,8 @@ rule render_images:
 
 rule render_verification:
     input:
-        trajectories=expand("results/simulate/{simulation}.parquet", simulation=SIMULATIONS),
-        shards=expand(
-            "results/render/{simulation}_{viewpoint}.parquet",
-            simulation=SIMULATIONS,
-            viewpoint=VIEWPOINTS,
-        ),
+        trajectories=rules.simulate.input,
+        shards=rules.render.input.shards,
     output:
         "results/render/verification.json",
     log:
@@ -114,7 +114,7 @@ rule render_verification:
     params:
         images=CONFIG.render.verified_images,
         seed=CONFIG.seed,
-        code=code_digest("render"),
+        code=code_of("render"),
         config=CONFIG_FILE,
     message:
         "Compare {params.images} images with direct renders"
@@ -143,7 +143,7 @@ rule preview_one:
         mem_mb=job_memory_mb("preview"),
         runtime=job_runtime_min("preview", CONFIG),
     params:
-        code=code_digest("render"),
+        code=code_of("render"),
     message:
         "Contact sheet and film of {wildcards.simulation}"
     shell:

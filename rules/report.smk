@@ -11,7 +11,8 @@ rule report_page:
         calibration=rules.calibrate.input,
         simulations=rules.simulate.input,
         grid="results/grid.parquet",
-        previews=rules.render.input[len(SIMULATIONS) * len(VIEWPOINTS) :],
+        previews=rules.render.input.previews,
+        verification=rules.render.input.verification,
         dataset=rules.sample.input,
         networks=rules.train.input,
         evaluation=rules.evaluate.input,
@@ -30,8 +31,8 @@ rule report_page:
         mem_mb=job_memory_mb("report"),
         runtime=job_runtime_min("report", CONFIG),
     params:
-        settings=settings(*type(CONFIG).model_fields),
-        code=code_digest("report"),
+        *settings(*type(CONFIG).model_fields),
+        code=code_of("report"),
         captures=digest_if_there("results/captures/metrics.json"),
         reflective=digest_if_there(
             Path(CONFIG.evaluate.reflective_results or "") / "captures/metrics.json"

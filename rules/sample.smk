@@ -10,7 +10,7 @@ rule sample:
 rule sample_all:
     input:
         grid="results/grid.parquet",
-        shards=rules.render.input[: len(SIMULATIONS) * len(VIEWPOINTS)],
+        shards=rules.render.input.shards,
     output:
         manifest="results/sample/manifest.parquet",
         videos=expand("results/sample/{simulation}.parquet", simulation=SIMULATIONS),
@@ -23,8 +23,9 @@ rule sample_all:
         mem_mb=job_memory_mb("sample"),
         runtime=job_runtime_min("sample", CONFIG),
     params:
-        settings=settings("seed", "sample"),
-        code=code_digest("sample"),
+        *settings("seed", "sample"),
+        catalogue=entries(viewpoints=CONFIG.render.viewpoint_ids().values()),
+        code=code_of("sample"),
         config=CONFIG_FILE,
     message:
         "Sample frames, draw the splits"

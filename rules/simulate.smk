@@ -23,9 +23,10 @@ if CONFIG.compute.batch == 1:
             mem_mb=job_memory_mb("simulate"),
             runtime=job_runtime_min("simulate", CONFIG),
         params:
-            settings=settings("simulation"),
+            *settings("simulation"),
             simulation=lambda wildcards: str(SIMULATIONS[wildcards.simulation]),
-            code=code_digest("simulate"),
+            fabric=lambda wildcards: fabrics(SIMULATIONS[wildcards.simulation].material),
+            code=code_of("simulate"),
             config=CONFIG_FILE,
         message:
             "Simulate {wildcards.simulation}"
@@ -54,9 +55,10 @@ else:
                 mem_mb=job_memory_mb("simulate") + 64 * len(IDS),
                 runtime=job_runtime_min("simulate", CONFIG),
             params:
-                settings=settings("simulation"),
+                *settings("simulation"),
                 simulations=[str(SIMULATIONS[one]) for one in IDS],
-                code=code_digest("simulate"),
+                fabrics=fabrics(*{SIMULATIONS[one].material: None for one in IDS}),
+                code=code_of("simulate"),
                 config=CONFIG_FILE,
                 ids=IDS,
             message:

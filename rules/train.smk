@@ -1,6 +1,6 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
-from slipstitch.train.settings import NETWORKS
+from slipstitch.config.train import NETWORKS
 
 
 def material_network(wildcards):
@@ -52,9 +52,9 @@ rule train_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("train", CONFIG),
     params:
-        settings=settings("seed", "train", train={"seeds", "splits"}),
-        view_order=CONFIG.train.view_order or CONFIG.render.viewpoints,
-        code=code_digest("train"),
+        *settings("seed", "train", train={"seeds", "splits"}),
+        view_order=CONFIG.view_order,
+        code=code_of("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),
         material=material_option,

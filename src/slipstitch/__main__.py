@@ -2,6 +2,6 @@
 
 import sys
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 
 sys.exit(main())

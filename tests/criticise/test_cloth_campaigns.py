@@ -9,10 +9,10 @@ import pytest
 import yaml
 from support.hidden_effects.cloth_bench import make_campaign
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.resimulation import resimulate
 from slipstitch.criticise.verdict import verdict_of
 

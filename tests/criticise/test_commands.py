@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.hidden_effects.bench import make_case
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 
 KEYS = {
     "case",

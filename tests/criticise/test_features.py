@@ -6,9 +6,9 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.fit import parameters_of
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 
 SEEDS = range(40, 44)
 
@@ -24,8 +24,7 @@ def z_scores(tmp_path_factory):
         noise = truth["noise"]
         values = {"mu_face": np.log(truth["mu_face"]), "mu_edge": np.log(truth["mu_edge"])}
         expected = m.predict(values, ())
-        moved = m.predict({name: value + 0.01 for name, value in values.items()}, ())
-        scatter = (moved - expected) / 0.01 * np.hypot(noise["specimen"], noise["run"])
+        scatter = m.sensitivity(values) * np.hypot(noise["specimen"], noise["run"])
         z = (m.y - expected) / np.hypot(m.u * noise["understated"], scatter)
         outliers = {run for runs in truth["outliers"].values() for run in runs}
         bad = m.rows["run_id"].isin(outliers) | m.lower_bound

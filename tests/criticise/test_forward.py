@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from support.hidden_effects.elastica import hanging_cloth, pushed_strip
 
-from slipstitch.criticise.forward.drop_drag import (
+from slipstitch.criticise.protocols.dragged_cloth import (
     lifted_part,
     rest_state,
     sliding_state,
     sticking_path,
 )
-from slipstitch.criticise.forward.incline import slip_angle_rad
-from slipstitch.criticise.forward.strip import areal_contact, foot, slip_strain
+from slipstitch.criticise.protocols.incline import slip_angle_rad
+from slipstitch.criticise.protocols.strip import areal_contact, foot, slip_strain
 from slipstitch.friction_law import Contact, FrictionLaw
 
 # Sano, Yamaguchi and Wada 2017, weightless strip: friction -> strain at slip.

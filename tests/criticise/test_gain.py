@@ -5,8 +5,8 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import verdict_of
 from slipstitch.predict.predictive import predict_model
 

@@ -1,15 +1,13 @@
 """An effect is hidden in the data; it must be found, named and sized, or not named at all."""
 
-import secrets
-
 import numpy as np
 import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
 from slipstitch.criticise.inference.analysis import analyse
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.verdict import parameters_with_intervals
 
 # One plain effect a mechanism, in the protocols that can tell it from the others.
@@ -59,8 +57,8 @@ def test_a_planted_effect_is_named_and_sized(name, tmp_path):
 
 
 @pytest.mark.parametrize("protocols", [["incline", "strip"], ["drag"], ["drop_drag"]])
-def test_nothing_hidden_nothing_named(protocols, tmp_path):
-    seed = secrets.randbelow(10**6)
+def test_nothing_hidden_nothing_named(protocols, hidden_seed, tmp_path):
+    seed = hidden_seed(31)
     _, analysis = judged(tmp_path, seed, "null", plant=({}, protocols))
     # At 5 % a false alarm must happen now and then; a confident wrong name must not.
     assert analysis.verdict in ("none", "unknown") or analysis.global_p > 1e-3, seed
@@ -74,8 +72,8 @@ def test_a_patch_of_the_substrate_is_unknown_and_located(tmp_path):
     assert strongest.covariate == "pos_x_mm"
 
 
-def test_a_covariate_that_was_not_recorded_is_not_blamed(tmp_path):
-    seed = secrets.randbelow(10**6)
+def test_a_covariate_that_was_not_recorded_is_not_blamed(hidden_seed, tmp_path):
+    seed = hidden_seed(37)
     truth, analysis = judged(tmp_path, seed, "unrecorded")
     assert not set(analysis.causes) & set(truth["effects"]), seed
 

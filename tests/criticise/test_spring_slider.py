@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.features import assemble
-from slipstitch.criticise.forward.spring_slider import Slider, run, steady_cycle, steady_force
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
 from slipstitch.criticise.verdict import parameters_with_intervals
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import Contact, FrictionLaw

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.cloth import (
     ClothSolver,
     Sheets,
@@ -19,17 +21,16 @@ from slipstitch.cloth import (
     run_together,
     self_contact,
 )
-from slipstitch.cloth.sheets import Work
+from slipstitch.cloth.batch import Work
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.drop_and_drag import (
     DropAndDrag,
     simulate_batch,
     simulate_drop_and_drag,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 # Lowered at once to a heap, so that soft cloth comes to lie on itself.
 HEAP = SimulationSettings(vertices_per_side=9, frames=14, frame_rate_hz=4, settle_s=0.2)
@@ -84,7 +85,7 @@ def sliding(member: int, sheets: Sheets | None = None, law=None, **settings) -> 
         friction=law or LAWS[member],
         fixed=FREE,
         settings=SolverSettings(**settings),
-        gravity_m_s2=(0.3 * member, 0.0, -9.81),
+        gravity_m_s2=(0.3 * member, 0.0, -GRAVITY_M_S2),
         sheets=sheets,
         member=member if sheets else 0,
     )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
 from slipstitch.errors import BadInput
@@ -34,7 +35,7 @@ def _angle(x, hinge):
 def _energy(solver, x, k):
     """Gravity, membrane and hinges, straight from the definitions."""
     mesh = solver.mesh
-    energy = 9.81 * (solver.mass_kg * x[:, 2]).sum()
+    energy = GRAVITY_M_S2 * (solver.mass_kg * x[:, 2]).sum()
     for face, area in zip(mesh.faces, mesh.face_areas_m2(), strict=True):
         rest = (mesh.rest_uv_m[face[1:]] - mesh.rest_uv_m[face[0]]).T
         F = (x[face[1:]] - x[face[0]]).T @ np.linalg.inv(rest)
@@ -139,7 +140,7 @@ def test_on_a_cylinder_too_the_tangent_of_contact_is_the_derivative_of_its_force
         np.testing.assert_allclose(
             slope[nodes], blocks[:, :, axis], atol=1e-3 * solver.normal_stiffness_N_m
         )
-    force_N = solver._evaluate(x) - 9.81 * solver.mass_kg[:, None] * [0, 0, 1]
+    force_N = solver._evaluate(x) - GRAVITY_M_S2 * solver.mass_kg[:, None] * [0, 0, 1]
     solver.positions_m = x
     np.testing.assert_allclose(solver.floor_forces()[states == 1], -force_N[states == 1], atol=1e-9)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support import synthetic_cloth
 
+from slipstitch.config.render import RenderSettings
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.composition import compose, join
 from slipstitch.render.encoding import encode_png, encode_srgb
 from slipstitch.render.packing import render_shadings
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shading import separate
 from slipstitch.render.shots import shots
 from slipstitch.render.surroundings import MATTE, Surroundings

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from slipstitch.protocol.stage import StagePath
+from slipstitch.bench.stage_path import StagePath
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
-from slipstitch.simulate.settings import SimulationSettings
 
 SMALL = SimulationSettings(vertices_per_side=21, frames=12)
 FRICTION = 0.3

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
 from slipstitch.cloth.friction import QUANTITIES, force_limit
-from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, FrictionLaw
 from slipstitch.material import isotropic_tables
 

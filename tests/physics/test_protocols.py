@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.registry import run_protocol
-from slipstitch.simulate.settings import SimulationSettings
 
 FRICTIONS = (0.1, 0.5, 1.2)
 STEPS_S = (0.005, 0.02, 0.08)
@@ -181,7 +182,7 @@ def test_frictionless_cloth_slides_on_any_slope():
     result = run_protocol("incline", {"friction": 0.0, "slope_deg": 0.5}, SimulationSettings())
     assert not result["sticks"]
     assert result["acceleration_m_s2"] == pytest.approx(
-        9.81 * math.sin(math.radians(0.5)), rel=1e-3
+        GRAVITY_M_S2 * math.sin(math.radians(0.5)), rel=1e-3
     )
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slipstitch import theory
-from slipstitch.cloth.solver import GRAVITY_M_S2
-from slipstitch.criticise.forward.drop_drag import rest_state, sliding_state
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state
 from slipstitch.friction_law import Contact, FrictionLaw
 from slipstitch.protocol.tracked_drag import DragRun, Sheet, drag_tracked
 

@@ -11,7 +11,7 @@ import av
 import cv2
 import numpy as np
 
-from slipstitch.protocol.stage import SIDE_M, StagePath
+from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera, write_camera_file
 

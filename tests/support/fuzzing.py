@@ -23,6 +23,8 @@ import torch
 import yaml
 
 from slipstitch.audit.auditing import audit_release
+from slipstitch.bench.extended_model import read_extended_model
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.calibrate.calibration import read_sweeps
 from slipstitch.capture.camera import views
 from slipstitch.capture.ingest.captures_table import read_captures, read_references
@@ -30,9 +32,11 @@ from slipstitch.capture.reference.angles import read_angles
 from slipstitch.capture.reference.estimate import estimate
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import load_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
-from slipstitch.criticise.case.reader import read_case
+from slipstitch.criticise.case import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
 from slipstitch.instrument.measuring import (
@@ -40,27 +44,23 @@ from slipstitch.instrument.measuring import (
     save_instrument,
     untrained_instrument,
 )
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.predict.predictive import read_verdict
-from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
-from slipstitch.release.chain import read_artefact
-from slipstitch.release.manifest import read_sampled
+from slipstitch.release.records import read_artefact
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
-from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results
-from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import read_shard
+from slipstitch.sample.videos import read_videos
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import status
 from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.model_file import load_model, save_model
-from slipstitch.train.network import LRCN
-from slipstitch.train.videos import read_videos
+from slipstitch.train.network import build_network
 from support import analytic_stage, synthetic_chain, synthetic_results
 
 TIME_LIMIT_S = 10.0
@@ -207,7 +207,7 @@ def _tables(add, config, results: Path) -> None:
     add("record of a trajectory", trajectory, lambda: record_if_any(trajectory))
     add("image shard", shard, lambda: read_shard(shard, frames))
     add("shard for previews", shard, lambda: decoded(read_images(shard)))
-    add("manifest", sample / "manifest.parquet", lambda: read_sampled(sample / "manifest.parquet"))
+    add("manifest", sample / "manifest.parquet", lambda: read_manifest(sample))
     add("dataset", sorted(sample.glob("m0*.parquet"))[0], lambda: read_videos(sample))
     add("manifest for training", sample / "manifest.parquet", lambda: read_videos(sample))
     calibration = results / "calibrate/calibration.json"
@@ -232,7 +232,7 @@ def decoded(images: dict) -> None:
 def _networks(add, config, folder: Path) -> None:
     train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
     train = train.model_copy(update={"lstm_units": 4})
-    network = LRCN(train, 2, 16, 0)
+    network = build_network(train, 2, 16)
     card = {
         "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
         "settings": train.model_dump(mode="json"), "classes": [{"id": "f00"}, {"id": "f01"}],

@@ -12,15 +12,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slipstitch.bench.stage_path import StagePath
+from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config, write_config
 from slipstitch.config.grid import simulations, viewpoints, write_grid
-from slipstitch.protocol.stage import StagePath
 from slipstitch.provenance import provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.surroundings import draw_surroundings
 from slipstitch.render.verification import VIEWS
 from slipstitch.sample.dataset import write_dataset
-from slipstitch.simulate.drop_and_drag import draw_perturbation
+from slipstitch.simulate.drop_and_drag import DropAndDrag, draw_perturbation
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_results, synthetic_videos
 
@@ -70,6 +71,7 @@ def write(config: Config, folder: Path) -> Path:
 
 def _write_simulate(config: Config, results: Path) -> None:
     for one in simulations(config):
+        run = DropAndDrag(one.material, one.friction, one.seed)
         motion = synthetic_cloth.motion(config.simulation.frames, n=11)
         metadata = {
             "material": one.material,
@@ -83,7 +85,7 @@ def _write_simulate(config: Config, results: Path) -> None:
         record = provenance_record(
             "simulate",
             inputs=[results / "calibrate/calibration.json"],
-            config={"simulation": config.simulation},
+            config={"simulation": config.simulation, "catalogue": run.catalogue_entries()},
             seed=one.seed,
         )
         write_trajectory(
@@ -109,6 +111,9 @@ def _write_render(config: Config, results: Path) -> list[Path]:
                 "render": config.render,
                 "sample": {"frames": config.sample.frames},
                 "viewpoint": names[view],
+                "catalogue": catalogue_entries(
+                    [names[view]], config.render.texture_ids().values(), config.render.floors
+                ),
             },
         )
         notes = {

@@ -16,9 +16,9 @@ from PIL import Image, ImageDraw
 
 from slipstitch import theory
 from slipstitch.calibrate.calibration import calibrate, strip_calibration, write_calibration
-from slipstitch.calibrate.settings import BASE, KEYS
 from slipstitch.calibrate.sweep import sweep
 from slipstitch.config import Config, resolve_config
+from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.config.grid import simulations
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds

@@ -21,6 +21,17 @@ PARTS = (
 )
 
 
+def source_with(folder: Path, text: str) -> tuple[Path, str]:
+    """The one file below `folder` that holds `text`, and its content."""
+    contents = {
+        path: path.read_text(encoding="utf-8")
+        for path in folder.rglob("*")
+        if path.suffix in (".py", ".json", ".j2", ".css")
+    }
+    (found,) = (path for path, content in contents.items() if text in content)
+    return found, contents[found]
+
+
 class Workflow:
     """A copy of the project and a folder that its results go to; those that are there are kept."""
 
@@ -86,7 +97,7 @@ class Workflow:
         }
 
     @contextmanager
-    def edited(self, file: str, text: str = "\n# edited\n"):
+    def edited(self, file: str, text: str = "\nEDITED = True\n"):
         """The copied source `file` with `text` appended, for the time of the block."""
         path = self.project / "src" / "slipstitch" / file
         before = path.read_text(encoding="utf-8")
@@ -95,6 +106,16 @@ class Workflow:
             yield
         finally:
             path.write_text(before, encoding="utf-8")
+
+    @contextmanager
+    def reworded(self, old: str, new: str):
+        """The sources with `old`, which one of them holds, replaced for the time of the block."""
+        file, before = source_with(self.project / "src", old)
+        file.write_text(before.replace(old, new, 1), encoding="utf-8")
+        try:
+            yield
+        finally:
+            file.write_text(before, encoding="utf-8")
 
     @contextmanager
     def without(self, file: str):

@@ -6,8 +6,8 @@ from itertools import product
 import pytest
 
 from slipstitch.ablate.catalogue import plan
-from slipstitch.ablate.settings import QUESTIONS, AblateSettings
 from slipstitch.config import resolve_config
+from slipstitch.config.ablate import QUESTIONS, AblateSettings
 from slipstitch.errors import BadInput
 
 VIEWS = ["calibrated", "side"]

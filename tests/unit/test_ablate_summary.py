@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from slipstitch.ablate.page import ablations_page
+from slipstitch.ablate.ablations_page import ablations_page
 from slipstitch.ablate.summary import interval, summarise
 from slipstitch.errors import BadInput
 

@@ -6,14 +6,14 @@ import pytest
 from support import synthetic_videos
 
 from slipstitch.ablate import training
-from slipstitch.ablate.training import answer, lrcn_settings, stages
-from slipstitch.command import main
+from slipstitch.ablate.training import answer, lrcn_settings, phases
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.train.loop import DivergedError
 from slipstitch.train.model_file import load_model
-from slipstitch.train.training import DivergedError
 
 GRID = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.6]}
 
@@ -46,7 +46,7 @@ def passes(schedule):
 @pytest.mark.parametrize("count", [1, 7, 30])
 def test_joint_and_progressive_show_equally_many_videos(views, count):
     names = [f"v{number}" for number in range(views)]
-    progressive, joint = (stages(names, count, 4, how) for how in (False, True))
+    progressive, joint = (phases(names, count, 4, how) for how in (False, True))
     assert passes(progressive) == passes(joint)
     assert progressive[-1] == joint[-1]
     if count == 30:

@@ -4,6 +4,7 @@ import json
 import random
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,18 +14,20 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
 
-from slipstitch.audit import currency, rebuild
+from slipstitch.audit import rebuild, staleness
 from slipstitch.audit.auditing import audit_release
 from slipstitch.audit.contents import read_contents
 from slipstitch.audit.findings import Kind
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
+from slipstitch.material import load_fabric
 from slipstitch.provenance import attach_metadata, file_digest
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
 from slipstitch.release.manifest import sampled_rows
-from slipstitch.sample.dataset import dataset_digest
+from slipstitch.render.surroundings import FLOORS
+from slipstitch.sample.manifest import dataset_digest
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
@@ -411,6 +414,19 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     assert stages == {"simulate"}
 
 
+def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
+    fabrics = {name: load_fabric(name) for name in CONFIG.grid.materials}
+    fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
+    monkeypatch.setattr("slipstitch.material.catalogue._catalogue", lambda: fabrics)
+    monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))
+    audit = audit_release(original)
+    assert audit.verdict == "stale"
+    assert {finding.where for finding in audit.findings} == {"simulate", "render"}
+    (of_simulate,) = (one for one in audit.findings if one.where == "simulate")
+    assert "catalogue.fabrics.ivory-rib-knit: " in of_simulate.what
+    assert len(of_simulate.clips) == 144 / len(CONFIG.grid.materials)
+
+
 def test_one_more_viewpoint_makes_no_shard_stale(original):
     render = CONFIG.render.model_dump() | {"viewpoints": ["calibrated", "frontal", "side"]}
     stages = {
@@ -420,9 +436,9 @@ def test_one_more_viewpoint_makes_no_shard_stale(original):
 
 
 def test_changed_code_makes_its_stage_stale(original, monkeypatch):
-    now = currency.current_digest
+    now = staleness.current_digest
     monkeypatch.setattr(
-        currency,
+        staleness,
         "current_digest",
         lambda stage, root=None: (
             "0" * 64 if stage == "render" and root is None else now(stage, root)
@@ -449,7 +465,7 @@ def test_commit_that_holds_other_code_is_found(original, monkeypatch, tmp_path):
         record.write_text(json.dumps(content))
     reseal(release)
     assert any("abababababab is not in this checkout" in n for n in audit_release(release).notes)
-    monkeypatch.setattr(currency, "_extract", other_code)
+    monkeypatch.setattr(staleness, "_extract", other_code)
     broken = found(release, Kind.BROKEN)
     assert {"simulate", "render", "sample"} & set(broken)
     assert len(broken["simulate"]) == 144

@@ -7,11 +7,11 @@ import pytest
 
 from slipstitch import theory
 from slipstitch.calibrate.calibration import DemandNotMet, calibrate, write_calibration
+from slipstitch.calibrate.calibration_figure import draw_calibration
 from slipstitch.calibrate.experiments import compare, experiments
-from slipstitch.calibrate.picture import draw_calibration
-from slipstitch.calibrate.settings import CalibrateSettings
+from slipstitch.config.calibrate import CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import NotConverged, SlipstitchError
-from slipstitch.simulate.settings import SimulationSettings
 
 SETTINGS = CalibrateSettings()
 SIMULATION = SimulationSettings()

@@ -12,13 +12,13 @@ from slipstitch.calibrate.calibration import (
     strip_calibration,
     sweep_to_file,
 )
-from slipstitch.calibrate.picture import save_figure
-from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
-from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
+from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
 from slipstitch.calibrate.sweep import gamma_of, sweep, variations
 from slipstitch.config import resolve_config
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.page.figures import save_figure
 
 SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 SETTINGS = CalibrateSettings(
@@ -126,7 +126,7 @@ def test_settings_differ_from_the_configured_ones_in_one_key_only():
 
 
 def test_the_strip_is_the_protocol_s():
-    from slipstitch.cloth.solver import GRAVITY_M_S2
+    from slipstitch.bench.gravity import GRAVITY_M_S2
     from slipstitch.protocol import strip
     from slipstitch.protocol.specimen import AREAL_DENSITY_KG_M2
 

@@ -10,7 +10,7 @@ from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.calibration import FloorPlace
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import cloth_room, crop_to

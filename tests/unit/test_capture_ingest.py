@@ -13,12 +13,12 @@ from slipstitch.capture.ingest.dataset import read_known
 from slipstitch.capture.rectification import rectify, source_pixels, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
-from slipstitch.command import main
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
-from slipstitch.render.catalogue import VIEWPOINTS
-from slipstitch.train.videos import read_videos
+from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(
     {

@@ -8,7 +8,7 @@ import pytest
 
 from slipstitch.capture.reference.angles import SlipAngles
 from slipstitch.capture.reference.estimate import estimate
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 
 HEADER = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"

@@ -16,12 +16,12 @@ from slipstitch.capture.surrogate.bench import (
     true_camera,
     write_bench,
 )
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.train.videos import read_videos
+from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config({"simulation": {"frames": 92}})
 

@@ -1,12 +1,15 @@
 """The command line: verbs, exit codes, one line for what is wrong."""
 
+import re
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import pytest
 
-import slipstitch.command as command
+import slipstitch.cli.main as command
+from slipstitch.cli import capture
 from slipstitch.errors import BadInput, NotConverged
 
 VERB = "doctor"  # any verb that exists; its module is replaced below
@@ -15,27 +18,32 @@ VERB = "doctor"  # any verb that exists; its module is replaced below
 @pytest.fixture
 def verb(monkeypatch):
     """Replace the verb's module; the test says what it does."""
-    module = types.ModuleType("slipstitch.doctor.command")
+    module = types.ModuleType("slipstitch.cli.doctor")
     module.SUMMARY, module.EXAMPLE = "a verb", "slipstitch doctor --size 3"
     module.configure = lambda parser: parser.add_argument("--size", type=int)
     module.run = lambda arguments: None
-    monkeypatch.setitem(sys.modules, "slipstitch.doctor.command", module)
+    monkeypatch.setitem(sys.modules, "slipstitch.cli.doctor", module)
     return module
 
 
 def test_overview_names_every_verb_with_its_summary(capsys):
     assert command.main(["--help"]) == 0
     shown = capsys.readouterr().out
-    assert "doctor" in command.verbs()
-    for name in command.verbs():
+    assert "doctor" in command.VERBS
+    for name in command.VERBS:
         assert command.summary(name), name
         assert f"{name} " in shown
         assert command.summary(name) in shown
 
 
-def test_verbs_are_in_the_order_of_the_chain():
-    known = [name for name in command.ORDER if name in command.verbs()]
-    assert command.verbs()[: len(known)] == known
+def test_every_file_beside_the_program_is_a_verb_and_every_verb_has_one():
+    files = {file.stem for file in Path(command.__file__).parent.glob("*.py")}
+    kinds = {f"capture_{kind}" for kind in capture.KINDS}
+    assert files - {"__init__", "main", "options"} - kinds == {
+        *command.VERBS,
+        *command.WORKFLOW_VERBS,
+    }
+    assert kinds <= files
 
 
 def test_no_verb_is_bad_usage(capsys):
@@ -104,9 +112,19 @@ def test_bad_usage_of_a_verb_is_one_line(verb, capsys, words):
     assert line.count("\n") == 1
 
 
+def test_only_the_command_line_knows_of_options_and_nothing_depends_on_it():
+    package = Path(command.__file__).parents[1]
+    for source in sorted(package.rglob("*.py")):
+        name = source.relative_to(package).as_posix()
+        if name.startswith("cli/") or name in ("__main__.py", "criticise/measured/__main__.py"):
+            continue
+        found = re.search(r"(import argparse|(from|import) slipstitch\.cli)", source.read_text())
+        assert found is None, name
+
+
 def test_overview_imports_nothing_heavy():
     code = (
-        "import sys; from slipstitch.command import main; main(['--help'])\n"
+        "import sys; from slipstitch.cli.main import main; main(['--help'])\n"
         "heavy = {'numpy', 'torch', 'bpy', 'warp', 'pyarrow', 'pydantic'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)"
     )
@@ -115,7 +133,7 @@ def test_overview_imports_nothing_heavy():
 
 
 def test_help_of_every_verb_shows_a_real_example(capsys):
-    for name in command.verbs():
+    for name in command.VERBS:
         assert command.main([name, "--help"]) == 0
         assert f"slipstitch {name}" in capsys.readouterr().out.split("example:")[1]
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
 from slipstitch.config.schema import schema_text
 from slipstitch.errors import BadInput
@@ -164,7 +165,7 @@ def test_written_configuration_holds_every_key(tmp_path):
 def test_schema_file_is_the_one_of_the_types():
     file = ROOT / "workflow/schemas/config.schema.json"
     assert file.read_text(encoding="utf-8") == schema_text(), (
-        f"write it anew: python -m slipstitch.config.schema > {file.relative_to(ROOT)}"
+        f"write it anew: slipstitch schema > {file.relative_to(ROOT)}"
     )
 
 
@@ -176,3 +177,17 @@ def test_schema_accepts_the_scales_and_refuses_what_the_types_refuse():
         validator.validate(read_mapping(ROOT / scale))
     for bad in ({"grid": {"friction": [0.1]}}, {"grid": {"frictions": [-0.1]}}, {"seed": "one"}):
         assert not validator.is_valid(bad)
+
+
+def test_the_stage_moves_as_in_the_paper_unless_told_otherwise(tmp_path):
+    assert StagePath(**dict(Config().simulation.stage)) == StagePath()
+    faster = write(tmp_path / "faster.yaml", "simulation: {stage: {speed_m_s: 0.02}}\n")
+    path = StagePath(**dict(load_config(faster).simulation.stage))
+    assert path == StagePath(speed_m_s=0.02)
+    assert path.duration_s < StagePath().duration_s
+
+
+def test_clamps_that_would_hit_the_floor_are_refused(tmp_path):
+    low = write(tmp_path / "low.yaml", "simulation: {stage: {drop_m: 0.21}}\n")
+    with pytest.raises(BadInput, match=r"simulation\.stage: drop_m must be less"):
+        load_config(low)

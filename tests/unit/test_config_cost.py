@@ -3,7 +3,7 @@
 import pytest
 
 from slipstitch.config import resolve_config
-from slipstitch.config.cost import (
+from slipstitch.doctor.cost import (
     COSTS,
     JOB_KINDS,
     estimate,

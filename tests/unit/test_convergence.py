@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import resolve_config
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
-from slipstitch.convergence.picture import convergence_figure
+from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import (
     SHIFT_MAX_S,
     common_vertices,
@@ -16,9 +18,7 @@ from slipstitch.convergence.study import (
     events,
 )
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.convergence import measured_convergence
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
 CONFIG = resolve_config(

@@ -1,12 +1,15 @@
 """``slipstitch doctor``: finds what is missing and says how to get it."""
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from slipstitch.command import main
-from slipstitch.doctor import checks, command
+from slipstitch.cli import doctor
+from slipstitch.cli.main import main
+from slipstitch.doctor import checks
 from slipstitch.doctor.checks import Finding, State
 
 ROOT = Path(__file__).parents[2]
@@ -20,9 +23,19 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
     assert len(shown.splitlines()) <= 24  # one screen
 
 
+def test_before_anything_is_installed_it_says_what_is_missing():
+    words = [sys.executable, "-S", "-m", "slipstitch", "doctor"]  # -S: no site-packages
+    answer = subprocess.run(
+        words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == ""
+    assert "MISSING packages" in answer.stdout
+
+
 def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
     finding = Finding("Blender", State.MISSING, "import bpy: no such module", "make setup")
-    monkeypatch.setattr(command, "examine", lambda: [finding])
+    monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert main(["doctor"]) == 1
     shown = capsys.readouterr().out
     assert "MISSING Blender" in shown
@@ -30,7 +43,7 @@ def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
 
 
 def test_something_worth_a_note_is_no_failure(monkeypatch):
-    monkeypatch.setattr(command, "examine", lambda: [Finding("GPU", State.NOTE, "none")])
+    monkeypatch.setattr(doctor, "examine", lambda: [Finding("GPU", State.NOTE, "none")])
     assert main(["doctor"]) == 0
 
 

@@ -8,13 +8,13 @@ import pytest
 from support import analytic_stage as stage
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, distance, subsets
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.render.camera import pose
-from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.training import train_network
 

@@ -9,17 +9,17 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import NETWORKS, SPLITS
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import read_provenance
 from slipstitch.sample.dataset import write_dataset
-from slipstitch.train.settings import NETWORKS, SPLITS
 from slipstitch.train.training import train_network
 
 CONFIG = synthetic_videos.config(

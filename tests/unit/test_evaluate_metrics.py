@@ -17,7 +17,7 @@ from slipstitch.evaluate.metrics import (
     steps_off,
     top_k,
 )
-from slipstitch.evaluate.wording import number, percent, seeds_in_words
+from slipstitch.page.wording import number, percent, seeds_in_words
 
 GRID = np.arange(16) * 0.1
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
+from slipstitch.bench.extended_model import read_extended_model
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
-from slipstitch.protocol.extended_model import read_extended_model
 from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
-from slipstitch.simulate.settings import SimulationSettings
 
 MODEL = {
     "causes": ["adhesion", "tilt"],
@@ -31,9 +32,9 @@ def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
     assert (model.mass_error, model.bending_error) == (0.1, 0.0)
     assert model.readings == {"camera_scale": 1.02}
     assert model.law_at(0.7).coefficient == 0.7
-    gravity = model.gravity_m_s2(9.81)
-    assert gravity[0] == pytest.approx(9.81 * np.sin(0.02))
-    assert np.linalg.norm(gravity) == pytest.approx(9.81)
+    gravity = model.gravity_m_s2(GRAVITY_M_S2)
+    assert gravity[0] == pytest.approx(GRAVITY_M_S2 * np.sin(0.02))
+    assert np.linalg.norm(gravity) == pytest.approx(GRAVITY_M_S2)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from safetensors.torch import save_file
 from support import fuzzing
 
 from slipstitch.capture.camera.views import _frames
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, check_image, file_digest, read_parquet, write_parquet
 from slipstitch.train.model_file import load_model
@@ -231,7 +231,7 @@ def test_the_machine_refusing_is_one_line(tmp_path):
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096));"
-        "from slipstitch.command import main; sys.exit(main(sys.argv[1:]))"
+        "from slipstitch.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
     words = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--set", "frames=2",
              "--set", "vertices_per_side=9", "--out", str(tmp_path / "x.parquet")]  # fmt: skip

@@ -9,12 +9,12 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
 from slipstitch.instrument.measuring import CARD, WEIGHTS, save_instrument, untrained_instrument
 from slipstitch.instrument.network import shifted_in_time
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.train.model_file import write_weights
 
 SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
@@ -43,8 +43,8 @@ def test_an_untrained_instrument_is_well_formed_and_says_that_it_knows_nothing(f
     assert measured.interval_90 == (0.0, 1.5)
     assert 0.0 <= measured.friction_coefficient <= 1.5
     assert set(measured.material_probabilities) == set(FABRICS)
-    assert measured.moments.shape == (6,)
-    assert measured.moments.sum() == pytest.approx(1.0)
+    assert measured.attention_weights.shape == (6,)
+    assert measured.attention_weights.sum() == pytest.approx(1.0)
     assert measured.alarm
     assert "not calibrated" in measured.alarm_reason
 

@@ -10,25 +10,26 @@ import pytest
 import torch
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument import training as training_module
 from slipstitch.instrument.augmentation import disordered, phased
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.instrument.training import (
     chance_score,
     losses,
     train_instrument,
-    training_looks,
+    training_views,
 )
 from slipstitch.provenance import attach_metadata
-from slipstitch.sample.dataset import dataset_digest, write_dataset
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.manifest import dataset_digest
+from slipstitch.sample.videos import read_videos
 from slipstitch.train.curves import curve
-from slipstitch.train.training import DivergedError, PlateauError
-from slipstitch.train.videos import read_videos
+from slipstitch.train.loop import DivergedError, PlateauError
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
@@ -258,12 +259,12 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
     settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, 2, 24)
-    looks, ordered = training_looks(frames[:8], 6, settings, np.random.default_rng(0))
+    views, ordered = training_views(frames[:8], 6, settings, np.random.default_rng(0))
     gradients = []
     for bfloat16 in (False, True):
         network.zero_grad()
         part = losses(
-            network, looks, torch.linspace(0.2, 0.8, 8), torch.arange(8) % 2, ordered, bfloat16
+            network, views, torch.linspace(0.2, 0.8, 8), torch.arange(8) % 2, ordered, bfloat16
         )
         (part["friction"] / 0.15 + 0.1 * part["material"] + 0.1 * part["order"]).backward()
         gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))

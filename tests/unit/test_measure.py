@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from support import analytic_stage as stage
 
-from slipstitch.command import main
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.render.camera import pose
-from slipstitch.render.catalogue import VIEWPOINTS
 
 START_S = 3.1
 LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))

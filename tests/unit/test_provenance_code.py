@@ -25,6 +25,8 @@ FILES = {
     "slipstitch/material/__init__.py": "from slipstitch.material.law import *",
     "slipstitch/material/law.py": "import slipstitch.render",  # a cycle must not matter
     "slipstitch/material/fabrics.json": "{}",
+    "slipstitch/cli/__init__.py": "",
+    "slipstitch/cli/render.py": "import slipstitch.render.images",
     "slipstitch/cloth/__init__.py": "",
     "slipstitch/train/__init__.py": "",
     "slipstitch/train/settings.py": "",
@@ -68,7 +70,7 @@ def test_sources_are_the_package_and_what_it_imports(tree):
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_digest_changes_with_each_of_these_and_with_no_other(tree, name):
     before = digest("render", tree)
-    (tree / name).write_text(FILES[name] + "\n# edited\n", encoding="utf-8")
+    (tree / name).write_text(FILES[name] + "\nEDITED = 1\n", encoding="utf-8")
     assert (digest("render", tree) != before) == (name in OF_RENDER)
 
 
@@ -100,6 +102,61 @@ def test_moving_code_between_files_changes_the_digest(tree):
 def test_unknown_stage_is_an_error(tree):
     with pytest.raises(ModuleNotFoundError, match=r"slipstitch\.rende"):
         code_sources("rende", tree)
+
+
+def test_a_table_counts_where_it_is_named_or_where_no_module_names_any(tree):
+    before = digest("render", tree)
+    # A module that render never imports is the only one that names it.
+    (tree / "slipstitch/material/other.py").write_text("FILE = 'fabrics.json'", encoding="utf-8")
+    assert digest("render", tree) != before
+    assert "fabrics.json" not in {path.name for path in code_sources("render", tree)}
+    law = tree / "slipstitch/material/law.py"
+    law.write_text(law.read_text() + "\nFILE = 'fabrics.json'", encoding="utf-8")
+    assert "fabrics.json" in {path.name for path in code_sources("render", tree)}
+
+
+CONFIGURATION = '''
+from typing import Annotated
+from pydantic import BaseModel, Field, field_validator
+Size = Annotated[int, Field(ge=1)]
+class Settings(BaseModel):
+    """Words."""
+    pixels: Size = Field(64, ge=16, description="of the image")
+    @property
+    def side(self): return _half(self.pixels) * 2
+    def unused(self): return 3
+    @field_validator("pixels")
+    def _even(cls, value): return value
+def _half(x): return x / 2
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reruns"),
+    [
+        ("* 2", "* 3", True),
+        ("x / 2", "x / 4", True),
+        ("return 3", "return 4", False),
+        ("of the image", "of the images", False),
+        ("ge=16", "ge=8", False),
+        ("ge=1)", "ge=2)", False),
+        ("64", "32", False),  # compared as a value
+        ("    @property", "    more: int = 1\n    @property", False),
+        ("return value", "return value + 0", False),
+        ("Words", "Other words", False),
+    ],
+)
+def test_the_configuration_counts_where_it_computes(tree, old, new, reruns):
+    (tree / "slipstitch/config/images.py").write_text(CONFIGURATION, encoding="utf-8")
+    (tree / "slipstitch/render/images.py").write_text(
+        "def draw(settings): return settings.side", encoding="utf-8"
+    )
+    before = {stage: digest(stage, tree) for stage in ("render", "train")}
+    assert CONFIGURATION.count(old) == 1
+    edited = CONFIGURATION.replace(old, new)
+    (tree / "slipstitch/config/images.py").write_text(edited, encoding="utf-8")
+    assert (digest("render", tree) != before["render"]) == reruns
+    assert digest("train", tree) == before["train"]
 
 
 def test_digest_of_the_real_stages_is_the_same_in_another_process():

@@ -16,14 +16,14 @@ import pytest
 import yaml
 from support import synthetic_chain
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import attach_metadata, read_metadata
 from slipstitch.release import assembly
 from slipstitch.release.assembly import write_release
-from slipstitch.release.chain import rows_digest
 from slipstitch.release.checksums import SUMS, read_sums
-from slipstitch.release.manifest import read_sampled, sampled_rows
+from slipstitch.release.manifest import sampled_rows
+from slipstitch.release.records import rows_digest
 from slipstitch.release.splits import (
     parts,
     parts_of_splits,
@@ -31,7 +31,8 @@ from slipstitch.release.splits import (
     unseen_fabrics,
     unseen_frictions,
 )
-from slipstitch.sample.dataset import dataset_digest, pixels_digest
+from slipstitch.sample.images import pixels_digest
+from slipstitch.sample.manifest import dataset_digest, read_manifest
 from slipstitch.sample.shards import decode
 
 ROOT = Path(__file__).parents[2]
@@ -98,7 +99,7 @@ def test_sampled_manifest_can_be_had_back(release, results, manifest):
     sampled = results / "sample/manifest.parquet"
     notes = read_metadata(release / "manifest.parquet")
     rows = sampled_rows(manifest, notes["sampled_columns"])
-    assert rows == read_sampled(sampled)
+    assert rows == read_manifest(sampled.parent)[0]
     assert dataset_digest(rows) == read_metadata(sampled)["dataset_digest"]
 
 
@@ -366,6 +367,12 @@ def test_other_configuration_than_the_results_were_made_with_is_refused(results,
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
     with pytest.raises(BadInput, match=r"another configuration: sample.test_fraction: 0.1 -> 0.3"):
         write_release(other, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr("slipstitch.release.currency.fabric_digest", lambda name: "0" * 64)
+    with pytest.raises(BadInput, match=r"another catalogue: catalogue\.fabrics\."):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
 def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):

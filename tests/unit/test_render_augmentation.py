@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from slipstitch.catalogue import FLOORS
+from slipstitch.config.render import AugmentationSettings, RenderSettings
 from slipstitch.render.augmentation import Augmentation, draw_augmentation
-from slipstitch.render.catalogue import FLOORS
 from slipstitch.render.encoding import encode_srgb
-from slipstitch.render.settings import AugmentationSettings, RenderSettings
 from slipstitch.render.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 
 LIGHT = np.random.default_rng(0).uniform(0.1, 0.6, (24, 24, 3))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support import synthetic_cloth
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.camera import Camera, cloth_room, crop_to
-from slipstitch.render.catalogue import VIEWPOINTS
 
 
 def view(pixels, name="calibrated", x=0.1):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.render.camera import AIM_M, cloth_room, crop_to, pose, turned
-from slipstitch.render.catalogue import VIEWPOINTS
 
 
 @pytest.mark.parametrize("name", VIEWPOINTS)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.render.blender import ClothScene
 from slipstitch.render.camera import crop_to
-from slipstitch.render.catalogue import VIEWPOINTS
 from slipstitch.render.mirrored_light import glint_share
 from slipstitch.render.surroundings import FLOOR_M, Surroundings
 

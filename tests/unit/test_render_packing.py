@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_cloth
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.provenance import read_metadata, read_provenance, read_sidecar
 from slipstitch.render import verification
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
@@ -82,7 +82,7 @@ def test_textures_are_put_on_without_blender(work):
     words = compose_words(work, "v00", config="more.json", out_dir="more")
     code = (
         "import sys; sys.modules['bpy'] = None\n"
-        f"from slipstitch.command import main; sys.exit(main({words!r}))"
+        f"from slipstitch.cli.main import main; sys.exit(main({words!r}))"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr

@@ -3,8 +3,8 @@
 import pytest
 from pydantic import ValidationError
 
-from slipstitch.render.catalogue import TEST_ONLY_TEXTURES, TEXTURES, VIEWPOINTS
-from slipstitch.render.settings import RenderSettings
+from slipstitch.catalogue import TEST_ONLY_TEXTURES, TEXTURES, VIEWPOINTS
+from slipstitch.config.render import RenderSettings
 
 
 def test_there_are_eight_training_textures_and_one_for_testing_only():

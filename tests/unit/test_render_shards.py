@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_cloth
 
-from slipstitch.command import main
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.cli.main import main
 from slipstitch.provenance import read_metadata, read_sidecar
 from slipstitch.render import shards
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import write_camera_file
-from slipstitch.render.catalogue import VIEWPOINTS
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
 
 FRAMES, SAMPLED = 12, 4

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from slipstitch.catalogue import TEXTURES
 from slipstitch.errors import BadInput
-from slipstitch.render.catalogue import TEXTURES
 from slipstitch.render.textures import texture
 
 

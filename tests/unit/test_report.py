@@ -15,10 +15,11 @@ import pytest
 from PIL import Image
 from support import synthetic_results
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
-from slipstitch.evaluate.wording import percent
+from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures import floors_in_words, training_floors
@@ -31,8 +32,7 @@ from slipstitch.report.page import (
     write_report,
 )
 from slipstitch.report.results import Results
-from slipstitch.report.wording import duration, evenly
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.sample.manifest import write_manifest
 
 CONFIG = synthetic_results.config()
 NOW = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -213,7 +213,7 @@ def with_reflective_floors(whole, folder, seeds=(1,)):
         for row in rows:
             if row["simulation"] == simulation and number % 2:
                 row |= {"floor": "glass", "floor_reflectance": 0.04}
-    pq.write_table(pa.Table.from_pylist(rows), folder / "sample" / "manifest.parquet")
+    write_manifest(rows, folder / "sample", {})
 
 
 def test_the_papers_last_curve_is_of_a_run_with_reflective_floors(whole, tmp_path, monkeypatch):

@@ -9,12 +9,12 @@ import pytest
 from PIL import Image
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
-from slipstitch.sample.frames import sampled_frames
 
 synthetic = synthetic_videos
 

@@ -6,8 +6,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.errors import BadInput
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.sample.splits import (
     check_no_simulation_on_both_sides,
     split_by_simulation,

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config.grid import simulations
 from slipstitch.config.load import read_mapping, resolve_config
 from slipstitch.errors import NotConverged

@@ -7,16 +7,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import Config, write_config
-from slipstitch.config.cost import JOB_KINDS, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, job_cpu_s
+from slipstitch.page.wording import duration
 from slipstitch.report.page import page_context, render_page
 from slipstitch.report.results import Results
 from slipstitch.status.journal import Journal, process_identity
-from slipstitch.status.page import duration, text
 from slipstitch.status.runs import failures, last_failures, last_lines, read_runs
 from slipstitch.status.schedule import finish_times_s
 from slipstitch.status.state import Expectation, Measured, stage_of, status
+from slipstitch.status.status_text import text
 
 NAMES = ("m00_f00_r00", "m00_f01_r00", "m00_f02_r00", "m00_f03_r00")
 
@@ -288,4 +289,9 @@ def test_a_small_job_passes_one_that_finds_too_few_cores():
 
 
 def test_durations_read_well():
-    assert [duration(value) for value in (None, 5.2, 600, 7200)] == ["?", "5 s", "10 min", "2.0 h"]
+    assert [duration(value, 0, "?") for value in (None, 5.2, 600, 7200)] == [
+        "?",
+        "5 s",
+        "10 min",
+        "2.0 h",
+    ]

@@ -1,21 +1,24 @@
 """The network is the paper's as far as it is known, and computes what it says."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 from support import synthetic_videos
 
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
+from slipstitch.train.classes import chance_loss
 from slipstitch.train.network import (
+    ARCHITECTURES,
     LRCN,
-    chance_loss,
-    computes_bfloat16,
+    build_network,
+    class_probabilities,
     cross_entropy,
-    probabilities,
 )
-from slipstitch.train.settings import TrainSettings
+from slipstitch.train.torch_setup import computes_bfloat16
 
 synthetic = synthetic_videos
 torch.set_num_threads(1)  # threads that wait for one another: 20 times slower on a busy machine
@@ -23,7 +26,7 @@ torch.set_num_threads(1)  # threads that wait for one another: 20 times slower o
 
 def network(pixels=16, classes=4, condition_classes=0, **changes):
     torch.manual_seed(0)
-    return LRCN(TrainSettings(**changes), classes, pixels, condition_classes)
+    return build_network(TrainSettings(**changes), classes, pixels, condition_classes)
 
 
 def frames(videos=2, count=5, pixels=16):
@@ -55,8 +58,13 @@ def test_every_switch_gives_probabilities(changes):
     net = network(**changes).eval()
     logits = net(frames())
     assert logits.shape == (2, 5 if changes.get("outputs") == "all" else 1, 4)
-    shares = probabilities(logits)
-    assert torch.allclose(shares.sum(1), torch.ones(2)) and shares.min() > 0
+    probabilities = class_probabilities(logits)
+    assert torch.allclose(probabilities.sum(1), torch.ones(2)) and probabilities.min() > 0
+
+
+def test_every_architecture_of_the_settings_can_be_built():
+    names = get_args(TrainSettings.model_fields["architecture"].annotation)
+    assert set(names) == set(ARCHITECTURES)
 
 
 def test_frames_too_small_for_the_blocks_are_refused():
@@ -151,7 +159,9 @@ def test_answers_in_bfloat16_are_nearly_those_in_float32():
     video = drawn_videos(4)
     net = trained(network(64, dropout=0.0), video, 10).eval()
     with torch.inference_mode():
-        exact, rounded = (probabilities(net(video, None, bfloat16)) for bfloat16 in (False, True))
+        exact, rounded = (
+            class_probabilities(net(video, None, bfloat16)) for bfloat16 in (False, True)
+        )
     assert (exact - rounded).abs().max() < 0.02
 
 

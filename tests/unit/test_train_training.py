@@ -9,22 +9,17 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import attach_metadata, read_sidecar
-from slipstitch.sample.dataset import dataset_digest, write_dataset
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.manifest import dataset_digest
+from slipstitch.sample.videos import read_videos
+from slipstitch.train.loop import DivergedError, Phase, PlateauError
 from slipstitch.train.model_file import load_model
-from slipstitch.train.settings import TrainSettings
-from slipstitch.train.training import (
-    DivergedError,
-    PlateauError,
-    Stage,
-    learning_rate,
-    schedule,
-    train_network,
-)
-from slipstitch.train.videos import read_videos
+from slipstitch.train.training import learning_rate, progressive_schedule, train_network
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]
@@ -77,22 +72,25 @@ def altered_copy(dataset, folder, change, renew_digest=True):
 
 def test_the_schedule_adds_a_viewpoint_each_cycle_and_ends_on_the_calibrated_one():
     settings = TrainSettings(epochs_per_cycle=5, fine_tuning_epochs=2)
-    stages = [(stage.viewpoints, stage.epochs) for stage in schedule(settings, ["a", "b", "c"])]
-    assert stages == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
+    phases = [
+        (phase.viewpoints, phase.epochs)
+        for phase in progressive_schedule(settings, ["a", "b", "c"])
+    ]
+    assert phases == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
 
 
 def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuning():
     settings = TrainSettings(learning_rate=2.0, annealed_share=0.1, fine_tuning_epochs=2)
-    stages = schedule(settings, ["a", "b"])
+    phases = progressive_schedule(settings, ["a", "b"])
 
-    def rates(settings, stage):
-        return [learning_rate(settings, stages, stage, done) for done in (0.0, 0.5, 1.0)]
+    def rates(settings, phase):
+        return [learning_rate(settings, phases, phase, done) for done in (0.0, 0.5, 1.0)]
 
-    assert rates(settings, stages[0]) == pytest.approx([2.0, 2.0, 2.0])
-    assert rates(settings, stages[1]) == pytest.approx([2.0, 1.1, 0.2])
-    assert rates(settings, stages[2]) == pytest.approx([0.2, 0.2, 0.2])
+    assert rates(settings, phases[0]) == pytest.approx([2.0, 2.0, 2.0])
+    assert rates(settings, phases[1]) == pytest.approx([2.0, 1.1, 0.2])
+    assert rates(settings, phases[2]) == pytest.approx([0.2, 0.2, 0.2])
     constant = settings.model_copy(update={"annealed_share": 1.0})
-    assert [rates(constant, stage) for stage in stages] == [[2.0, 2.0, 2.0]] * 3
+    assert [rates(constant, phase) for phase in phases] == [[2.0, 2.0, 2.0]] * 3
 
 
 @pytest.mark.parametrize("split", ["by_video", "by_simulation"])
@@ -121,11 +119,11 @@ def test_a_network_may_be_told_the_true_materials(dataset, tmp_path):
     assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
 
 
-def test_a_training_may_use_part_of_the_videos_in_stages_of_its_own(dataset, tmp_path):
+def test_a_training_may_use_part_of_the_videos_in_phases_of_its_own(dataset, tmp_path):
     card = train(
         dataset,
         tmp_path,
-        stages=[Stage("joint", ("calibrated", "side"), 2)],
+        phases=[Phase("joint", ("calibrated", "side"), 2)],
         uses=lambda row: row["texture"] == "tartan",
         changes={"plateau_margin": None},
     )

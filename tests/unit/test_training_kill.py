@@ -11,7 +11,7 @@ import pytest
 from safetensors import SafetensorError, safe_open
 from support import synthetic_videos
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.checkpoint import CHECKPOINT

@@ -88,28 +88,28 @@ def test_second_run_does_nothing(chain, results):
 
 
 def test_edited_render_code_reruns_render_and_what_follows(chain):
-    with chain.edited("render/command.py"):
+    with chain.edited("render/shards.py"):
         pending = chain.pending()
     assert stages(pending) == AFTER_SIMULATE
     assert chain.pending() == set()
 
 
 def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
-    with chain.edited("simulate/command.py"):
+    with chain.edited("simulate/drop_and_drag.py"):
         assert stages(chain.pending()) >= {"simulate"} | AFTER_SIMULATE
 
 
 def test_edited_train_code_reruns_training_and_what_follows(chain):
-    with chain.edited("train/command.py"):
-        assert stages(chain.pending()) == {"train", "evaluate", "report"}
+    with chain.edited("train/training.py"):  # of which the instrument's training is made, too
+        assert stages(chain.pending()) == {"train", "instrument", "evaluate", "report"}
 
 
 def test_edited_report_code_reruns_the_report(chain):
-    with chain.edited("report/command.py"):
+    with chain.edited("report/page.py"):
         assert stages(chain.pending()) == {"report"}
 
 
-@pytest.mark.parametrize("file", ["config/cost.py", "doctor/checks.py", "command.py"])
+@pytest.mark.parametrize("file", ["doctor/cost.py", "doctor/checks.py", "cli/main.py"])
 def test_edited_code_that_no_result_depends_on_reruns_nothing(chain, file):
     with chain.edited(file):
         assert chain.pending() == set()

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from slipstitch.command import main
+from slipstitch.cli.main import main
 
 pytestmark = pytest.mark.xdist_group("chain")
 

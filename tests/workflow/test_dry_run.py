@@ -5,7 +5,7 @@ import re
 import pytest
 
 from slipstitch.config import load_config
-from slipstitch.config.cost import estimate, estimate_line
+from slipstitch.doctor.cost import estimate, estimate_line
 
 pytestmark = pytest.mark.xdist_group("dry_run")
 

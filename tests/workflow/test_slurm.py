@@ -18,7 +18,7 @@ from support import equal_results
 from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
-from slipstitch.config.cost import JOB_KINDS, job_memory_mb, job_runtime_min
+from slipstitch.doctor.cost import JOB_KINDS, job_memory_mb, job_runtime_min
 from slipstitch.status.state import kind_of, read_benchmark
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]

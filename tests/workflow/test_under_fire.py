@@ -48,7 +48,7 @@ def small_disk(folder: Path, size: str):
 
 # Every writing stage; {out} lies on a disk without a free byte.
 WRITERS = {
-    "grid": ["python", "-m", "slipstitch.config.grid", *CONFIG, "--out", "{out}/g.parquet"],
+    "grid": ["slipstitch", "grid", *CONFIG, "--out", "{out}/g.parquet"],
     "calibrate": ["slipstitch", "calibrate", *CONFIG, "--sweep", "damping_s", "--out",
                   "{out}/s.json"],
     "simulate": ["slipstitch", "simulate", "--material", "gray-interlock", "--friction", "0.3",

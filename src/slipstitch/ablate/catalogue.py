@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slipstitch.ablate.settings import AblateSettings
+from slipstitch.config.ablate import AblateSettings
 from slipstitch.errors import BadInput
-from slipstitch.train.videos import takes_part
+from slipstitch.sample.videos import takes_part
 
 Row = dict[str, Any]
 
@@ -72,7 +72,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Videos:
+class Candidates:
     """What of a manifest may train and test, from some viewpoints."""
 
     training: list[Row]
@@ -119,7 +119,7 @@ def plan(
     """
     views = list(viewpoints) if question == "schedule" else list(viewpoints[:1])
     usable = [row for row in rows if takes_part(row) and row["viewpoint"] in views]
-    videos = Videos(
+    videos = Candidates(
         training=[row for row in usable if row["split_by_simulation"] == "train"],
         held_out=[row for row in usable if row["split_by_simulation"] != "train"],
     )
@@ -130,7 +130,7 @@ def plan(
     return _PLANS[question](videos, views, settings, generator)
 
 
-def diversity(videos: Videos, views: list[str], settings: AblateSettings, generator) -> Plan:
+def diversity(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
     """Replicates against textures at an equal number of videos.
 
     Both variants see every texture equally often: the replicates' textures are dealt among them.
@@ -153,7 +153,7 @@ def diversity(videos: Videos, views: list[str], settings: AblateSettings, genera
         for of_pair in drawn.values()
         for simulation, texture in zip(of_pair, generator.permutation(textures), strict=True)
     }
-    one = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
+    first_only = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
     return Plan(
         asks="What is a further video worth: a new replicate, or a new texture of the same one?",
         viewpoints=views,
@@ -163,20 +163,22 @@ def diversity(videos: Videos, views: list[str], settings: AblateSettings, genera
                 f"{count} replicates in one texture each",
                 _ids(videos.training, many),
             ),
-            Variant("textures", f"one replicate in {count} textures", _ids(videos.training, one)),
+            Variant(
+                "textures", f"one replicate in {count} textures", _ids(videos.training, first_only)
+            ),
         ],
         tests={"held-out": _tests(videos, lambda row: row["texture_id"] in textures)},
         networks=settings.networks,
     )
 
 
-def conditioning(videos: Videos, views: list[str], settings: AblateSettings, generator) -> Plan:
+def conditioning(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
     """Nothing, the predicted or the true material told to the friction network."""
     materials = {row["material_id"] for row in videos.training}
     if len(materials) < 2:
         raise BadInput(f"conditioning: 2 training materials are needed, not {len(materials)}")
     chosen = _dealt(videos, settings, generator)
-    said = {
+    phrases = {
         "none": "no word of the material",
         "predicted": "the predicted material",
         "true": "the true material",
@@ -186,14 +188,14 @@ def conditioning(videos: Videos, views: list[str], settings: AblateSettings, gen
         viewpoints=views,
         variants=[
             Variant(name, phrase, chosen, condition=name)  # type: ignore[arg-type]
-            for name, phrase in said.items()
+            for name, phrase in phrases.items()
         ],
         tests={"held-out": _tests(videos)},
         networks=_lrcn("conditioning", settings),
     )
 
 
-def schedule(videos: Videos, views: list[str], settings: AblateSettings, generator) -> Plan:
+def schedule(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
     """One viewpoint more each cycle, against all from the first epoch."""
     if len(views) < 2:
         raise BadInput(f"schedule: 2 training viewpoints are needed, not {len(views)}")
@@ -213,10 +215,12 @@ def schedule(videos: Videos, views: list[str], settings: AblateSettings, generat
     )
 
 
-def initialisation(videos: Videos, views: list[str], settings: AblateSettings, generator) -> Plan:
+def initialisation(
+    videos: Candidates, views: list[str], settings: AblateSettings, generator
+) -> Plan:
     """How the weights are drawn."""
     chosen = _dealt(videos, settings, generator)
-    said = {
+    phrases = {
         "he": "He's initialisation",
         "glorot": "Glorot's initialisation",
         "pytorch": "PyTorch's own initialisation",
@@ -226,14 +230,14 @@ def initialisation(videos: Videos, views: list[str], settings: AblateSettings, g
         viewpoints=views,
         variants=[
             Variant(name, phrase, chosen, changes={"initialisation": name})
-            for name, phrase in said.items()
+            for name, phrase in phrases.items()
         ],
         tests={"held-out": _tests(videos)},
         networks=_lrcn("initialisation", settings),
     )
 
 
-def floors(videos: Videos, views: list[str], settings: AblateSettings, generator) -> Plan:
+def floors(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
     """Matte floors only, against half of them exchanged for mirroring ones.
 
     Each exchanged simulation makes room for one with the same friction coefficient, and the same
@@ -311,7 +315,7 @@ def _lrcn(question: str, settings: AblateSettings) -> list[str]:
     return ["lrcn"]
 
 
-def _dealt(videos: Videos, settings: AblateSettings, generator) -> frozenset[str]:
+def _dealt(videos: Candidates, settings: AblateSettings, generator) -> frozenset[str]:
     """All training simulations, each in so many textures as the settings say."""
     simulations = [row for of_pair in videos.simulations().values() for row in of_pair]
     return _ids_of(videos, simulations, _deal(simulations, videos.textures, settings, generator))
@@ -338,7 +342,9 @@ def _deal(
     return dealt
 
 
-def _ids_of(videos: Videos, simulations: list[Row], dealt: dict[str, list[str]]) -> frozenset[str]:
+def _ids_of(
+    videos: Candidates, simulations: list[Row], dealt: dict[str, list[str]]
+) -> frozenset[str]:
     wanted = {
         (row["simulation"], texture) for row in simulations for texture in dealt[row["simulation"]]
     }
@@ -352,5 +358,5 @@ def _ids(rows: list[Row], wanted: set[tuple[str, str]]) -> frozenset[str]:
     )
 
 
-def _tests(videos: Videos, counts: Callable[[Row], bool] = lambda row: True) -> frozenset[str]:
+def _tests(videos: Candidates, counts: Callable[[Row], bool] = lambda row: True) -> frozenset[str]:
     return frozenset(row["video"] for row in videos.held_out if counts(row))

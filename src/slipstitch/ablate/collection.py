@@ -5,8 +5,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from slipstitch.ablate.page import ablations_page
-from slipstitch.ablate.settings import QUESTIONS
+from slipstitch.ablate.ablations_page import ablations_page
 from slipstitch.ablate.summary import summarise
 from slipstitch.config import Config
 from slipstitch.errors import BadInput
@@ -37,7 +36,7 @@ def write_summary(
     started = start_clock()
     paths = [
         Path(folder) / question / f"seed{seed}.json"
-        for question in config.ablate.questions or QUESTIONS
+        for question in config.ablate.asked
         for seed in config.ablate.seeds
     ]
     summary = summarise([_answer(path) for path in paths], config.evaluate.friction_step)

@@ -13,7 +13,12 @@ import numpy as np
 from scipy import stats
 
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.metrics import constant_error, friction_scores
+from slipstitch.evaluate.metrics import (
+    constant_error,
+    friction_scores,
+    mean_over_seeds,
+    spread_over_seeds,
+)
 
 LEVEL = 0.9
 Row = dict[str, Any]
@@ -61,7 +66,7 @@ def interval(differences: np.ndarray, level: float = LEVEL) -> tuple[float, floa
     variance = max(sum(each) - rest, *each, rest)
     if variance == 0:
         return mean, mean, mean
-    freedom = sum(each) ** 2 / sum(one**2 / free for one, free in parts)
+    freedom = sum(each) ** 2 / sum(part**2 / free for part, free in parts)
     half = float(stats.t.ppf((1 + level) / 2, freedom)) * math.sqrt(variance)
     return mean, mean - half, mean + half
 
@@ -87,12 +92,13 @@ def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
     BadInput
         If the answers are of different datasets.
     """
-    if len({one["dataset_digest"] for one in answers}) > 1:
+    if len({answer["dataset_digest"] for answer in answers}) > 1:
         raise BadInput("the answers are of different datasets: run all questions anew")
     questions: dict[str, Any] = {}
-    for name in dict.fromkeys(one["question"] for one in answers):
+    for name in dict.fromkeys(answer["question"] for answer in answers):
         of_question = sorted(
-            (one for one in answers if one["question"] == name), key=lambda one: one["seed"]
+            (answer for answer in answers if answer["question"] == name),
+            key=lambda answer: answer["seed"],
         )
         first = of_question[0]
         if first["left_out"]:
@@ -108,23 +114,27 @@ def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
         }
     return {
         "level": LEVEL,
-        "seeds": sorted({one["seed"] for one in answers}),
-        "comparisons": sum(len(one["comparisons"]) for one in questions.values()),
+        "seeds": sorted({answer["seed"] for answer in answers}),
+        "comparisons": sum(len(question["comparisons"]) for question in questions.values()),
         "questions": questions,
     }
 
 
 def _tests(answers: Sequence[dict[str, Any]]) -> list[str]:
     """Names of the test sets, in their order."""
-    return list(dict.fromkeys(one["tested_on"] for a in answers for one in a["predictions"]))
+    return list(
+        dict.fromkeys(
+            prediction["tested_on"] for answer in answers for prediction in answer["predictions"]
+        )
+    )
 
 
-def _said(answer: dict[str, Any], network: str, variant: str, tested_on: str) -> list[Row]:
+def _predictions(answer: dict[str, Any], network: str, variant: str, tested_on: str) -> list[Row]:
     wanted = (network, variant, tested_on)
     return [
-        one
-        for one in answer["predictions"]
-        if (one["network"], one["variant"], one["tested_on"]) == wanted
+        prediction
+        for prediction in answer["predictions"]
+        if (prediction["network"], prediction["variant"], prediction["tested_on"]) == wanted
     ]
 
 
@@ -132,52 +142,58 @@ def _rows(answers: Sequence[dict[str, Any]], step: float) -> list[Row]:
     """A row a network, test set and variant."""
     first = answers[0]
     rows = []
-    for network in dict.fromkeys(one["network"] for one in first["variants"]):
+    for network in dict.fromkeys(variant["network"] for variant in first["variants"]):
         for tested_on in _tests(answers):
             for place, variant in enumerate(first["variants"]):
                 if variant["network"] == network:
                     of_seeds = [answer["variants"][place] for answer in answers]
-                    said = [_said(one, network, variant["variant"], tested_on) for one in answers]
-                    rows.append(_row(of_seeds, [one for one in said if one], tested_on, step))
+                    predictions = [
+                        _predictions(answer, network, variant["variant"], tested_on)
+                        for answer in answers
+                    ]
+                    rows.append(
+                        _row(
+                            of_seeds,
+                            [of_seed for of_seed in predictions if of_seed],
+                            tested_on,
+                            step,
+                        )
+                    )
     return rows
 
 
-def _row(of_seeds: list[Row], said: list[list[Row]], tested_on: str, step: float) -> Row:
+def _row(of_seeds: list[Row], predictions: list[list[Row]], tested_on: str, step: float) -> Row:
     variant = of_seeds[0]
     scores = [
         friction_scores(
-            np.array([one["predicted"] for one in of_seed]),
-            np.array([one["true"] for one in of_seed]),
+            np.array([prediction["predicted"] for prediction in of_seed]),
+            np.array([prediction["true"] for prediction in of_seed]),
             step,
         )
-        for of_seed in said
+        for of_seed in predictions
     ]
-    names = ("friction_lt_0.1", "friction_lt_0.2", "mean_absolute_error")
-    values = {name: [score[name] for score in scores] for name in names}
-    tested = said[0] if said else []
+    tested = predictions[0] if predictions else []
     return {
         "network": variant["network"],
         "variant": variant["variant"],
         "phrase": variant["phrase"],
         "tested_on": tested_on,
         "n": len(tested),
-        "simulations": len({one["simulation"] for one in tested}),
+        "simulations": len({prediction["simulation"] for prediction in tested}),
         "training_videos": variant["training_videos"],
         "training_simulations": variant["training_simulations"],
         "passes": variant["passes"],
         "seeds": len(of_seeds),
-        "diverged": sum(one["failure"] is not None for one in of_seeds),
-        "stayed_at_chance": sum(one["stayed_at_chance"] for one in of_seeds),
+        "diverged": sum(training["failure"] is not None for training in of_seeds),
+        "stayed_at_chance": sum(training["stayed_at_chance"] for training in of_seeds),
         "material_stayed_at_chance": sum(
-            one.get("material_stayed_at_chance", False) for one in of_seeds
+            training.get("material_stayed_at_chance", False) for training in of_seeds
         ),
-        "constant_error": constant_error(np.array([one["true"] for one in tested]))
+        "constant_error": constant_error(np.array([prediction["true"] for prediction in tested]))
         if tested
         else None,
-        "mean": {name: float(np.mean(value)) for name, value in values.items()} if said else None,
-        "spread": {name: float(np.std(value, ddof=1)) for name, value in values.items()}
-        if len(said) > 1
-        else None,
+        "mean": mean_over_seeds(scores) if scores else None,
+        "spread": spread_over_seeds(scores),
     }
 
 
@@ -186,9 +202,9 @@ def _comparisons(answers: Sequence[dict[str, Any]], rows: list[Row]) -> list[Row
     compared = []
     for row in rows:
         same = [
-            one
-            for one in rows
-            if (one["network"], one["tested_on"]) == (row["network"], row["tested_on"])
+            other
+            for other in rows
+            if (other["network"], other["tested_on"]) == (row["network"], row["tested_on"])
         ]
         if row is not same[0]:
             compared.append(_comparison(answers, same[0], row))
@@ -199,8 +215,10 @@ def _comparison(answers: Sequence[dict[str, Any]], reference: Row, row: Row) -> 
     pairs = []
     for answer in answers:
         errors = [
-            _by_simulation(_said(answer, row["network"], one["variant"], row["tested_on"]))
-            for one in (row, reference)
+            _by_simulation(
+                _predictions(answer, row["network"], compared["variant"], row["tested_on"])
+            )
+            for compared in (row, reference)
         ]
         if all(errors):
             pairs.append([errors[0][name] - errors[1][name] for name in sorted(errors[0])])
@@ -224,11 +242,12 @@ def _comparison(answers: Sequence[dict[str, Any]], reference: Row, row: Row) -> 
     return found
 
 
-def _by_simulation(said: list[Row]) -> dict[str, float]:
+def _by_simulation(predictions: list[Row]) -> dict[str, float]:
     """Mean absolute error of each simulation."""
     errors: dict[str, list[float]] = {}
-    for one in said:
-        errors.setdefault(one["simulation"], []).append(abs(one["predicted"] - one["true"]))
+    for prediction in predictions:
+        error = abs(prediction["predicted"] - prediction["true"])
+        errors.setdefault(prediction["simulation"], []).append(error)
     return {name: float(np.mean(of)) for name, of in errors.items()}
 
 
@@ -236,7 +255,7 @@ def verdict(found: Row, reference: Row, row: Row) -> str:
     """What the interval allows to say of the variant: better, worse, not told apart, or nothing."""
     if found["low"] is None:
         return "not compared"
-    if all(one["stayed_at_chance"] == one["seeds"] for one in (reference, row)):
+    if all(variant["stayed_at_chance"] == variant["seeds"] for variant in (reference, row)):
         return "nothing learnt"
     if found["high"] < 0:
         return "better"
@@ -255,34 +274,34 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
         amount = f"{sign * found['difference']:.3f} ({ends[0]:.3f} ... {ends[1]:.3f})"
     many = f"{found['simulations']} simulations and {_count(found['seeds'], 'seed')}"
     if found["verdict"] == "not compared":
-        said = f"{new} cannot be compared with {old}: " + (
+        conclusion = f"{new} cannot be compared with {old}: " + (
             "one test simulation says nothing of others"
             if found["seeds"]
             else "no seed trained both without diverging"
         )
     elif found["verdict"] == "nothing learnt":
-        said = f"nothing can be said of {new} and {old}: both stayed at chance at this budget"
+        conclusion = f"nothing can be said of {new} and {old}: both stayed at chance at this budget"
     elif found["verdict"] == "not told apart":
-        said = (
+        conclusion = (
             f"{new} and {old} cannot be told apart by {many}: difference of the mean error {amount}"
         )
     elif found["verdict"] == "better":
-        said = f"{new} is better than {old}: mean error smaller by {amount}, {many}"
+        conclusion = f"{new} is better than {old}: mean error smaller by {amount}, {many}"
     else:
-        said = f"{new} is worse than {old}: mean error larger by {amount}, {many}"
+        conclusion = f"{new} is worse than {old}: mean error larger by {amount}, {many}"
     notes = [
-        f"{one['phrase']} {what} with {one[key]} of {one['seeds']} seeds"
-        for one in (reference, row)
+        f"{variant['phrase']} {what} with {variant[key]} of {variant['seeds']} seeds"
+        for variant in (reference, row)
         for key, what in (
             ("stayed_at_chance", "stayed at chance"),
             ("material_stayed_at_chance", "had a material network that stayed at chance"),
             ("diverged", "diverged"),
         )
-        if one[key] and not (key == "stayed_at_chance" and found["verdict"] == "nothing learnt")
+        if variant[key] and not (key == "stayed_at_chance" and found["verdict"] == "nothing learnt")
     ]
     if found["seeds"] == 1:
         notes.append("of other seeds the interval says nothing")
-    return start + "; ".join([said, *notes]) + "."
+    return start + "; ".join([conclusion, *notes]) + "."
 
 
 def _count(number: int, what: str) -> str:

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from slipstitch.ablate.catalogue import Plan, Variant, plan
-from slipstitch.ablate.settings import QUESTIONS
 from slipstitch.config import Config
+from slipstitch.config.ablate import QUESTIONS
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.instrument.measuring import load_instrument
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import (
     atomic_path,
@@ -28,21 +29,15 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
-from slipstitch.sample.dataset import MANIFEST
+from slipstitch.sample.manifest import MANIFEST, read_manifest
+from slipstitch.sample.videos import Videos, read_videos
+from slipstitch.train.classes import labels_of
+from slipstitch.train.loop import DivergedError, Phase
 from slipstitch.train.model_file import WEIGHTS as LRCN_WEIGHTS
 from slipstitch.train.model_file import TrainedModel, load_model
-from slipstitch.train.settings import TrainSettings
-from slipstitch.train.training import (
-    FINE_TUNING,
-    DivergedError,
-    Stage,
-    labels_of,
-    predict,
-    predicted_materials,
-    set_up_torch,
-    train_network,
-)
-from slipstitch.train.videos import Videos, read_manifest, read_videos
+from slipstitch.train.prediction import predict, predicted_materials
+from slipstitch.train.torch_setup import set_up_torch
+from slipstitch.train.training import FINE_TUNING, train_network
 
 SPLIT = "by_simulation"
 FINISHED = "finished.json"
@@ -69,7 +64,7 @@ def instrument_settings(config: Config) -> InstrumentSettings:
     return InstrumentSettings.model_validate(whole)
 
 
-def stages(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) -> list[Stage]:
+def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) -> list[Phase]:
     """Epochs by viewpoints; joint and progressive show as many videos, however many viewpoints.
 
     One viewpoint: `passes` epochs. V of them: cycles of E = 2 passes / (V + 1) epochs, rounded (and
@@ -78,17 +73,17 @@ def stages(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) ->
     """
     count = len(viewpoints)
     if count == 1:
-        return [Stage("one viewpoint", tuple(viewpoints), passes)]
+        return [Phase("one viewpoint", tuple(viewpoints), passes)]
     epochs = max(1, round(2 * passes / (count + 1)))
     epochs += (count % 2 == 0) and (epochs % 2)
     if joint:
-        whole = [Stage("joint", tuple(viewpoints), epochs * (count + 1) // 2)]
+        whole = [Phase("joint", tuple(viewpoints), epochs * (count + 1) // 2)]
     else:
         whole = [
-            Stage(f"cycle {seen}", tuple(viewpoints[:seen]), epochs) for seen in range(1, count + 1)
+            Phase(f"cycle {seen}", tuple(viewpoints[:seen]), epochs) for seen in range(1, count + 1)
         ]
     if fine_tuning:
-        whole.append(Stage(FINE_TUNING, (viewpoints[0],), fine_tuning))
+        whole.append(Phase(FINE_TUNING, (viewpoints[0],), fine_tuning))
     return whole
 
 
@@ -126,7 +121,7 @@ def answer(
     if question not in QUESTIONS:
         raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
-    viewpoints = list(config.train.view_order or config.render.viewpoints)
+    viewpoints = config.view_order
     empty = {"question": question, "seed": seed, "asks": None, "left_out": None}
     empty |= {"dataset_digest": digest, "variants": [], "predictions": []}
     try:
@@ -141,9 +136,12 @@ def answer(
     for network in planned.networks:
         run = runs.lrcn if network == "lrcn" else runs.instrument
         for variant in planned.variants:
-            row, said = run(variant)
+            row, predicted = run(variant)
             variants.append({"network": network, "variant": variant.name, **row})
-            predictions += [{"network": network, "variant": variant.name, **one} for one in said]
+            predictions += [
+                {"network": network, "variant": variant.name, **prediction}
+                for prediction in predicted
+            ]
     return {**empty, "asks": planned.asks, "variants": variants, "predictions": predictions}
 
 
@@ -170,7 +168,7 @@ class _Runs:
         """Train and test the paper's network; its row and its predictions."""
         settings = lrcn_settings(self.config, variant.changes)
         frames = self.config.sample.frames
-        planned = stages(
+        planned = phases(
             self.plan.viewpoints,
             self.config.ablate.passes,
             settings.fine_tuning_epochs,
@@ -182,7 +180,7 @@ class _Runs:
             identity = {
                 "network": network,
                 "settings": settings.model_dump(mode="json"),
-                "stages": [[one.name, *one.viewpoints, one.epochs] for one in planned],
+                "phases": [[phase.name, *phase.viewpoints, phase.epochs] for phase in planned],
                 "code_digest": code_digest("train"),
                 "frames": frames,
                 "condition": told.get("condition_sha256", variant.condition),
@@ -200,7 +198,7 @@ class _Runs:
                     folder / name,
                     view_order=self.plan.viewpoints,
                     frames=frames,
-                    stages=planned,
+                    phases=planned,
                     uses=lambda row: row["video"] in variant.videos,
                     true_materials=told.get("true_materials", False),
                     material_model=told.get("material_model"),
@@ -208,7 +206,7 @@ class _Runs:
                 ),
             )
 
-        passes = sum(one.epochs * len(one.viewpoints) for one in planned)
+        passes = sum(phase.epochs * len(phase.viewpoints) for phase in planned)
         row = self._row(variant, passes / len(self.plan.viewpoints))
         material = None
         if variant.condition == "none":
@@ -238,9 +236,11 @@ class _Runs:
         row |= {key: model.card[key] for key in ("train_loss", "chance_loss")}
         videos = self.videos(settings.pixels, frames)
         condition = self._condition(variant, model, material, videos)
-        shares = predict(model.network, videos.pixels, condition, bfloat16=model.card["bfloat16"])
-        values = np.array([one["value"] for one in model.card["classes"]])
-        return row, self._predictions(videos, values[shares.argmax(1)])
+        probabilities = predict(
+            model.network, videos.pixels, condition, bfloat16=model.card["bfloat16"]
+        )
+        values = np.array([entry["value"] for entry in model.card["classes"]])
+        return row, self._predictions(videos, values[probabilities.argmax(1)])
 
     def _condition(
         self, variant: Variant, model: TrainedModel, material: TrainedModel | None, videos: Videos
@@ -289,8 +289,8 @@ class _Runs:
         row |= {key: instrument.card[key] for key in ("train_loss", "chance_loss")}
         videos = self.videos(settings.pixels, None)
         frames = phased(videos.pixels, instrument.card["frames"], None)
-        said = [instrument.measure(video).friction_coefficient for video in frames]
-        return row, self._predictions(videos, np.array(said))
+        measured = [instrument.measure(video).friction_coefficient for video in frames]
+        return row, self._predictions(videos, np.array(measured))
 
     def _once(
         self,
@@ -331,7 +331,7 @@ class _Runs:
             "chance_loss": None,
         }
 
-    def _predictions(self, videos: Videos, said: np.ndarray) -> list[dict[str, Any]]:
+    def _predictions(self, videos: Videos, predicted: np.ndarray) -> list[dict[str, Any]]:
         return [
             {
                 "tested_on": name,
@@ -341,7 +341,7 @@ class _Runs:
                 "predicted": float(value),
             }
             for name, ids in self.plan.tests.items()
-            for row, value in zip(videos.rows, said, strict=True)
+            for row, value in zip(videos.rows, predicted, strict=True)
             if row["video"] in ids
         ]
 

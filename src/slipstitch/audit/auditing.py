@@ -3,11 +3,11 @@
 import time
 from pathlib import Path
 
-from slipstitch.audit.chain import check_chain
 from slipstitch.audit.contents import read_contents
-from slipstitch.audit.currency import check_commits, check_currency
 from slipstitch.audit.files import check_files
 from slipstitch.audit.findings import Audit, Finding, Kind, sorted_findings
+from slipstitch.audit.lineage_check import check_lineage
+from slipstitch.audit.staleness import check_commits, check_staleness
 from slipstitch.config import Config
 from slipstitch.provenance import start_clock
 from slipstitch.release.checksums import SUMS
@@ -45,9 +45,9 @@ def audit_release(
         what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
         findings.append(Finding(Kind.ALTERED, SUMS, what, tuple(contents.clips)))
     of_files, numbers, shards = check_files(contents, jobs)
-    of_chain, notes = check_chain(contents, shards)
+    of_lineage, notes = check_lineage(contents, shards)
     of_commits, more = check_commits(contents, Path(__file__).resolve().parents[3])
-    findings += [*of_files, *of_chain, *of_commits, *check_currency(contents, config)]
+    findings += [*of_files, *of_lineage, *of_commits, *check_staleness(contents, config)]
     numbers["clips"] = len(contents.clips)
     numbers["wall_s"] = round(time.perf_counter() - wall, 2)
     numbers["cpu_s"] = round(time.process_time() - cpu, 2)

@@ -15,9 +15,9 @@ from slipstitch.config import Config, load_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata
 from slipstitch.release.assembly import CONFIG, RELEASE_RECORD
-from slipstitch.release.chain import RECORD_SUFFIX, RECORDS, Artefact, read_record, record_file
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.manifest import MANIFEST
+from slipstitch.release.records import RECORD_SUFFIX, RECORDS, Artefact, read_record, record_file
 
 
 @dataclass

@@ -6,10 +6,10 @@ from typing import Any
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import read_shard
-from slipstitch.audit.walk import Chain
+from slipstitch.audit.lineage import Lineage
 from slipstitch.errors import BadInput
-from slipstitch.release.chain import Artefact, carried_file, is_carried, is_ours, record_file
 from slipstitch.release.currency import current_digest
+from slipstitch.release.records import Artefact, carried_file, is_carried, is_ours, record_file
 from slipstitch.release.splits import PREFIX
 
 
@@ -31,16 +31,16 @@ def explain(contents: Contents, clip: str) -> str:
         If the release has no such clip.
     """
     row = find_clip(contents, clip)
-    chain = Chain(contents)
+    lineage = Lineage(contents)
     lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
     seen: set[str] = set()
-    below = dict.fromkeys(chain.behind(row))
+    below = dict.fromkeys(lineage.behind(row))
     for path in below:
-        artefact = chain.artefacts.get(path)
+        artefact = lineage.artefacts.get(path)
         if artefact is None:
             lines += ["", f"{path}: NO RECORD, the chain is broken here"]
         elif path not in seen:
-            lines += ["", *_artefact(contents, chain, artefact, row)]
+            lines += ["", *_artefact(contents, lineage, artefact, row)]
         seen.add(path)
     lines += ["", *_fabric(contents, row)]
     return "\n".join(lines)
@@ -75,51 +75,59 @@ def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _artefact(contents: Contents, chain: Chain, one: Artefact, row: Mapping) -> list[str]:
-    record = one.provenance
-    lines = [one.path, f"  record   {record_file(one.path)}", f"  SHA-256  {one.sha256}"]
-    if is_carried(one):
-        lines.append(f"  carried  {carried_file(one.path)}")
-    if record is None or not is_ours(one.path):
+def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Mapping) -> list[str]:
+    record = artefact.provenance
+    lines = [
+        artefact.path,
+        f"  record   {record_file(artefact.path)}",
+        f"  SHA-256  {artefact.sha256}",
+    ]
+    if is_carried(artefact):
+        lines.append(f"  carried  {carried_file(artefact.path)}")
+    if record is None or not is_ours(artefact.path):
         return [*lines, "  from outside: no stage made it"]
-    now = current_digest(one.stage)
+    now = current_digest(artefact.stage)
     code = "as the code of today" if now == record["code_digest"] else "NOT the code of today"
     commit = record.get("git_commit") or "no commit known"
     changed = ", with changes that are in no commit" if record.get("git_dirty") else ""
     lines += [
-        f"  made by  slipstitch {one.stage}, code {record['code_digest'][:16]} ({code}), commit "
-        f"{commit[:12]}{changed}",
+        f"  made by  slipstitch {artefact.stage}, code {record['code_digest'][:16]} ({code}), "
+        f"commit {commit[:12]}{changed}",
         f"  on       {record.get('host_kind')}; {record.get('wall_s')} s, "
         f"{record.get('cpu_s')} CPU s",
         f"  with     {_short(record.get('versions', {}))}",
         f"  seed     {record.get('seed')}",
         f"  config   {_short(record['config'])}",
     ]
-    lines += [f"  says     {line}" for line in _says(contents, one)]
-    for name in chain.inputs(one.path, row.get("viewpoint_id")):
-        behind = chain.artefacts.get(name)
+    lines += [f"  says     {line}" for line in _says(contents, artefact)]
+    for name in lineage.inputs(artefact.path, row.get("viewpoint_id")):
+        behind = lineage.artefacts.get(name)
         link = "NO RECORD"
         if behind is not None:
-            link = "the next" if behind.sha256 == one.inputs[name] else "ANOTHER FILE than the next"
+            link = (
+                "the next"
+                if behind.sha256 == artefact.inputs[name]
+                else "ANOTHER FILE than the next"
+            )
         lines.append(f"  from     {name} ({link})")
     return lines
 
 
-def _says(contents: Contents, one: Artefact) -> list[str]:
+def _says(contents: Contents, artefact: Artefact) -> list[str]:
     """What an artefact tells of itself, in a few lines."""
     lines = [
         f"{name}: {_short(value)}"
-        for name, value in one.metadata.items()
+        for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
-    if one.stage == "calibrate":
-        lines += _checks(contents, one)
+    if artefact.stage == "calibrate":
+        lines += _checks(contents, artefact)
     return lines
 
 
-def _checks(contents: Contents, one: Artefact) -> list[str]:
+def _checks(contents: Contents, artefact: Artefact) -> list[str]:
     try:
-        path = contents.folder / carried_file(one.path)
+        path = contents.folder / carried_file(artefact.path)
         checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
         worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
     except (OSError, ValueError, KeyError, TypeError):

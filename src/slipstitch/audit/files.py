@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
-from slipstitch.audit.walk import Chain
+from slipstitch.audit.lineage import Lineage
 from slipstitch.errors import BadInput
 from slipstitch.provenance import check_image, file_digest
 from slipstitch.release.checksums import files_below
@@ -105,17 +105,17 @@ def check_files(
         Shards that could be read, by path in the release.
     """
     folder, sums = contents.folder, contents.sums
-    chain = Chain(contents)
+    lineage = Lineage(contents)
     there = files_below(folder)
     findings = [
-        Finding(Kind.MISSING, name, "is not there", chain.clips_of_file(name))
+        Finding(Kind.MISSING, name, "is not there", lineage.clips_of_file(name))
         for name in sums
         if name not in set(there)
     ]
     findings += [
         Finding(Kind.MISSING, name, "the manifest names it, SHA256SUMS does not", clips)
         for name in sorted({row["shard"] for row in contents.rows} - set(sums))
-        if (clips := chain.clips_of_file(name))
+        if (clips := lineage.clips_of_file(name))
     ]
     findings += [
         Finding(Kind.UNEXPLAINED, name, "no line of SHA256SUMS names it")
@@ -132,16 +132,16 @@ def check_files(
     owner = {digest: name for name, digest in sums.items()}
     stated = contents.release.get("files", {})
     for name in present:
-        clips = chain.clips_of_file(name)
+        clips = lineage.clips_of_file(name)
         if (folder / name).is_symlink():
             findings.append(Finding(Kind.ALTERED, name, "is a link, not a file", clips))
         elif digests[name] != sums[name]:
-            findings.append(_altered(chain, name, digests[name], owner, decoded.get(name)))
+            findings.append(_altered(lineage, name, digests[name], owner, decoded.get(name)))
         elif name in stated and stated[name] != digests[name]:
             what = "SHA256SUMS was rewritten: records/release.json has another digest"
             findings.append(Finding(Kind.ALTERED, name, what, clips))
         if name in decoded and contents.rows:
-            findings += _check_shard(chain, name, decoded[name], digests[name] == sums[name])
+            findings += _check_shard(lineage, name, decoded[name], digests[name] == sums[name])
     numbers = {
         "files": len(present),
         "bytes": sum(os.path.getsize(folder / name) for name in present),
@@ -151,11 +151,11 @@ def check_files(
 
 
 def _altered(
-    chain: Chain, name: str, digest: str, owner: dict[str, str], shard: Shard | None
+    lineage: Lineage, name: str, digest: str, owner: dict[str, str], shard: Shard | None
 ) -> Finding:
     """A file whose bytes are others than the sums say, and what that means for its clips."""
-    what, contents = "bytes differ from SHA256SUMS", chain.contents
-    clips = chain.clips_of_file(name)
+    what, contents = "bytes differ from SHA256SUMS", lineage.contents
+    clips = lineage.clips_of_file(name)
     if digest in owner:
         return Finding(Kind.ALTERED, name, f"holds what belongs to {owner[digest]}", clips)
     if shard is not None and shard.problem is None and contents.rows:
@@ -170,14 +170,14 @@ def _altered(
     return Finding(Kind.ALTERED, name, what, clips)
 
 
-def _check_shard(chain: Chain, name: str, shard: Shard, same_bytes: bool) -> list[Finding]:
+def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) -> list[Finding]:
     """Pixels, places and labels of a shard against the manifest."""
     if shard.problem is not None:
         what = f"cannot be read: {shard.problem}"
-        return [Finding(Kind.ALTERED, name, what, chain.clips_of_file(name))]
+        return [Finding(Kind.ALTERED, name, what, lineage.clips_of_file(name))]
     findings = []
-    row_of = chain.contents.row_of
-    expected = {video: row_of[video] for video in chain.clips_of_file(name)}
+    row_of = lineage.contents.row_of
+    expected = {video: row_of[video] for video in lineage.clips_of_file(name)}
     strangers = tuple(video for video in shard.pixels if video not in expected)
     if strangers:
         what = f"holds images of {strangers[0]}, which the manifest has elsewhere or not at all"

@@ -13,10 +13,10 @@ import pyarrow.parquet as pq
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.explain import find_clip
-from slipstitch.audit.walk import Chain
+from slipstitch.audit.lineage import Lineage
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput, SlipstitchError
-from slipstitch.release.chain import carried_file, is_ours, rows_digest
+from slipstitch.release.records import carried_file, is_ours, rows_digest
 from slipstitch.sample.shards import decode, read_shard
 
 
@@ -101,9 +101,9 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         If the simulation or the rendering fails.
     """
     row = find_clip(contents, clip)
-    chain = Chain(contents)
-    simulated, rendered = chain.of_stage(row, "simulate"), chain.of_stage(row, "render")
-    calibrated = chain.of_stage(row, "calibrate")
+    lineage = Lineage(contents)
+    simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
+    calibrated = lineage.of_stage(row, "calibrate")
     if contents.config is None or not (simulated and rendered and calibrated):
         raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
     with tempfile.TemporaryDirectory() as name:
@@ -126,7 +126,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
         if key not in videos:
             raise BadInput(f"{clip}: rendered anew, it is not among {len(videos)} videos")
-        again = np.stack([decode(one.png, clip, row["pixels"]) for one in videos[key]])
+        again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
     return compare(clip, _released(contents, row), again, same_motion)
 
 

@@ -19,8 +19,9 @@ from slipstitch.calibrate.choice import (
     may_be_chosen,
 )
 from slipstitch.calibrate.experiments import Check, experiments
-from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
 from slipstitch.calibrate.sweep import run_settings, sweep, variations
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
     atomic_path,
@@ -29,7 +30,6 @@ from slipstitch.provenance import (
     start_clock,
     write_sidecar,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 # What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
 NOT_NUMERICAL = frozenset(
@@ -37,6 +37,7 @@ NOT_NUMERICAL = frozenset(
         "vertices_per_side",
         "frames",
         "frame_rate_hz",
+        "stage",
         "pins",
         "settle_s",
         "yaw_sd_deg",
@@ -333,8 +334,9 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
 
 
 def _draw(pictures, calibration: Mapping[str, Any], record, failed: bool) -> None:
-    from slipstitch.calibrate.picture import calibration_figure, save_figure
-    from slipstitch.calibrate.strip_picture import settings_figure, strip_figure
+    from slipstitch.calibrate.calibration_figure import calibration_figure
+    from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
+    from slipstitch.page.figures import save_figure
 
     figures = {"settings": settings_figure}
     if "chosen" in calibration["strip"]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from slipstitch.calibrate.settings import BASE, CalibrateSettings
+from slipstitch.config.calibrate import BASE, CalibrateSettings
 from slipstitch.errors import SlipstitchError
 
 # Looser values than the configured ones are tried and shown, but never chosen: the strip does not

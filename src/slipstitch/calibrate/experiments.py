@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from slipstitch.calibrate.settings import CalibrateSettings
+from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.errors import SlipstitchError
 
 Runner = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]

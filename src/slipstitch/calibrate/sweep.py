@@ -8,13 +8,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from slipstitch.calibrate.settings import BASE, KEYS, CalibrateSettings
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import NotConverged
-from slipstitch.simulate.settings import SimulationSettings
 
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
-GRAVITY_M_S2 = 9.81
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipstitch.protocol.stage import SIDE_M, StagePath
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import SIDE_M, StagePath
+from slipstitch.catalogue import Viewpoint
+from slipstitch.config.render import RenderSettings
+from slipstitch.config.sample import SampleSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose
-from slipstitch.render.catalogue import Viewpoint
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shots import viewpoint_pose
-from slipstitch.sample.frames import sampled_frames
-from slipstitch.sample.settings import SampleSettings
-from slipstitch.simulate.settings import SimulationSettings
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class Schedule:
             viewpoint_pose(viewpoint, render),
             render.pixels,
             render.crop == "follow",
-            (simulation.frames - 1) / simulation.frame_rate_hz,
+            simulation.recorded_s,
+            StagePath(**dict(simulation.stage)),
         )
 
     @property

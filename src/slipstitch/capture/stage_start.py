@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.recording import Moment
 from slipstitch.capture.rectification import stage_plane
-from slipstitch.protocol.stage import StagePath
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
 

@@ -7,10 +7,9 @@ import warp
 
 warp.config.log_level = warp.LOG_WARNING  # standard output belongs to results
 
-from slipstitch.cloth.batch import run_together  # noqa: E402
 from slipstitch.cloth.floor_friction import ContactConditions  # noqa: E402
 from slipstitch.cloth.mesh import ClothMesh, rectangle  # noqa: E402
-from slipstitch.cloth.sheets import Sheets, check_device  # noqa: E402
+from slipstitch.cloth.sheets import Sheets, check_device, run_together  # noqa: E402
 from slipstitch.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
 
 __all__ = [

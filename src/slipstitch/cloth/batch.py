@@ -1,4 +1,4 @@
-"""Tasks that drive one sheet each, run so that the device works for all of them at once.
+"""Tasks that drive one sheet each, taking turns so that the device works for all at once.
 
 A task is ordinary code around a :class:`slipstitch.cloth.solver.ClothSolver`. Each has a thread,
 but only one thread runs at a time: it runs until its sheet needs the device, then the next one's
@@ -11,10 +11,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from enum import Enum, auto
 from typing import Any
 
-from slipstitch.cloth.sheets import Sheets, Work
 from slipstitch.errors import NotConverged
+
+
+class Work(Enum):
+    """What a sheet may ask for."""
+
+    FORCES = auto()  # out-of-balance forces at the placed positions
+    STIFFNESS = auto()  # entries of the tangent there
+    STRAINS = auto()  # strains there become those that damping refers to
+    ACCEPT = auto()  # likewise, and the floor's friction remembers the step
 
 
 class _Cancelled(BaseException):
@@ -73,10 +82,22 @@ class _Turn:
 
 
 class Meeting:
-    """Where the tasks of sheets wait for one another."""
+    """Where the tasks of sheets wait for one another.
 
-    def __init__(self, sheets: Sheets, tasks: Sequence[Callable[[], Any]]):
-        self._sheets = sheets
+    Parameters
+    ----------
+    work_for : callable
+        Does one kind of work for some sheets.
+    tasks : sequence of callables
+        Task k drives sheet k.
+    """
+
+    def __init__(
+        self,
+        work_for: Callable[[Work, Sequence[int]], None],
+        tasks: Sequence[Callable[[], Any]],
+    ):
+        self._work_for = work_for
         self._turns = [_Turn(task) for task in tasks]
 
     def ask(self, work: Work, member: int) -> None:
@@ -94,35 +115,8 @@ class Meeting:
                 for work in Work:
                     members = [one for one in waiting if self._turns[one].asked is work]
                     if members:
-                        self._sheets.run(work, members)
+                        self._work_for(work, members)
             return [turn.outcome for turn in self._turns]
         finally:
             for turn in self._turns:
                 turn.cancel()
-
-
-def run_together(sheets: Sheets, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
-    """Run tasks that drive one sheet each, the device working for all at once.
-
-    Parameters
-    ----------
-    sheets : Sheets
-    tasks : sequence of callables
-        Task k may use the solver of sheet k only.
-
-    Returns
-    -------
-    list
-        What each task returned, or the :class:`NotConverged` that it raised: a task that fails does
-        not take the others with it. Any other exception ends all and is raised.
-    """
-    if len(tasks) == 1:  # nobody to wait for
-        try:
-            return [tasks[0]()]
-        except NotConverged as error:
-            return [error]
-    sheets.meeting = Meeting(sheets, tasks)
-    try:
-        return sheets.meeting.run()
-    finally:
-        sheets.meeting = None

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.tangent import Entries, add_entry
 from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_DIRECTIONS
 
 wp.set_module_options({"enable_backward": False})
@@ -55,6 +56,22 @@ def rest_angles(mesh: ClothMesh, curvature_per_m: float) -> np.ndarray:
     across = np.abs(edge[:, 0]) / length
     height = 2 * area / length / 2  # the mean of the two faces' heights over the edge
     return curvature_per_m * height * across**2
+
+
+@wp.struct
+class Hinges:
+    """The hinges of all sheets, and the bending law of each sheet."""
+
+    members: wp.array(dtype=wp.int32)  # the sheet of each hinge
+    nodes: wp.array(dtype=wp.int32, ndim=2)
+    length_m: wp.array(dtype=wp.float64)
+    area_m2: wp.array(dtype=wp.float64)  # of both faces
+    direction: wp.array(dtype=wp.float64)  # position in the table's rows of a sheet
+    rest_angle: wp.array(dtype=wp.float64)
+    angle_before: wp.array(dtype=wp.float64)  # at the beginning of the step
+    table: wp.array(dtype=wp.float64, ndim=2)  # ke (N m), one sheet's rows after another's
+    stiffness_of_start: wp.array(dtype=wp.int32)  # by sheet: 1 if ke is that of angle_before
+    damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
 
 
 @wp.func
@@ -105,19 +122,26 @@ def hinge_tangent_stiffness(
     return wp.max(tangent, wp.float64(0.1) * ke)
 
 
+@wp.func
+def corners_of(x: wp.array(dtype=wp.vec3d), hinges: Hinges, h: int) -> mat43d:
+    """Rows: edge ends, then the vertex opposite in the first and in the second face."""
+    return wp.matrix_from_rows(
+        x[hinges.nodes[h, 0]], x[hinges.nodes[h, 1]], x[hinges.nodes[h, 2]], x[hinges.nodes[h, 3]]
+    )
+
+
 @wp.kernel
 def dihedral_angles(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    hinges: wp.array(dtype=wp.int32, ndim=2),
-    theta: wp.array(dtype=wp.float64),
+    hinges: Hinges,
 ):
-    """Dihedral angle of each hinge, in radians."""
+    """Note the dihedral angle of each hinge, in radians."""
     h = wp.tid()
-    if active[members[h]] == 0:
+    if active[hinges.members[h]] == 0:
         return
-    theta[h] = dihedral_angle(x[hinges[h, 0]], x[hinges[h, 1]], x[hinges[h, 2]], x[hinges[h, 3]])
+    p = corners_of(x, hinges, h)
+    hinges.angle_before[h] = dihedral_angle(p[0], p[1], p[2], p[3])
 
 
 @wp.func
@@ -140,83 +164,59 @@ def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> ma
 @wp.kernel
 def bending_force(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    hinges: wp.array(dtype=wp.int32, ndim=2),
-    length: wp.array(dtype=wp.float64),
-    area: wp.array(dtype=wp.float64),
-    direction: wp.array(dtype=wp.float64),
-    rest_angle: wp.array(dtype=wp.float64),
-    table: wp.array(dtype=wp.float64, ndim=2),
-    angle_before: wp.array(dtype=wp.float64),
-    stiffness_of_start: wp.array(dtype=wp.int32),
-    damping_ratio: wp.array(dtype=wp.float64),
+    hinges: Hinges,
     minus_force: wp.array(dtype=wp.vec3d),
 ):
     """Add minus the elastic and viscous nodal forces of each hinge."""
     h = wp.tid()
-    member = members[h]
+    member = hinges.members[h]
     if active[member] == 0:
         return
-    x0 = x[hinges[h, 0]]
-    x1 = x[hinges[h, 1]]
-    x2 = x[hinges[h, 2]]
-    x3 = x[hinges[h, 3]]
-    theta = dihedral_angle(x0, x1, x2, x3)
+    p = corners_of(x, hinges, h)
+    theta = dihedral_angle(p[0], p[1], p[2], p[3])
     bent = theta
-    if stiffness_of_start[member] == 1:
-        bent = angle_before[h]
-    curvature = wp.abs(bent) * length[h] / (wp.float64(2.0) * area[h])
-    c = hinge_stiffness(table, member, direction[h], curvature) * length[h] * length[h]
-    c = c / (wp.float64(4.0) * area[h])
-    viscous = damping_ratio[member] * (theta - angle_before[h])
-    moment = c * (theta - rest_angle[h] + viscous)
-    d = angle_gradient(x0, x1, x2, x3)
+    if hinges.stiffness_of_start[member] == 1:
+        bent = hinges.angle_before[h]
+    length = hinges.length_m[h]
+    curvature = wp.abs(bent) * length / (wp.float64(2.0) * hinges.area_m2[h])
+    c = hinge_stiffness(hinges.table, member, hinges.direction[h], curvature) * length * length
+    c = c / (wp.float64(4.0) * hinges.area_m2[h])
+    viscous = hinges.damping_ratio[member] * (theta - hinges.angle_before[h])
+    moment = c * (theta - hinges.rest_angle[h] + viscous)
+    d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
-        wp.atomic_add(minus_force, hinges[h, a], d[a] * moment)
+        wp.atomic_add(minus_force, hinges.nodes[h, a], d[a] * moment)
 
 
 @wp.kernel
 def bending_stiffness(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    hinges: wp.array(dtype=wp.int32, ndim=2),
-    length: wp.array(dtype=wp.float64),
-    area: wp.array(dtype=wp.float64),
-    direction: wp.array(dtype=wp.float64),
-    table: wp.array(dtype=wp.float64, ndim=2),
-    angle_before: wp.array(dtype=wp.float64),
-    stiffness_of_start: wp.array(dtype=wp.int32),
-    damping_ratio: wp.array(dtype=wp.float64),
-    entry: wp.array(dtype=wp.int32, ndim=2),
-    values: wp.array(dtype=wp.float64),
-    entries: int,
+    hinges: Hinges,
+    entries: Entries,
 ):
     """Add each hinge's stiffness, without the curvature of theta, to the lower triangle."""
     h = wp.tid()
-    member = members[h]
+    member = hinges.members[h]
     if active[member] == 0:
         return
-    x0 = x[hinges[h, 0]]
-    x1 = x[hinges[h, 1]]
-    x2 = x[hinges[h, 2]]
-    x3 = x[hinges[h, 3]]
-    per_angle = length[h] / (wp.float64(2.0) * area[h])
-    if stiffness_of_start[member] == 1:
-        ke = hinge_stiffness(table, member, direction[h], wp.abs(angle_before[h]) * per_angle)
+    p = corners_of(x, hinges, h)
+    length = hinges.length_m[h]
+    per_angle = length / (wp.float64(2.0) * hinges.area_m2[h])
+    direction = hinges.direction[h]
+    if hinges.stiffness_of_start[member] == 1:
+        bent = wp.abs(hinges.angle_before[h])
+        ke = hinge_stiffness(hinges.table, member, direction, bent * per_angle)
     else:
-        theta = dihedral_angle(x0, x1, x2, x3)
-        ke = hinge_tangent_stiffness(table, member, direction[h], wp.abs(theta) * per_angle)
-    c = ke * length[h] * length[h]
-    c = c / (wp.float64(4.0) * area[h]) * (ONE + damping_ratio[member])
-    d = angle_gradient(x0, x1, x2, x3)
-    local = h - member * entry.shape[0]
-    first = member * entries
+        bent = wp.abs(dihedral_angle(p[0], p[1], p[2], p[3]))
+        ke = hinge_tangent_stiffness(hinges.table, member, direction, bent * per_angle)
+    c = ke * length * length
+    c = c / (wp.float64(4.0) * hinges.area_m2[h]) * (ONE + hinges.damping_ratio[member])
+    d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
         for b in range(4):
-            for p in range(3):
-                for q in range(3):
-                    e = entry[local, (a * 3 + p) * 12 + b * 3 + q]
-                    if e >= 0:
-                        wp.atomic_add(values, first + e, c * d[a, p] * d[b, q])
+            for q in range(3):
+                for r in range(3):
+                    k = (a * 3 + q) * 12 + b * 3 + r
+                    add_entry(entries, member, h, k, c * d[a, q] * d[b, r])

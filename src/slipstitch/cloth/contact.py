@@ -4,11 +4,9 @@ The ground is the floor z = 0, or a cylinder about a line along y whose crest is
 line x = 0 (for the capstan): contact is worked out in coordinates along, across and above it.
 
 Normal contact is a stiff penalty (micrometres of penetration under the cloth's weight).
-Friction is exact, by return mapping: a node in contact hangs on an anchor by a stiff tangential
-spring; while |Q| is below the friction law's limit the anchor does not move (no creep, microslip
-of about a micrometre that is elastic and returns), at the limit the force is the limit against
-the motion and the anchor is dragged along. Simo and Hughes, Computational Inelasticity (1998),
-ch. 1 (return mapping); Wriggers, Computational Contact Mechanics (2006).
+Friction is exact, by :mod:`return mapping <slipstitch.cloth.return_mapping>`: a node in contact
+hangs on an anchor; while |Q| is below the friction law's limit the anchor does not move (no creep,
+microslip of about a micrometre that is elastic and returns).
 
 The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
 each (:func:`contact_kernels`). They run over the nodes of all sheets, as those of
@@ -24,6 +22,8 @@ import numpy as np
 import warp as wp
 
 from slipstitch.cloth import friction
+from slipstitch.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
+from slipstitch.cloth.tangent import Entries, add_entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -105,7 +105,6 @@ class FrictionState:
     both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
     """
 
-    members: wp.array(dtype=wp.int32)  # the sheet of each node
     coefficient: wp.array(dtype=wp.float64)
     values: wp.array(dtype=wp.float64, ndim=2)  # of the mechanisms' parameters, by sheet
     area_m2: wp.array(dtype=wp.float64)
@@ -120,6 +119,19 @@ class FrictionState:
 
 
 @wp.struct
+class Nodes:
+    """The nodes of all sheets: their inertia, and what of them is solved for."""
+
+    members: wp.array(dtype=wp.int32)  # the sheet of each node
+    mass_kg: wp.array(dtype=wp.float64)
+    target: wp.array(dtype=wp.vec3d)  # where they would go by inertia alone
+    free: wp.array(dtype=wp.vec3d)  # 1 where a coordinate is solved for, 0 where prescribed
+    anchor: wp.array(dtype=wp.vec2d)  # on the ground, what friction remembers
+    gravity_m_s2: wp.array(dtype=wp.vec3d)  # by sheet
+    inverse_step_squared: wp.array(dtype=wp.float64)  # by sheet, in 1/s^2
+
+
+@wp.struct
 class Ground:
     """What each sheet lies on: curvature (1/m), penalty stiffness (N/m)."""
 
@@ -128,18 +140,23 @@ class Ground:
     tangential_stiffness: wp.array(dtype=wp.float64)
 
 
+@wp.struct
+class Touch:
+    """A node in contact with the ground."""
+
+    point: GroundPoint
+    normal_force: wp.float64
+    stiffness: wp.float64  # tangential, in N/m
+    pull: wp.vec2d  # from the anchor, in m
+    limit: wp.float64  # of the tangential force
+
+
 @wp.func
 def coulomb_limit(
-    node: int,
-    normal_force: wp.float64,
-    pull: wp.vec2d,
-    place: wp.vec2d,
-    curvature: wp.float64,
-    inverse_step_squared: wp.float64,
-    law: FrictionState,
+    node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
 ) -> wp.float64:
     """Largest tangential force that contact can bear: Coulomb's mu P."""
-    return law.coefficient[node] * normal_force
+    return law.coefficient[node] * touch.normal_force
 
 
 @cache
@@ -148,32 +165,27 @@ def _law_limit() -> wp.Function:
 
     @wp.func
     def law_limit(
-        node: int,
-        normal_force: wp.float64,
-        pull: wp.vec2d,
-        place: wp.vec2d,
-        curvature: wp.float64,
-        inverse_step_squared: wp.float64,
-        law: FrictionState,
+        node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
     ) -> wp.float64:
         """Largest tangential force under an extended law."""
-        start = ground_point(law.start[node], curvature)
-        moved = wp.length(place - start.place)
+        member = nodes.members[node]
+        start = ground_point(law.start[node], ground.curvature[member])
+        moved = wp.length(touch.point.place - start.place)
         warp = law.warp[node]
+        pull = touch.pull
         direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
         # A force that the area bears would jump where a node just touches, and leave the step
         # without a solution: the area comes to bear with the first part of the load.
-        member = law.members[node]
-        touched = law.area_m2[node] * wp.min(ONE, normal_force / law.full_touch_N[member])
+        touched = law.area_m2[node] * wp.min(ONE, touch.normal_force / law.full_touch_N[member])
         return force_limit(
             law.coefficient[node],
             law.values[member],
             law.sliding[node] == 0,
-            normal_force,
+            touch.normal_force,
             touched,
             direction,
             law.dwell_s[node],
-            moved * wp.sqrt(inverse_step_squared),
+            moved * wp.sqrt(nodes.inverse_step_squared[member]),
             law.repeats[node],
             law.relative_humidity_pct[member],
         )
@@ -197,179 +209,136 @@ def contact_kernels(extended: bool) -> ContactKernels:
     module = __name__ + ("_extended" if extended else "_coulomb")
 
     @wp.func
-    def ground_force(
+    def touched(
         node: int,
-        p: wp.vec3d,
-        anchor: wp.vec2d,
-        curvature: wp.float64,
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
-        inverse_step_squared: wp.float64,
+        point: GroundPoint,
+        nodes: Nodes,
+        ground: Ground,
         law: FrictionState,
-    ) -> wp.vec3d:
+    ) -> Touch:
+        """What a node bears at a point below the ground's surface."""
+        member = nodes.members[node]
+        touch = Touch()
+        touch.point = point
+        touch.normal_force = -ground.normal_stiffness[member] * point.gap
+        touch.stiffness = ground.tangential_stiffness[member]
+        touch.pull = point.place - nodes.anchor[node]
+        touch.limit = limit_of(node, touch, nodes, ground, law)
+        return touch
+
+    @wp.func
+    def ground_force(touch: Touch) -> wp.vec3d:
         """Force of a node in contact on the ground."""
-        point = ground_point(p, curvature)
-        normal_force = -normal_stiffness * point.gap
-        pull = point.place - anchor
-        q = pull * tangential_stiffness
-        size = wp.length(q)
-        limit = limit_of(
-            node, normal_force, pull, point.place, curvature, inverse_step_squared, law
-        )
-        if size > limit:
-            q = q * (limit / size)
-        return point.along * q[0] - point.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+        point = touch.point
+        q = returned_force(touch.pull * touch.stiffness, touch.limit)
+        return point.along * q[0] - point.normal * touch.normal_force + wp.vec3d(ZERO, q[1], ZERO)
 
     @wp.kernel(module=module, enable_backward=False)
     def node_residual(
         active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
-        inertial_target: wp.array(dtype=wp.vec3d),
-        mass: wp.array(dtype=wp.float64),
-        inverse_step_squared: wp.array(dtype=wp.float64),
-        gravity: wp.array(dtype=wp.vec3d),
+        nodes: Nodes,
         ground: Ground,
-        anchor: wp.array(dtype=wp.vec2d),
         law: FrictionState,
         minus_force: wp.array(dtype=wp.vec3d),
-        free: wp.array(dtype=wp.vec3d),
         residual: wp.array(dtype=wp.vec3d),
         state: wp.array(dtype=wp.int32),
     ):
         """Out-of-balance force of each node; reads and clears ``minus_force``."""
         i = wp.tid()
-        member = law.members[i]
+        member = nodes.members[i]
         if active[member] == 0:
             return
-        curvature = ground.curvature[member]
         p = x[i]
-        r = minus_force[i] + mass[i] * (
-            (p - inertial_target[i]) * inverse_step_squared[member] - gravity[member]
+        r = minus_force[i] + nodes.mass_kg[i] * (
+            (p - nodes.target[i]) * nodes.inverse_step_squared[member] - nodes.gravity_m_s2[member]
         )
         minus_force[i] = wp.vec3d()
         s = OPEN
-        point = ground_point(p, curvature)
+        point = ground_point(p, ground.curvature[member])
         if point.gap < ZERO:
-            normal_force = -ground.normal_stiffness[member] * point.gap
-            pull = point.place - anchor[i]
-            q = pull * ground.tangential_stiffness[member]
-            size = wp.length(q)
-            limit = limit_of(
-                i, normal_force, pull, point.place, curvature, inverse_step_squared[member], law
-            )
+            touch = touched(i, point, nodes, ground, law)
             s = STICK
-            if size > limit:
+            if wp.length(touch.pull * touch.stiffness) > touch.limit:
                 s = SLIP
-                q = q * (limit / size)
-            r += point.along * q[0] - point.normal * normal_force + wp.vec3d(ZERO, q[1], ZERO)
+            r += ground_force(touch)
         state[i] = s
-        residual[i] = wp.cw_mul(r, free[i])
+        residual[i] = wp.cw_mul(r, nodes.free[i])
 
     @wp.func
     def symmetric_block(
-        node: int,
-        p: wp.vec3d,
-        anchor: wp.vec2d,
-        curvature: wp.float64,
-        normal_stiffness: wp.float64,
-        tangential_stiffness: wp.float64,
-        inverse_step_squared: wp.float64,
-        law: FrictionState,
+        node: int, p: wp.vec3d, nodes: Nodes, ground: Ground, law: FrictionState
     ) -> wp.mat33d:
         """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
         block = wp.mat33d()
-        point = ground_point(p, curvature)
+        member = nodes.members[node]
+        point = ground_point(p, ground.curvature[member])
         if point.gap < ZERO:
-            along = point.along
+            touch = touched(node, point, nodes, ground, law)
             across = wp.vec3d(ZERO, ONE, ZERO)
-            block += wp.outer(point.normal, point.normal) * normal_stiffness
-            d = point.place - anchor
-            size = wp.length(d)
-            normal_force = -normal_stiffness * point.gap
-            limit = limit_of(
-                node, normal_force, d, point.place, curvature, inverse_step_squared, law
+            surface = wp.outer(point.along, point.along) + wp.outer(across, across)
+            pull = wp.length(touch.pull)
+            sideways = (across * touch.pull[0] - point.along * touch.pull[1]) / pull
+            block = returned_stiffness(
+                pull, surface, wp.outer(sideways, sideways), touch.stiffness, touch.limit
             )
-            if size * tangential_stiffness <= limit:
-                block += (wp.outer(along, along) + wp.outer(across, across)) * tangential_stiffness
-            else:
-                sideways = (across * d[0] - along * d[1]) / size
-                block += wp.outer(sideways, sideways) * (limit / size)
+            block += wp.outer(point.normal, point.normal) * ground.normal_stiffness[member]
         return block
 
     @wp.kernel(module=module, enable_backward=False)
     def node_stiffness(
         active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
-        mass: wp.array(dtype=wp.float64),
-        inverse_step_squared: wp.array(dtype=wp.float64),
+        nodes: Nodes,
         ground: Ground,
-        anchor: wp.array(dtype=wp.vec2d),
         law: FrictionState,
-        entry: wp.array(dtype=wp.int32, ndim=2),
-        values: wp.array(dtype=wp.float64),
-        entries: int,
+        entries: Entries,
     ):
         """Add inertia and the symmetric part of contact to the diagonal blocks.
 
-        ``entry`` holds, per node, the places of (xx, yx, yy, zx, zy, zz) in the lower triangle.
+        An element's entries are (xx, yx, yy, zx, zy, zz) of a node's own block.
         """
         i = wp.tid()
-        member = law.members[i]
+        member = nodes.members[i]
         if active[member] == 0:
             return
-        block = wp.identity(n=3, dtype=wp.float64) * (mass[i] * inverse_step_squared[member])
-        block += symmetric_block(
-            i,
-            x[i],
-            anchor[i],
-            ground.curvature[member],
-            ground.normal_stiffness[member],
-            ground.tangential_stiffness[member],
-            inverse_step_squared[member],
-            law,
-        )
+        inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[member]
+        block = wp.identity(n=3, dtype=wp.float64) * inertia
+        block += symmetric_block(i, x[i], nodes, ground, law)
         for row in range(3):
             for column in range(row + 1):
-                e = entry[i - member * entry.shape[0], row * (row + 1) // 2 + column]
-                if e >= 0:
-                    wp.atomic_add(values, member * entries + e, block[row, column])
+                place = row * (row + 1) // 2 + column
+                add_entry(entries, member, i, place, block[row, column])
 
     @wp.kernel(module=module, enable_backward=False)
     def move_anchors(
         active: wp.array(dtype=wp.int32),
         x: wp.array(dtype=wp.vec3d),
-        inverse_step_squared: wp.array(dtype=wp.float64),
+        nodes: Nodes,
         ground: Ground,
         law: FrictionState,
-        anchor: wp.array(dtype=wp.vec2d),
     ):
         """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
         i = wp.tid()
-        member = law.members[i]
+        member = nodes.members[i]
         if active[member] == 0:
             return
-        curvature = ground.curvature[member]
-        point = ground_point(x[i], curvature)
-        here = point.place
+        point = ground_point(x[i], ground.curvature[member])
         if point.gap < ZERO:
-            d = here - anchor[i]
-            size = wp.length(d)
-            normal_force = -ground.normal_stiffness[member] * point.gap
-            limit = limit_of(i, normal_force, d, here, curvature, inverse_step_squared[member], law)
-            reach = limit / ground.tangential_stiffness[member]
-            if size > reach:
-                anchor[i] = here - d * (reach / size)
+            touch = touched(i, point, nodes, ground, law)
+            kept = kept_pull(wp.length(touch.pull), touch.stiffness, touch.limit)
+            if kept < ONE:
+                nodes.anchor[i] = point.place - touch.pull * kept
         else:
-            anchor[i] = here
+            nodes.anchor[i] = point.place
 
     @wp.kernel(module=module, enable_backward=False)
     def tangent(
         x: wp.array(dtype=wp.vec3d),
-        inverse_step_squared: wp.array(dtype=wp.float64),
+        nodes: Nodes,
         ground: Ground,
-        anchor: wp.array(dtype=wp.vec2d),
         law: FrictionState,
-        nodes: wp.array(dtype=wp.int32),
+        numbers: wp.array(dtype=wp.int32),
         symmetric: bool,
         blocks: wp.array(dtype=wp.mat33d),
     ):
@@ -378,44 +347,18 @@ def contact_kernels(extended: bool) -> ContactKernels:
         ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
         """
         k = wp.tid()
-        i = nodes[k]
-        member = law.members[i]
+        i = numbers[k]
         if symmetric:
-            blocks[k] = symmetric_block(
-                i,
-                x[i],
-                anchor[i],
-                ground.curvature[member],
-                ground.normal_stiffness[member],
-                ground.tangential_stiffness[member],
-                inverse_step_squared[member],
-                law,
-            )
+            blocks[k] = symmetric_block(i, x[i], nodes, ground, law)
         else:
+            curvature = ground.curvature[nodes.members[i]]
             for c in range(3):
                 shift = wp.vec3d()
                 shift[c] = HALF_DIFFERENCE
-                ahead = ground_force(
-                    i,
-                    x[i] + shift,
-                    anchor[i],
-                    ground.curvature[member],
-                    ground.normal_stiffness[member],
-                    ground.tangential_stiffness[member],
-                    inverse_step_squared[member],
-                    law,
-                )
-                behind = ground_force(
-                    i,
-                    x[i] - shift,
-                    anchor[i],
-                    ground.curvature[member],
-                    ground.normal_stiffness[member],
-                    ground.tangential_stiffness[member],
-                    inverse_step_squared[member],
-                    law,
-                )
-                change = (ahead - behind) / (HALF_DIFFERENCE + HALF_DIFFERENCE)
+                ahead = touched(i, ground_point(x[i] + shift, curvature), nodes, ground, law)
+                behind = touched(i, ground_point(x[i] - shift, curvature), nodes, ground, law)
+                change = ground_force(ahead) - ground_force(behind)
+                change = change / (HALF_DIFFERENCE + HALF_DIFFERENCE)
                 for r in range(3):
                     blocks[k][r, c] = change[r]
 
@@ -426,17 +369,17 @@ def contact_kernels(extended: bool) -> ContactKernels:
 def advance_friction_state(
     active: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    inverse_step_squared: wp.array(dtype=wp.float64),
+    nodes: Nodes,
     ground: Ground,
-    state: wp.array(dtype=wp.int32),
     law: FrictionState,
+    state: wp.array(dtype=wp.int32),
 ):
     """After an accepted step: who rests and who slides, for how long, how often.
 
     A slide ends when the node comes to rest or leaves the floor.
     """
     i = wp.tid()
-    member = law.members[i]
+    member = nodes.members[i]
     if active[member] == 0:
         return
     curvature = ground.curvature[member]
@@ -453,6 +396,6 @@ def advance_friction_state(
         law.slid_m[i] = ZERO
         law.sliding[i] = 0
         if state[i] == STICK:
-            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(inverse_step_squared[member])
+            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(nodes.inverse_step_squared[member])
         else:
             law.dwell_s[i] = ZERO

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
+from slipstitch.cloth.tangent import Entries, add_entry
 from slipstitch.material.law import NORMAL_STRAIN_MIN, STRAIN_NODES, STRAIN_SPACING
 
 wp.set_module_options({"enable_backward": False})
@@ -34,6 +35,19 @@ def shape_gradients(mesh: ClothMesh) -> np.ndarray:
     edges = np.stack([b - a, c - a], axis=2)  # columns
     inverse = np.linalg.inv(edges)
     return np.stack([-inverse.sum(axis=1), inverse[:, 0], inverse[:, 1]], axis=1)
+
+
+@wp.struct
+class Faces:
+    """The faces of all sheets, and the stretching law of each sheet."""
+
+    members: wp.array(dtype=wp.int32)  # the sheet of each face
+    nodes: wp.array(dtype=wp.int32, ndim=2)
+    gradients: wp.array(dtype=wp.vec2d, ndim=2)  # of the shape functions, in 1/m
+    area_m2: wp.array(dtype=wp.float64)
+    strain_before: wp.array(dtype=wp.vec3d)  # (G00, G11, G01) at the beginning of the step
+    table: wp.array(dtype=wp.vec4d, ndim=3)  # k0...k3 (N/m), one sheet's rows after another's
+    damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
 
 
 @wp.func
@@ -74,15 +88,14 @@ class Deformation:
 @wp.func
 def deformation(
     x: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.int32, ndim=2),
-    gradients: wp.array(dtype=wp.vec2d, ndim=2),
+    faces: Faces,
     t: int,
 ) -> Deformation:
     f0 = wp.vec3d()
     f1 = wp.vec3d()
     for a in range(3):
-        g = gradients[t, a]
-        p = x[faces[t, a]]
+        g = faces.gradients[t, a]
+        p = x[faces.nodes[t, a]]
         f0 += p * g[0]
         f1 += p * g[1]
     face = Deformation()
@@ -97,49 +110,41 @@ def deformation(
 @wp.kernel
 def green_strains(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.int32, ndim=2),
-    gradients: wp.array(dtype=wp.vec2d, ndim=2),
-    strain: wp.array(dtype=wp.vec3d),
+    faces: Faces,
 ):
-    """Green strain (G00, G11, G01) of each face."""
+    """Note the Green strain (G00, G11, G01) of each face."""
     t = wp.tid()
-    if active[members[t]] == 0:
+    if active[faces.members[t]] == 0:
         return
-    strain[t] = deformation(x, faces, gradients, t).G
+    faces.strain_before[t] = deformation(x, faces, t).G
 
 
 @wp.kernel
 def stretching_force(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.int32, ndim=2),
-    gradients: wp.array(dtype=wp.vec2d, ndim=2),
-    area: wp.array(dtype=wp.float64),
-    table: wp.array(dtype=wp.vec4d, ndim=3),
-    strain_before: wp.array(dtype=wp.vec3d),
-    damping_ratio: wp.array(dtype=wp.float64),
+    faces: Faces,
     minus_force: wp.array(dtype=wp.vec3d),
 ):
     """Add minus the elastic and viscous nodal forces of each face."""
     t = wp.tid()
-    member = members[t]
+    member = faces.members[t]
     if active[member] == 0:
         return
-    face = deformation(x, faces, gradients, t)
-    k = stiffness_at(table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
-    d = damping_ratio[member]
-    E = face.G + (face.G - strain_before[t]) * d
-    S00 = area[t] * (k[0] * E[0] + k[1] * E[1])
-    S11 = area[t] * (k[2] * E[1] + k[1] * E[0])
-    S01 = area[t] * k[3] * E[2]
+    face = deformation(x, faces, t)
+    k = stiffness_at(faces.table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
+    d = faces.damping_ratio[member]
+    area = faces.area_m2[t]
+    E = face.G + (face.G - faces.strain_before[t]) * d
+    S00 = area * (k[0] * E[0] + k[1] * E[1])
+    S11 = area * (k[2] * E[1] + k[1] * E[0])
+    S01 = area * k[3] * E[2]
     for a in range(3):
-        g = gradients[t, a]
+        g = faces.gradients[t, a]
         wp.atomic_add(
             minus_force,
-            faces[t, a],
+            faces.nodes[t, a],
             face.f0 * (S00 * g[0] + S01 * g[1]) + face.f1 * (S01 * g[0] + S11 * g[1]),
         )
 
@@ -147,31 +152,23 @@ def stretching_force(
 @wp.kernel
 def stretching_stiffness(
     active: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.int32, ndim=2),
-    gradients: wp.array(dtype=wp.vec2d, ndim=2),
-    area: wp.array(dtype=wp.float64),
-    table: wp.array(dtype=wp.vec4d, ndim=3),
-    strain_before: wp.array(dtype=wp.vec3d),
-    damping_ratio: wp.array(dtype=wp.float64),
-    entry: wp.array(dtype=wp.int32, ndim=2),
-    values: wp.array(dtype=wp.float64),
-    entries: int,
+    faces: Faces,
+    entries: Entries,
 ):
     """Add each face's stiffness to the lower triangle of the matrix, kept positive definite.
 
-    The geometric term enters with the tensile part of the stress only. ``entry`` is of one
-    sheet's faces; a sheet's matrix has ``entries`` values.
+    The geometric term enters with the tensile part of the stress only.
     """
     t = wp.tid()
-    member = members[t]
+    member = faces.members[t]
     if active[member] == 0:
         return
-    face = deformation(x, faces, gradients, t)
-    k = stiffness_at(table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
-    d = damping_ratio[member]
-    E = face.G + (face.G - strain_before[t]) * d
+    face = deformation(x, faces, t)
+    k = stiffness_at(faces.table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
+    d = faces.damping_ratio[member]
+    area = faces.area_m2[t]
+    E = face.G + (face.G - faces.strain_before[t]) * d
     S00 = k[0] * E[0] + k[1] * E[1]
     S11 = k[2] * E[1] + k[1] * E[0]
     S01 = k[3] * E[2]
@@ -193,26 +190,24 @@ def stretching_stiffness(
         S00 = high
         S11 = high
         S01 = ZERO
-    scale = area[t] * (ONE + d)
+    scale = area * (ONE + d)
     k0 = scale * k[0]
     k2 = scale * k[2]
     k1 = wp.min(scale * k[1], wp.float64(0.99) * wp.sqrt(k0 * k2))
     k3 = scale * HALF * k[3]
     identity = wp.identity(n=3, dtype=wp.float64)
-    local = t - member * entry.shape[0]
-    first = member * entries
     for b in range(3):
-        gb = gradients[t, b]
+        gb = faces.gradients[t, b]
         # Strains (G00, G11, 2 G01) per displacement of vertex b are the rows of Q_b.
         b0 = face.f0 * gb[0]
         b1 = face.f1 * gb[1]
         b2 = face.f0 * gb[1] + face.f1 * gb[0]
         for a in range(3):
-            ga = gradients[t, a]
+            ga = faces.gradients[t, a]
             a0 = face.f0 * ga[0]
             a1 = face.f1 * ga[1]
             a2 = face.f0 * ga[1] + face.f1 * ga[0]
-            geometric = area[t] * (
+            geometric = area * (
                 ga[0] * (S00 * gb[0] + S01 * gb[1]) + ga[1] * (S01 * gb[0] + S11 * gb[1])
             )
             block = (
@@ -223,6 +218,4 @@ def stretching_stiffness(
             )
             for p in range(3):
                 for q in range(3):
-                    e = entry[local, (a * 3 + p) * 9 + b * 3 + q]
-                    if e >= 0:
-                        wp.atomic_add(values, first + e, block[p, q])
+                    add_entry(entries, member, t, (a * 3 + p) * 9 + b * 3 + q, block[p, q])

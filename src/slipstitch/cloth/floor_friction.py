@@ -40,8 +40,6 @@ def friction_states(mesh: ClothMesh, count: int, device: str) -> contact.Frictio
         return wp.zeros(shape, dtype=dtype, device=device)
 
     state = contact.FrictionState()
-    members = np.repeat(np.arange(count, dtype=np.int32), V)
-    state.members = wp.array(members, dtype=wp.int32, device=device)
     state.coefficient = array(count * V)
     state.values = array(count, len(FrictionLaw(0.0).parameter_values()))
     areas_m2 = np.tile(mesh.vertex_areas_m2(), count)

@@ -31,6 +31,7 @@ from slipstitch.cloth.proximity import (
     slide,
     weights,
 )
+from slipstitch.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -53,7 +54,7 @@ class Pairs:
 
 
 @wp.struct
-class Meeting:
+class Touch:
     """A pair's closest points and normal force."""
 
     at: wp.vec2d
@@ -64,8 +65,8 @@ class Meeting:
 
 
 @wp.func
-def meet(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.float64) -> Meeting:
-    pair = Meeting()
+def touch(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.float64) -> Touch:
+    pair = Touch()
     pair.at = closest(kind, p)
     pair.weight = weights(kind, pair.at)
     apart = between(p, pair.weight)
@@ -87,7 +88,7 @@ def meet(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.floa
 
 
 @wp.func
-def stretched(kind: int, p: Corners, pair: Meeting, anchor: wp.vec2d) -> wp.vec3d:
+def stretched(kind: int, p: Corners, pair: Touch, anchor: wp.vec2d) -> wp.vec3d:
     """Vector along the surface between the material points that met."""
     change = slide(kind, p, anchor - pair.at)
     return change - wp.dot(change, pair.normal) * pair.normal
@@ -102,15 +103,11 @@ def self_contact_force(
     i = wp.tid()
     n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     if pair.force == ZERO:
         return
     q = pairs.stiffness * stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
-    size = wp.length(q)
-    limit = pairs.friction * pair.force
-    if size > limit:
-        q = q * (limit / size)
-    push = q - pair.force * pair.normal
+    push = returned_force(q, pairs.friction * pair.force) - pair.force * pair.normal
     for k in range(4):
         wp.atomic_add(minus_force, n[k], pair.weight[k] * push)
 
@@ -133,18 +130,19 @@ def self_contact_stiffness(
     i = wp.tid()
     n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     if pair.force == ZERO:
         return
     d = stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
     size = wp.length(d)
-    along = wp.identity(n=3, dtype=wp.float64) - wp.outer(pair.normal, pair.normal)
+    across = wp.outer(pair.normal, pair.normal)
+    surface = wp.identity(n=3, dtype=wp.float64) - across
+    sideways = surface - wp.outer(d, d) / (size * size)
     limit = pairs.friction * pair.force
-    if size * pairs.stiffness <= limit:
-        along = along * pairs.stiffness
-    else:
-        along = (along - wp.outer(d, d) / (size * size)) * (limit / size)
-    stiffness = along + pair.stiffness * wp.outer(pair.normal, pair.normal)
+    stiffness = (
+        returned_stiffness(size, surface, sideways, pairs.stiffness, limit)
+        + pair.stiffness * across
+    )
     for a in range(4):
         for b in range(a + 1):
             block = a * (a + 1) // 2 + b
@@ -175,16 +173,16 @@ def move_self_anchors(
     """After an accepted step: slipping pairs drag their memory along, open ones forget."""
     i = wp.tid()
     p = corners_of(x, pairs.nodes[i])
-    pair = meet(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
     touching[i] = 0
     if pair.force == ZERO:
         pairs.anchors[i] = pair.at
         return
     touching[i] = 1
-    size = wp.length(stretched(pairs.kinds[i], p, pair, pairs.anchors[i]))
-    reach = pairs.friction * pair.force / pairs.stiffness
-    if size > reach:
-        pairs.anchors[i] = pair.at + (pairs.anchors[i] - pair.at) * (reach / size)
+    pull = stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
+    kept = kept_pull(wp.length(pull), pairs.stiffness, pairs.friction * pair.force)
+    if kept < ONE:
+        pairs.anchors[i] = pair.at + (pairs.anchors[i] - pair.at) * kept
 
 
 @wp.kernel

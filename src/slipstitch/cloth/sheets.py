@@ -13,33 +13,21 @@ in a fixed order, so that a sheet gets the same bits alone and among others; on 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from enum import Enum, auto
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from slipstitch.cloth import bending, contact, elasticity
+from slipstitch.cloth.batch import Meeting, Work
 from slipstitch.cloth.floor_friction import friction_states
 from slipstitch.cloth.mesh import ClothMesh
-from slipstitch.cloth.tangent import Assembly
-from slipstitch.errors import BadInput
+from slipstitch.cloth.self_contact import SelfContact
+from slipstitch.cloth.tangent import Assembly, Entries
+from slipstitch.errors import BadInput, NotConverged
 from slipstitch.material.law import FOLD_CURVATURES, FOLD_DIRECTIONS, STRAIN_NODES
-
-if TYPE_CHECKING:
-    from slipstitch.cloth.batch import Meeting
-    from slipstitch.cloth.self_contact import SelfContact
-
-
-class Work(Enum):
-    """What a sheet may ask for."""
-
-    FORCES = auto()  # out-of-balance forces at the placed positions
-    STIFFNESS = auto()  # entries of the tangent there
-    STRAINS = auto()  # strains there become those that damping refers to
-    ACCEPT = auto()  # likewise, and the floor's friction remembers the step
 
 
 class Sheets:
@@ -91,37 +79,39 @@ class Sheets:
         def members(elements):
             return table(np.arange(count).repeat(elements), wp.int32)
 
-        # Of the elements.
-        self._faces = repeated(mesh.faces, wp.int32, V)
-        self._gradients = repeated(elasticity.shape_gradients(mesh), wp.vec2d)
-        self._face_area = repeated(mesh.face_areas_m2(), wp.float64)
-        self._face_members, self._hinge_members = members(F), members(H)
-        self._hinges = repeated(mesh.hinges, wp.int32, V)
-        self._hinge_shape = [repeated(one, wp.float64) for one in bending.hinge_geometry(mesh)]
-        self._strain, self._angle = zeros(count * F, dtype=wp.vec3d), zeros(count * H)
-        self.rest_angle = zeros(count, H)
-        # Of the nodes.
         vectors = partial(zeros, count * V, dtype=wp.vec3d)
-        self._x, self._minus_force, self._residual = vectors(), vectors(), vectors()
-        self.target, self.free = vectors(), vectors()
-        self.anchor = zeros(count * V, dtype=wp.vec2d)
-        self.mass = zeros(count * V)
-        self._state = zeros(count * V, dtype=wp.int32)
+        self.damping_ratio = zeros(count)
+        faces = self.faces = elasticity.Faces()
+        faces.members, faces.nodes = members(F), repeated(mesh.faces, wp.int32, V)
+        faces.gradients = repeated(elasticity.shape_gradients(mesh), wp.vec2d)
+        faces.area_m2 = repeated(mesh.face_areas_m2(), wp.float64)
+        faces.strain_before = zeros(count * F, dtype=wp.vec3d)
+        faces.table = zeros(count * STRAIN_NODES, STRAIN_NODES, STRAIN_NODES, dtype=wp.vec4d)
+        faces.damping_ratio = self.damping_ratio
+        hinges = self.hinges = bending.Hinges()
+        hinges.members, hinges.nodes = members(H), repeated(mesh.hinges, wp.int32, V)
+        hinges.length_m, hinges.area_m2, hinges.direction = (
+            repeated(values, wp.float64) for values in bending.hinge_geometry(mesh)
+        )
+        hinges.rest_angle, hinges.angle_before = zeros(count * H), zeros(count * H)
+        hinges.table = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
+        hinges.stiffness_of_start = zeros(count, dtype=wp.int32)
+        hinges.damping_ratio = self.damping_ratio
+        nodes = self.nodes = contact.Nodes()
+        nodes.members, nodes.mass_kg = members(V), zeros(count * V)
+        nodes.target, nodes.free = vectors(), vectors()
+        nodes.anchor = zeros(count * V, dtype=wp.vec2d)
+        nodes.gravity_m_s2 = zeros(count, dtype=wp.vec3d)
+        nodes.inverse_step_squared = zeros(count)
+        ground = self.ground = contact.Ground()
+        ground.curvature, ground.normal_stiffness = zeros(count), zeros(count)
+        ground.tangential_stiffness = zeros(count)
         self.friction = friction_states(mesh, count, self.device)
-        # Of the sheets.
+        self._x, self._minus_force, self._residual = vectors(), vectors(), vectors()
+        self._state = zeros(count * V, dtype=wp.int32)
+        self._values = zeros(count * self.assembly.pattern.entry_count)
         self._active = zeros(count, dtype=wp.int32)
         self._asked: tuple[int, ...] = ()
-        self.gravity = zeros(count, dtype=wp.vec3d)
-        self.inverse_step_squared, self.damping_ratio = zeros(count), zeros(count)
-        self.stiffness_of_start = zeros(count, dtype=wp.int32)
-        nodes = STRAIN_NODES
-        self.stretching = zeros(count * nodes, nodes, nodes, dtype=wp.vec4d)
-        self.bending = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
-        self._values = zeros(count * self.assembly.pattern.entry_count)
-        self.ground = contact.Ground()
-        self.ground.curvature = zeros(count)
-        self.ground.normal_stiffness = zeros(count)
-        self.ground.tangential_stiffness = zeros(count)
         self.extended = [False] * count
         # The host's copies: placed positions, and the last forces and contact states.
         self._host_x = np.zeros((count * V, 3))
@@ -137,26 +127,27 @@ class Sheets:
 
     def _record_elements(self) -> None:
         F, H = len(self.mesh.faces), len(self.mesh.hinges)
-        faces = [self._face_members, self._x, self._faces, self._gradients]
-        stretching = [*faces, self._face_area, self.stretching, self._strain, self.damping_ratio]
-        hinges = [self._hinge_members, self._x, self._hinges]
-        shape = [*hinges, *self._hinge_shape]
-        rest_angle = self.rest_angle.flatten()
-        law = [self.bending, self._angle, self.stiffness_of_start, self.damping_ratio]
-        of_faces, of_hinges = self.assembly.entries
-        values = [self._values, self.assembly.pattern.entry_count]
+        faces, hinges = [self._x, self.faces], [self._x, self.hinges]
+        of_faces, of_hinges = (self._entries(places) for places in self.assembly.entries)
         self._elements[Work.FORCES] = [
-            self._launch(elasticity.stretching_force, [*stretching, self._minus_force], F),
-            self._launch(bending.bending_force, [*shape, rest_angle, *law, self._minus_force], H),
+            self._launch(elasticity.stretching_force, [*faces, self._minus_force], F),
+            self._launch(bending.bending_force, [*hinges, self._minus_force], H),
         ]
         self._elements[Work.STIFFNESS] = [
-            self._launch(elasticity.stretching_stiffness, [*stretching, of_faces, *values], F),
-            self._launch(bending.bending_stiffness, [*shape, *law, of_hinges, *values], H),
+            self._launch(elasticity.stretching_stiffness, [*faces, of_faces], F),
+            self._launch(bending.bending_stiffness, [*hinges, of_hinges], H),
         ]
         self._elements[Work.STRAINS] = self._elements[Work.ACCEPT] = [
-            self._launch(elasticity.green_strains, [*faces, self._strain], F),
-            self._launch(bending.dihedral_angles, [*hinges, self._angle], H),
+            self._launch(elasticity.green_strains, faces, F),
+            self._launch(bending.dihedral_angles, hinges, H),
         ]
+
+    def _entries(self, places: wp.array) -> Entries:
+        """Where the elements of one kind add to the matrices."""
+        entries = Entries()
+        entries.place, entries.values = places, self._values
+        entries.per_sheet = self.assembly.pattern.entry_count
+        return entries
 
     def _node_launches(self, work: Work, extended: bool) -> list[wp.Launch]:
         """Launches over nodes, recorded when first asked for: each law is a module to compile."""
@@ -169,21 +160,15 @@ class Sheets:
 
     def _node_kernels(self, work: Work, extended: bool) -> Iterator[tuple[wp.Kernel, list]]:
         kernels = contact.contact_kernels(extended)
-        floor = [self.ground, self.anchor, self.friction]
-        step = [self._x, self.inverse_step_squared]
+        nodes = [self._x, self.nodes, self.ground, self.friction]
         if work is Work.FORCES:
-            inertia = [self.target, self.mass, self.inverse_step_squared, self.gravity]
-            out = [self._minus_force, self.free, self._residual, self._state]
-            yield kernels.residual, [self._x, *inertia, *floor, *out]
+            yield kernels.residual, [*nodes, self._minus_force, self._residual, self._state]
         elif work is Work.STIFFNESS:
-            inertia = [self.mass, self.inverse_step_squared]
-            out = [self.assembly.node_entries, self._values, self.assembly.pattern.entry_count]
-            yield kernels.stiffness, [self._x, *inertia, *floor, *out]
+            yield kernels.stiffness, [*nodes, self._entries(self.assembly.node_entries)]
         elif work is Work.ACCEPT:
-            yield kernels.move_anchors, [*step, self.ground, self.friction, self.anchor]
+            yield kernels.move_anchors, nodes
             if extended:
-                history = [*step, self.ground, self._state, self.friction]
-                yield contact.advance_friction_state, history
+                yield contact.advance_friction_state, [*nodes, self._state]
 
     def nodes_of(self, member: int) -> slice:
         """Places of a sheet's nodes in the arrays of all."""
@@ -216,7 +201,7 @@ class Sheets:
         """Tangents (n, 3, 3) of the ground's force on some nodes, see :mod:`..contact`."""
         blocks = wp.zeros(len(nodes), dtype=wp.mat33d, device=self.device)
         numbers = (nodes + self.nodes_of(member).start).astype(np.int32)
-        inputs = [self._x, self.inverse_step_squared, self.ground, self.anchor, self.friction]
+        inputs = [self._x, self.nodes, self.ground, self.friction]
         inputs += [wp.array(numbers, dtype=wp.int32, device=self.device), symmetric, blocks]
         kernel = contact.contact_kernels(self.extended[member]).tangent
         wp.launch(kernel, dim=len(nodes), inputs=inputs, device=self.device)
@@ -274,6 +259,33 @@ class Sheets:
             active = np.zeros(self.count, dtype=np.int32)
             active[list(members)] = 1
             self._active.assign(active)
+
+
+def run_together(sheets: Sheets, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
+    """Run tasks that drive one sheet each, the device working for all at once.
+
+    Parameters
+    ----------
+    sheets : Sheets
+    tasks : sequence of callables
+        Task k may use the solver of sheet k only.
+
+    Returns
+    -------
+    list
+        What each task returned, or the :class:`NotConverged` that it raised: a task that fails does
+        not take the others with it. Any other exception ends all and is raised.
+    """
+    if len(tasks) == 1:  # nobody to wait for
+        try:
+            return [tasks[0]()]
+        except NotConverged as error:
+            return [error]
+    sheets.meeting = Meeting(sheets.run, tasks)
+    try:
+        return sheets.meeting.run()
+    finally:
+        sheets.meeting = None
 
 
 def check_device(name: str) -> None:

@@ -17,18 +17,19 @@ from typing import Literal
 
 import numpy as np
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import bending, contact
+from slipstitch.cloth.batch import Work
 from slipstitch.cloth.floor_friction import ContactConditions, FloorFriction
 from slipstitch.cloth.krylov import flexible_gmres
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
-from slipstitch.cloth.sheets import Sheets, Work
+from slipstitch.cloth.sheets import Sheets
 from slipstitch.cloth.tangent import Tangent
 from slipstitch.errors import NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material.law import ElasticTables
 
-GRAVITY_M_S2 = 9.81
 FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its whole area
 # Tuning of the nonlinear solver; results do not depend on it, cost does.
 SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start
@@ -237,29 +238,32 @@ class ClothSolver:
         """Fill in this sheet's part of the device's arrays."""
         sheets, member = self.sheets, self.member
         nodes, own = sheets.nodes_of(member), slice(member, member + 1)
-        self._target, self._anchor = sheets.target[nodes], sheets.anchor[nodes]
-        self._free, self._gravity = sheets.free[nodes], sheets.gravity[own]
-        self._inverse_step_squared = sheets.inverse_step_squared[own]
+        all_nodes = sheets.nodes
+        self._target, self._anchor = all_nodes.target[nodes], all_nodes.anchor[nodes]
+        self._free, self._gravity = all_nodes.free[nodes], all_nodes.gravity_m_s2[own]
+        self._inverse_step_squared = all_nodes.inverse_step_squared[own]
         self._damping_ratio = sheets.damping_ratio[own]
         sheets.place(member, self.positions_m)
         self._target.assign(self.positions_m)
         self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
-        sheets.mass[nodes].assign(self.mass_kg)
+        all_nodes.mass_kg[nodes].assign(self.mass_kg)
         self._free.assign((~self.fixed).astype(float))
         self.set_gravity(gravity)
         self._inverse_step_squared.fill_(1.0)
         of_start = self.settings.bending_stiffness_at == "start"
-        sheets.stiffness_of_start[own].fill_(int(of_start))
+        sheets.hinges.stiffness_of_start[own].fill_(int(of_start))
         ground = sheets.ground
         ground.curvature[own].fill_(self.ground_curvature_per_m)
         ground.normal_stiffness[own].fill_(self.normal_stiffness_N_m)
         ground.tangential_stiffness[own].fill_(self.tangential_stiffness_N_m)
         for whole, table in [
-            (sheets.stretching, tables.stretching_N_m),
-            (sheets.bending, tables.bending_N_m),
+            (sheets.faces.table, tables.stretching_N_m),
+            (sheets.hinges.table, tables.bending_N_m),
         ]:
             whole[member * len(table) : (member + 1) * len(table)].assign(table)
-        sheets.rest_angle[member].assign(bending.rest_angles(self.mesh, rest_curvature))
+        rest_angles = bending.rest_angles(self.mesh, rest_curvature)
+        first = member * len(rest_angles)
+        sheets.hinges.rest_angle[first : first + len(rest_angles)].assign(rest_angles)
 
     # -- pieces of a step -----------------------------------------------------------------
 

@@ -1,18 +1,88 @@
-"""Ids and seeds of the grid: what m05_f01_r00_t02_v01 means, kept in ``results/grid.parquet``."""
+"""The grid of simulations, and its ids and seeds: what m05_f01_r00_t02_v01 means.
 
-import argparse
+The ids are kept in ``results/grid.parquet``.
+"""
+
+from __future__ import annotations
+
 import hashlib
 import math
 import os
-import sys
 from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from slipstitch.config.load import load_config
-from slipstitch.config.model import Config
-from slipstitch.errors import BadInput, refused_by_the_machine
+from pydantic import Field, field_validator, model_validator
+
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.config.section import Fabrics, Friction, Section
+from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
-from slipstitch.render.catalogue import VIEWPOINTS
+
+if TYPE_CHECKING:
+    from slipstitch.config.model import Config
+
+
+class GridSettings(Section):
+    """The simulations: every material with every friction coefficient, some times over."""
+
+    materials: Fabrics = Field(
+        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"),
+        min_length=1,
+        description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
+    )
+    frictions: tuple[Friction, ...] = Field(
+        (0.1, 0.3, 0.6, 1.0),
+        min_length=1,
+        max_length=100,
+        description="friction coefficients, increasing; ids f00.. are positions in this list",
+    )
+    replicates: int = Field(
+        2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
+    )
+    test_frictions: tuple[Friction, ...] = Field(
+        (),
+        max_length=100,
+        description="coefficients off the grid, increasing, simulated for testing only with every "
+        "material; ids follow those of `frictions`",
+    )
+    test_materials: Fabrics = Field(
+        (), description="fabrics for testing only, simulated with every coefficient of `frictions`"
+    )
+    test_replicates: int = Field(
+        1, ge=1, le=100, description="simulations of each pair that is for testing only"
+    )
+
+    @property
+    def classes(self) -> dict[str, list]:
+        """What networks tell apart: fabrics, as in the catalogue, and friction coefficients."""
+        return {
+            "material": sorted(self.materials, key=fabric_names().index),
+            "friction": list(self.frictions),
+        }
+
+    @field_validator("materials", "test_materials")
+    @classmethod
+    def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(names)) != len(names):
+            raise ValueError(f"a material is named twice: {', '.join(names)}")
+        return names
+
+    @field_validator("frictions", "test_frictions")
+    @classmethod
+    def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
+        if any(after <= before for before, after in pairwise(frictions)):
+            raise ValueError("friction coefficients must increase along the list")
+        return frictions
+
+    @model_validator(mode="after")
+    def _training_and_testing_are_apart(self) -> GridSettings:
+        for kind in ("materials", "frictions"):
+            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
+            if both:
+                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -168,16 +238,3 @@ def write_grid(config: Config, path: str | os.PathLike) -> None:
     keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
     record = provenance_record("config", config=keys, seed=config.seed, started=started)
     write_parquet(table, path, record=record)
-
-
-if __name__ == "__main__":  # as the workflow calls it
-    parser = argparse.ArgumentParser(description="Write the table of ids and seeds.")
-    parser.add_argument("--config", required=True)
-    parser.add_argument("--out", required=True)
-    chosen = parser.parse_args()
-    try:
-        write_grid(load_config(chosen.config), chosen.out)
-    except BadInput as problem:
-        sys.exit(f"slipstitch.config.grid: error: {problem}")
-    except OSError as problem:
-        sys.exit(f"slipstitch.config.grid: failed: {refused_by_the_machine(problem) or problem}")

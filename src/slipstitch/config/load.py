@@ -217,16 +217,36 @@ def resolve_config(
         raise BadInput(f"configuration: {error}") from None
 
 
-def load_config(*paths: str | os.PathLike) -> Config:
+def load_config(
+    *paths: str | os.PathLike,
+    calibration: str | os.PathLike | None = None,
+    overrides: Mapping[str, Mapping[str, Any]] | None = None,
+    words: bool = False,
+) -> Config:
     """The configuration in YAML or JSON files, later ones overriding earlier ones key by key.
+
+    Parameters
+    ----------
+    *paths
+    calibration : path, optional
+        Its verified settings of simulations override those of the files.
+    overrides : mapping of mappings, optional
+        What overrides all that, by the name that an error shall say.
+    words : bool
+        See `resolve_config`.
 
     Raises
     ------
     BadInput
         As `read_mapping` and `resolve_config`.
     """
-    mappings = [read_mapping(path) for path in paths]
-    return resolve_config(*mappings, sources=tuple(os.fspath(path) for path in paths))
+    parts = [(os.fspath(path), read_mapping(path)) for path in paths]
+    if calibration:
+        verified = calibrated_settings(calibration)
+        parts.append((os.fspath(calibration), {"simulation": verified}))
+    parts += (overrides or {}).items()
+    sources, mappings = zip(*parts, strict=True) if parts else ((), ())
+    return resolve_config(*mappings, sources=sources, words=words)
 
 
 def write_config(config: Config, path: str | os.PathLike) -> bool:

@@ -1,89 +1,26 @@
-"""The configuration as a type; each stage's section is defined in ``<stage>/settings.py``."""
+"""The configuration as a type: its sections, each defined in a file of its own beside this one."""
 
-from itertools import pairwise
-from typing import Annotated
+from pydantic import Field, model_validator
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
-
-from slipstitch.ablate.settings import AblateSettings
-from slipstitch.calibrate.settings import CalibrateSettings
-from slipstitch.capture.settings import CaptureSettings
-from slipstitch.convergence.settings import ConvergenceSettings
-from slipstitch.criticise.settings import CriticiseSettings
-from slipstitch.evaluate.settings import EvaluateSettings
-from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.material import fabric_names
-from slipstitch.release.settings import ReleaseSettings
-from slipstitch.render.settings import RenderSettings
-from slipstitch.sample.settings import SampleSettings
-from slipstitch.simulate.settings import ComputeSettings, SimulationSettings
-from slipstitch.train.settings import TrainSettings
-
-Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
+from slipstitch.config.ablate import AblateSettings
+from slipstitch.config.calibrate import CalibrateSettings
+from slipstitch.config.captures import CaptureSettings
+from slipstitch.config.compute import ComputeSettings
+from slipstitch.config.convergence import ConvergenceSettings
+from slipstitch.config.criticise import CriticiseSettings
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.grid import GridSettings
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.release import ReleaseSettings
+from slipstitch.config.render import RenderSettings
+from slipstitch.config.sample import SampleSettings
+from slipstitch.config.section import Section
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.config.train import TrainSettings
 
 
-class GridSettings(BaseModel):
-    """The simulations: every material with every friction coefficient, some times over."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    materials: tuple[str, ...] = Field(
-        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"),
-        min_length=1,
-        description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
-    )
-    frictions: tuple[Friction, ...] = Field(
-        (0.1, 0.3, 0.6, 1.0),
-        min_length=1,
-        max_length=100,
-        description="friction coefficients, increasing; ids f00.. are positions in this list",
-    )
-    replicates: int = Field(
-        2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
-    )
-    test_frictions: tuple[Friction, ...] = Field(
-        (),
-        max_length=100,
-        description="coefficients off the grid, increasing, simulated for testing only with every "
-        "material; ids follow those of `frictions`",
-    )
-    test_materials: tuple[str, ...] = Field(
-        (), description="fabrics for testing only, simulated with every coefficient of `frictions`"
-    )
-    test_replicates: int = Field(
-        1, ge=1, le=100, description="simulations of each pair that is for testing only"
-    )
-
-    @field_validator("materials", "test_materials")
-    @classmethod
-    def _in_the_catalogue(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name not in fabric_names():
-                raise ValueError(f"no material {name!r}; there are: {', '.join(fabric_names())}")
-        if len(set(names)) != len(names):
-            raise ValueError(f"a material is named twice: {', '.join(names)}")
-        return names
-
-    @field_validator("frictions", "test_frictions")
-    @classmethod
-    def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
-        if any(after <= before for before, after in pairwise(frictions)):
-            raise ValueError("friction coefficients must increase along the list")
-        return frictions
-
-    @model_validator(mode="after")
-    def _training_and_testing_are_apart(self) -> "GridSettings":
-        for kind in ("materials", "frictions"):
-            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
-            if both:
-                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
-        return self
-
-
-class Config(BaseModel):
+class Config(Section):
     """The whole configuration, every key with its value."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     seed: int = Field(
         1, ge=0, lt=2**31, description="every random number of the chain derives from it"
@@ -105,12 +42,6 @@ class Config(BaseModel):
 
     @model_validator(mode="after")
     def _sections_agree(self) -> "Config":
-        for name in self.convergence.materials:
-            if name not in fabric_names():
-                raise ValueError(
-                    f"convergence.materials: no material {name!r}; there are: "
-                    f"{', '.join(fabric_names())}"
-                )
         if self.sample.frames_kept > self.simulation.frames:
             raise ValueError(
                 f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from the "
@@ -123,3 +54,13 @@ class Config(BaseModel):
                     f"({', '.join(self.render.viewpoints)})"
                 )
         return self
+
+    @property
+    def view_order(self) -> list[str]:
+        """Viewpoints of the training, by name, in the order in which it takes them up."""
+        return list(self.train.view_order or self.render.viewpoints)
+
+    @property
+    def calibrated_view(self) -> str:
+        """The viewpoint that networks are fine-tuned for, by name."""
+        return self.view_order[0]

@@ -1,6 +1,6 @@
 """The JSON schema of the configuration, for editors and for people: keys, meaning, bounds.
 
-``python -m slipstitch.config.schema > workflow/schemas/config.schema.json`` writes it anew.
+``slipstitch schema > workflow/schemas/config.schema.json`` writes it anew.
 """
 
 import json
@@ -15,7 +15,3 @@ def schema_text() -> str:
         **Config.model_json_schema(),
     }
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
-
-
-if __name__ == "__main__":
-    print(schema_text(), end="")

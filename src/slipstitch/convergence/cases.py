@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 from slipstitch.config import Config
 from slipstitch.config.grid import material_id
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.config.simulation import SimulationSettings
 
 
 @dataclass(frozen=True)
-class Case:
+class StudyCase:
     """One run: a fabric and a friction coefficient at a mesh and a number of halvings."""
 
     id: str
@@ -24,14 +24,14 @@ class Case:
         return self.material, self.friction
 
 
-def cases(config: Config) -> list[Case]:
+def cases(config: Config) -> list[StudyCase]:
     """The runs of the study, those at the chosen settings first."""
     study = config.convergence
     sides = study.vertices_per_side
     refinements = [(sides[0], h) for h in range(study.halvings + 1)]
     refinements += [(side, 0) for side in sides[1:]]
     return [
-        Case(
+        StudyCase(
             f"{material_id(material)}_f{study.frictions.index(friction):02d}_n{side}_h{halvings}",
             material,
             friction,
@@ -45,7 +45,9 @@ def cases(config: Config) -> list[Case]:
     ]
 
 
-def case_settings(case: Case, config: Config, chosen: SimulationSettings) -> SimulationSettings:
+def case_settings(
+    case: StudyCase, config: Config, chosen: SimulationSettings
+) -> SimulationSettings:
     """Numerical settings of one run.
 
     Parameters

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config
 from slipstitch.convergence.cases import cases
 from slipstitch.errors import BadInput
-from slipstitch.protocol.stage import StagePath
 from slipstitch.simulate.trajectory import Trajectory
 
 SUMMARISED = ("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")
@@ -39,7 +39,7 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
         vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
         the stage; the moment when that is fastest.
     """
-    path = path or StagePath()
+    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
     edge = run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - edge[:, 2])}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from slipstitch.criticise.mechanism import BENCH_MECHANISMS, MECHANISMS
+from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS
 from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
 from slipstitch.provenance import atomic_path
 
@@ -16,7 +16,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     """Friction laws of face and edge, and what departs from the nominal bench and fabric.
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
-    :class:`slipstitch.criticise.forward.bench.Bench`. ``which`` may be ``null``.
+    :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``.
     """
     model = verdict["models"][which]
     values = dict(zip(model["parameters"], model["values"], strict=True))

@@ -8,29 +8,23 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from slipstitch.bench.extended_model import ExtendedModel, model_of
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import extended_model
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import CONTACT_MECHANISMS
-from slipstitch.protocol.extended_model import ExtendedModel, model_of
 from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 
 MODELS = ("null", "extended")
 QUANTITIES = ("te_x_mm", "contact_len_mm")
 DEFAULT_ROWS, DEFAULT_STEP_S = 161, 0.04
-# A covariate of a run table -> the field of a run, its factor to SI, the mechanism that needs it.
-ASKED_FOR = {
-    "orientation_deg": ("orientation_rad", np.pi / 180),
-    "dwell_s": ("dwell_s", 1.0),
-    "repeat_index": ("repeats", 1.0),
-    "rh_pct": ("relative_humidity_pct", 1.0),
-}
-NEEDED_AS = {
-    "orientation_rad": "direction_rad",
-    "dwell_s": "dwell_s",
-    "repeats": "repeats",
-    "relative_humidity_pct": "relative_humidity_pct",
-}
+# Column of a run table, field of a simulated run, quantity of a contact, factor to SI.
+CONDITIONS = (
+    ("orientation_deg", "orientation_rad", "direction_rad", np.pi / 180),
+    ("dwell_s", "dwell_s", "dwell_s", 1.0),
+    ("repeat_index", "repeats", "repeats", 1.0),
+    ("rh_pct", "relative_humidity_pct", "relative_humidity_pct", 1.0),
+)
 
 
 @dataclass
@@ -110,8 +104,8 @@ def _run_of(run: pd.Series, model: ExtendedModel, furthest_mm: float) -> DragRun
     """The run as far as a model asks for it; what it does not ask for has its default."""
     asked = {need for name in model.law.mechanisms for need in CONTACT_MECHANISMS[name].needs}
     known = {}
-    for column, (field, factor) in ASKED_FOR.items():
-        if NEEDED_AS[field] in asked and np.isfinite(run[column]):
+    for column, field, quantity, factor in CONDITIONS:
+        if quantity in asked and np.isfinite(run[column]):
             known[field] = float(run[column]) * factor
     azimuth = np.radians(run["stage_azimuth_deg"])
     tilt = model.tilt_along_rad * np.cos(azimuth) + model.tilt_across_rad * np.sin(azimuth)

@@ -6,18 +6,17 @@ import numpy as np
 from scipy.stats import t as student
 
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
-from slipstitch.criticise.inference.generic import LABELS
 from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import Outcome
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import COEFFICIENTS
+from slipstitch.criticise.mechanisms import MECHANISMS
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
-# Parameters that scale something: their intervals are symmetric in the logarithm of 1 + e.
-RELATIVE = ("mass_error", "bending_error", "force_gain")
 
 
 def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> dict:
@@ -102,7 +101,7 @@ def _untestable(analysis: Analysis) -> dict[str, str]:
     result = dict(analysis.null_state.untestable)
     outcome = analysis.null_outcome
     for name in MECHANISMS:
-        own = [i for i, t in enumerate(outcome.tests) if t.covariate == name]
+        own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
         if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
             result[name] = "cannot be told from the friction coefficient with these data"
     return result
@@ -119,9 +118,9 @@ def residual_tests(outcome: Outcome) -> list[dict]:
     return [
         {
             "covariate": covariate,
-            "name": LABELS[covariate],
+            "name": COVARIATES[covariate].title,
             "p_adjusted": round(float(outcome.adjusted[i]), 5),
-            "shape": outcome.tests[i].name.split(": ", 1)[1],
+            "shape": outcome.tests[i].shape,
         }
         for covariate, i in sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])
     ]
@@ -132,51 +131,51 @@ def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict
     m = analysis.measurements
     specimens = len(np.unique(m.specimen[analysis.state.keep]))
     reach = float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
-    inflation = {}
-    for test, value in zip(
-        analysis.null_outcome.tests, analysis.null_outcome.inflation, strict=True
-    ):
-        if test.family == "mechanism":
-            inflation[test.covariate] = max(inflation.get(test.covariate, 1.0), float(value))
+    inflation = analysis.null_outcome.mechanism_inflation()
     owner = {p.name: c for c in fitted.causes for p in MECHANISMS[c].parameters}
     result: dict[str, dict] = {}
     for j, parameter in enumerate(fitted.parameters):
         value = float(fitted.values[j])
-        share = inflation.get(owner.get(parameter.name, ""), 1.0)
-        error = float(np.sqrt(fitted.covariance[j, j] * share))
-        if parameter.name.startswith("mu_"):
+        inflated = inflation.get(owner.get(parameter.name, ""), 1.0)
+        error = float(np.sqrt(fitted.covariance[j, j] * inflated))
+        if parameter.coefficient:
             estimate, interval = (
                 np.exp(value),
                 np.exp([value - reach * error, value + reach * error]),
             )
-        elif parameter.name in RELATIVE:
+        elif parameter.relative:
             half = reach * error / (1 + value)
             estimate = value
             interval = (1 + value) * np.exp([-half, half]) - 1
         else:
             estimate, interval = value, np.array([value - reach * error, value + reach * error])
         result[parameter.name] = _entry(estimate, interval, parameter.unit)
-    if "tilt" in fitted.causes:
-        result = {k: v for k, v in result.items() if not k.startswith("tilt_")} | _tilt(
-            fitted, reach, inflation.get("tilt", 1.0)
-        )
+    for cause in fitted.causes:
+        if MECHANISMS[cause].components is not None:
+            own = {p.name for p in MECHANISMS[cause].parameters}
+            result = {name: entry for name, entry in result.items() if name not in own}
+            result |= _size_and_direction(fitted, cause, reach, inflation.get(cause, 1.0))
     return result
 
 
-def _tilt(fitted: Fit, reach: float, share: float) -> dict[str, dict]:
+def _size_and_direction(fitted: Fit, cause: str, reach: float, inflated: float) -> dict[str, dict]:
+    """Two components of a vector as its size and its direction."""
     names = [p.name for p in fitted.parameters]
-    index = [names.index("tilt_along"), names.index("tilt_across")]
+    components = MECHANISMS[cause].parameters
+    index = [names.index(p.name) for p in components]
     x, y = fitted.values[index]
-    covariance = fitted.covariance[np.ix_(index, index)] * share
+    covariance = fitted.covariance[np.ix_(index, index)] * inflated
     size = float(np.hypot(x, y))
     along = np.array([x, y]) / max(size, 1e-12)
     across = np.array([-y, x]) / max(size, 1e-12)
     error = float(np.sqrt(along @ covariance @ along))
     turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
     azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
+    limits = [max(size - reach * error, 0.0), size + reach * error]
+    size_name, direction_name = MECHANISMS[cause].components
     return {
-        "tilt": _entry(size, [max(size - reach * error, 0.0), size + reach * error], "deg"),
-        "tilt_azimuth": _entry(azimuth, [azimuth - reach * turn, azimuth + reach * turn], "deg"),
+        size_name: _entry(size, limits, components[0].unit),
+        direction_name: _entry(azimuth, [azimuth - reach * turn, azimuth + reach * turn], "deg"),
     }
 
 
@@ -224,6 +223,6 @@ def sentence(verdict: dict) -> str:
         f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"
         + ("" if p["unit"] == "1" else f" {p['unit']}")
         for name, p in verdict["parameters"].items()
-        if not name.startswith("mu_")
+        if name not in [coefficient.name for coefficient in COEFFICIENTS]
     )
     return f"The model is wrong because {titles} ({numbers})."

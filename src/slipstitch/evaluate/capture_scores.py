@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.evaluate.metrics import steps_off
+from slipstitch.evaluate.metrics import Answers, distance, scores_of
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,11 @@ class Predictions:
     known_materials: list[str] = field(default_factory=list)
     alarms: list[str] = field(default_factory=list)
 
+    @property
+    def label(self) -> str:
+        """The model and what it was trained on, whatever the seed."""
+        return f"{self.model}, trained {self.trained_on}"
+
 
 def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
     """What the videos are: the first line of all that is said of them."""
@@ -54,11 +59,6 @@ def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
             "this page was measured on a real bench."
         )
     return "Real captures: films of a bench, with friction measured on an inclined plane."
-
-
-def distance(friction: np.ndarray, reference: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Distance of predictions from the intervals reference +- error."""
-    return np.maximum(np.abs(friction - reference) - error, 0.0)
 
 
 def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
@@ -78,7 +78,7 @@ def pair_medians(
         members[known[k]["pair"]].append(int(k))
     rows = []
     for pair, repeats in sorted(members.items()):
-        one = known[repeats[0]]
+        first = known[repeats[0]]
         friction = predictions.friction[repeats]
         median = float(np.median(friction))
         # The class of an instrument's continuous answer is the nearest multiple of the grid's step.
@@ -86,14 +86,14 @@ def pair_medians(
         rows.append(
             {
                 "pair": pair,
-                "material": one["material"],
-                "substrate": one["substrate"],
-                "reflective": one["reflective"],
-                "mu_ref": one["mu_ref"],
-                "mu_ref_error": one["mu_ref_error"],
+                "material": first["material"],
+                "substrate": first["substrate"],
+                "reflective": first["reflective"],
+                "mu_ref": first["mu_ref"],
+                "mu_ref_error": first["mu_ref_error"],
                 "predictions": friction.tolist(),
                 "median": median,
-                "error": float(distance(median, one["mu_ref"], one["mu_ref_error"])),
+                "error": float(distance(median, first["mu_ref"], first["mu_ref_error"])),
                 "equal": bool(np.ptp(classes) == 0),
             }
         )
@@ -108,41 +108,37 @@ def capture_scores(
     Returns
     -------
     dict
-        Those of `slipstitch.evaluate.metrics.FIELDS` (errors from the reference's interval), and
-        ``within_0.1`` (share at that distance from it at most, as the paper's abstract counts),
-        ``median_lt_0.1``, ``median_error`` (of the pairs' medians), ``equal_predictions`` (share of
-        the pairs), ``alarms``, ``pairs``.
+        Those of `slipstitch.evaluate.metrics.METRICS` that the model gives, and ``pairs``, their
+        number.
     """
-    reference = np.array([row["mu_ref"] for row in known])[chosen]
-    error = np.array([row["mu_ref_error"] for row in known])[chosen]
-    friction = predictions.friction[chosen]
-    off = distance(friction, reference, error)
-    steps = steps_off(off, np.zeros_like(off), step)
     pairs = pair_medians(known, predictions, chosen, step)
-    medians = np.array([row["error"] for row in pairs])
+    places = _places(chosen)
+    named = [place for place in places if known[place]["material"] in predictions.known_materials]
+    answers = Answers(
+        step,
+        predictions.friction[chosen],
+        np.array([row["mu_ref"] for row in known])[chosen],
+        np.array([row["mu_ref_error"] for row in known])[chosen],
+        None if predictions.intervals is None else predictions.intervals[chosen],
+        alarms=np.array([bool(predictions.alarms[place]) for place in places])
+        if predictions.alarms
+        else None,
+        pair_errors=np.array([pair["error"] for pair in pairs]),
+        pair_agrees=np.array([pair["equal"] for pair in pairs]),
+        fabric_rank=np.array(
+            [predictions.materials[place].index(known[place]["material"]) for place in named]
+        )
+        if predictions.materials
+        else None,
+    )
     scores: dict[str, float | None] = {
-        "friction_lt_0.1": float((steps == 0).mean()),
-        "friction_lt_0.2": float((steps <= 1).mean()),
-        "within_0.1": float((off <= 0.1 + 1e-9).mean()),
-        "mean_absolute_error": float(np.abs(friction - reference).mean()),
-        "mean_distance": float(off.mean()),
-        "median_error": float(medians.mean()),
-        "median_lt_0.1": float((steps_off(medians, np.zeros_like(medians), step) == 0).mean()),
-        "equal_predictions": float(np.mean([row["equal"] for row in pairs])),
+        **scores_of(answers, "friction", "capture"),
         "pairs": float(len(pairs)),
     }
     if predictions.intervals is not None:
-        low, high = predictions.intervals[chosen].T
-        scores["coverage_90"] = float(
-            ((low <= reference + error) & (high >= reference - error)).mean()
-        )
-        scores["interval_width"] = float((high - low).mean())
-        scores["alarms"] = float(np.mean([bool(predictions.alarms[k]) for k in _places(chosen)]))
-    named = [k for k in _places(chosen) if known[k]["material"] in predictions.known_materials]
+        scores |= scores_of(answers, "interval")
     if named and predictions.materials:
-        for count in (1, 2):
-            hits = [known[k]["material"] in predictions.materials[k][:count] for k in named]
-            scores[f"material_top{count}"] = float(np.mean(hits))
+        scores |= scores_of(answers, "fabric")
     return scores
 
 

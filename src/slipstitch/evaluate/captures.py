@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
+from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
-from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_shares
+from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probabilities
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument import load_instrument
 from slipstitch.provenance import (
     atomic_path,
@@ -24,10 +25,9 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
-from slipstitch.sample.dataset import MANIFEST
-from slipstitch.sample.frames import sampled_frames
-from slipstitch.train.training import set_up_torch
-from slipstitch.train.videos import Videos, read_videos
+from slipstitch.sample.manifest import MANIFEST
+from slipstitch.sample.videos import Videos, read_videos
+from slipstitch.train.torch_setup import set_up_torch
 
 INSTRUMENT_WEIGHTS = "instrument.safetensors"
 
@@ -83,14 +83,16 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
         card = models[split, network, seed].card
         # These videos are of no training; the networks beside one another must be of one.
         own = Videos(videos.rows, videos.pixels, card["dataset_digest"])
-        shares = predicted_shares(models, (split, network, seed), own, settings.batch_size)
-        values = np.array([one["value"] for one in card["classes"]])
+        probabilities = predicted_probabilities(
+            models, (split, network, seed), own, settings.batch_size
+        )
+        values = np.array([of_class["value"] for of_class in card["classes"]])
         found.append(
             Predictions(
                 name,
                 split,
                 seed,
-                values[shares.argmax(1)],
+                values[probabilities.argmax(1)],
                 **_materials(models, (split, "material_baseline", seed), own, settings),
             )
         )
@@ -100,9 +102,9 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
 def _materials(models, key, videos: Videos, settings) -> dict[str, list]:
     if key not in models:
         return {}
-    shares = predicted_shares(models, key, videos, settings.batch_size)
-    names = [one["name"] for one in models[key].card["classes"]]
-    order = np.argsort(-shares, axis=1, kind="stable")
+    probabilities = predicted_probabilities(models, key, videos, settings.batch_size)
+    names = [of_class["name"] for of_class in models[key].card["classes"]]
+    order = np.argsort(-probabilities, axis=1, kind="stable")
     return {"materials": [[names[k] for k in row] for row in order], "known_materials": names}
 
 
@@ -112,26 +114,33 @@ def _instruments(dataset, folder) -> list[Predictions]:
         instrument = load_instrument(path.parent)
         videos = read_videos(dataset)
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])
-        said = [
-            instrument.measure(np.ascontiguousarray(one[frames]), np.random.default_rng(0))
-            for one in videos.pixels
+        measurements = [
+            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0))
+            for pixels in videos.pixels
         ]
         found.append(
             Predictions(
                 "instrument",
                 path.parts[-3],
                 int(path.parts[-2].removeprefix("seed")),
-                np.array([one.friction_coefficient for one in said]),
-                np.array([one.interval_90 for one in said], dtype=float),
+                np.array([measurement.friction_coefficient for measurement in measurements]),
+                np.array([measurement.interval_90 for measurement in measurements], dtype=float),
                 [
-                    sorted(one.material_probabilities, key=one.material_probabilities.get)[::-1]
-                    for one in said
+                    _likeliest_first(measurement.material_probabilities)
+                    for measurement in measurements
                 ],
-                list(said[0].material_probabilities),
-                [one.alarm_reason if one.alarm else "" for one in said],
+                list(measurements[0].material_probabilities),
+                [
+                    measurement.alarm_reason if measurement.alarm else ""
+                    for measurement in measurements
+                ],
             )
         )
     return found
+
+
+def _likeliest_first(probabilities: dict[str, float]) -> list[str]:
+    return sorted(probabilities, key=probabilities.get)[::-1]
 
 
 def evaluate_captures(
@@ -151,13 +160,16 @@ def evaluate_captures(
     metrics: dict[str, Any] = {}
     for name, chosen in subsets(known).items():
         groups: dict[str, list[Predictions]] = defaultdict(list)
-        for one in found:
-            groups[f"{one.model}, trained {one.trained_on}"].append(one)
+        for predictions in found:
+            groups[predictions.label].append(predictions)
         metrics[name] = {}
         for label, members in groups.items():
-            scores = [capture_scores(known, one, chosen, settings.friction_step) for one in members]
+            scores = [
+                capture_scores(known, predictions, chosen, settings.friction_step)
+                for predictions in members
+            ]
             mean = mean_over_seeds(scores)
-            seeds = sorted(one.seed for one in members)
+            seeds = sorted(predictions.seed for predictions in members)
             whole = entry(int(chosen.sum()), seeds, mean)
             metrics[name][label] = {
                 **mean,
@@ -169,16 +181,16 @@ def evaluate_captures(
         {
             **{key: row[key] for key in ("video", "pair", "material", "substrate", "repeat")},
             **{key: row[key] for key in ("mu_ref", "mu_ref_error", "reflective", "surrogate")},
-            "model": one.model,
-            "trained_on": one.trained_on,
-            "seed": one.seed,
-            "friction": float(one.friction[k]),
-            "low": None if one.intervals is None else float(one.intervals[k, 0]),
-            "high": None if one.intervals is None else float(one.intervals[k, 1]),
-            "likeliest_material": one.materials[k][0] if one.materials else None,
-            "alarm": one.alarms[k] if one.alarms else None,
+            "model": predictions.model,
+            "trained_on": predictions.trained_on,
+            "seed": predictions.seed,
+            "friction": float(predictions.friction[k]),
+            "low": None if predictions.intervals is None else float(predictions.intervals[k, 0]),
+            "high": None if predictions.intervals is None else float(predictions.intervals[k, 1]),
+            "likeliest_material": predictions.materials[k][0] if predictions.materials else None,
+            "alarm": predictions.alarms[k] if predictions.alarms else None,
         }
-        for one in found
+        for predictions in found
         for k, row in enumerate(known)
     ]
     return metrics, rows

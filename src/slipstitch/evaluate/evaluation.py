@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import (
     alarm_rates,
@@ -29,7 +31,6 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import (
     atomic_path,
@@ -38,15 +39,11 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
+from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
+from slipstitch.train.classes import labels_of
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
-from slipstitch.train.training import (
-    check_material_model,
-    labels_of,
-    predict,
-    set_up_torch,
-)
-from slipstitch.train.videos import Videos, read_videos, takes_part, test_only
+from slipstitch.train.prediction import check_material_model, predict
+from slipstitch.train.torch_setup import set_up_torch
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
@@ -141,7 +138,7 @@ def evaluation_sets(
                 ),
             )
         )
-    return [one for one in sets if any(map(one.holds, rows))]
+    return [test for test in sets if any(map(test.holds, rows))]
 
 
 def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
@@ -189,7 +186,7 @@ def find_models(
     return models
 
 
-def predicted_shares(
+def predicted_probabilities(
     models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int
 ) -> np.ndarray:
     """Probabilities of a model on videos; a conditional one gets its material network's answer."""
@@ -299,9 +296,9 @@ def evaluate(
         by_network = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
-                shares = predicted_shares(models, key, part, settings.batch_size)
-                by_network[key[1]][key[2]] = shares
-                predictions += _rows(part, test, key, models[key], shares)
+                probabilities = predicted_probabilities(models, key, part, settings.batch_size)
+                by_network[key[1]][key[2]] = probabilities
+                predictions += _rows(part, test, key, models[key], probabilities)
         if not by_network:
             continue
         scores = {
@@ -312,11 +309,11 @@ def evaluate(
         metrics[test.name] = {}
         for name, network in MODELS.items():
             used = [network] + ["material_baseline"] * (name == "lrcn_baseline")
-            used = [one for one in used if one in scores]
+            used = [network for network in used if network in scores]
             if used:
-                seeds = sorted({seed for one in used for seed in by_network[one]})
+                seeds = sorted({seed for network in used for seed in by_network[network]})
                 metrics[test.name][name] = entry(
-                    len(part), seeds, *(scores[one]["mean"] for one in used)
+                    len(part), seeds, *(scores[network]["mean"] for network in used)
                 )
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
@@ -329,19 +326,21 @@ def evaluate(
     return metrics, details, predictions
 
 
-def _score(settings, card, shares: np.ndarray, rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Scores of one network; empty for the fabrics of videos of which one is no class."""
+def _score(
+    settings, card, probabilities: np.ndarray, rows: list[dict[str, Any]]
+) -> dict[str, float]:
+    """Scores of one network; empty for the fabrics of videos of which any is no class."""
     if card["target"] == "friction":
-        values = np.array([one["value"] for one in card["classes"]])
+        values = np.array([of_class["value"] for of_class in card["classes"]])
         true = np.array([row["friction"] for row in rows])
-        return friction_scores(values[shares.argmax(1)], true, settings.friction_step)
+        return friction_scores(values[probabilities.argmax(1)], true, settings.friction_step)
     truth = known_labels(rows, card)
-    return {} if truth is None else material_scores(shares, truth)
+    return {} if truth is None else material_scores(probabilities, truth)
 
 
 def known_labels(rows: list[dict[str, Any]], card: dict[str, Any]) -> np.ndarray | None:
     """Class numbers of videos; None if one is of no class, as off the grid."""
-    known = {one["id"] for one in card["classes"]}
+    known = {of_class["id"] for of_class in card["classes"]}
     if any(row[f"{card['target']}_id"] not in known for row in rows):
         return None
     return labels_of(rows, card["classes"], card["target"])
@@ -351,9 +350,12 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
     """Everything that details.json says of one network on one test set."""
     card = models[split, network, min(of_seed)].card
     truth = known_labels(part.rows, card)
-    views = np.array([row["viewpoint"] for row in part.rows])
+    viewpoints = np.array([row["viewpoint"] for row in part.rows])
     simulations = {row["simulation"] for row in part.rows}
-    each = {seed: _score(settings, card, shares, part.rows) for seed, shares in of_seed.items()}
+    each = {
+        seed: _score(settings, card, probabilities, part.rows)
+        for seed, probabilities in of_seed.items()
+    }
     result: dict[str, Any] = {
         "n": len(part),
         "simulations": len(simulations),
@@ -363,22 +365,31 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         **_over_seeds(list(each.values())),
         "seeds": {str(seed): score for seed, score in sorted(each.items())},
         "viewpoints": {
-            str(view): {
-                "n": int((views == view).sum()),
-                "simulations": len({row["simulation"] for row in _of(part.rows, views == view)}),
+            str(viewpoint): {
+                "n": int((viewpoints == viewpoint).sum()),
+                "simulations": len(
+                    {row["simulation"] for row in _of(part.rows, viewpoints == viewpoint)}
+                ),
                 **_over_seeds(
                     [
-                        _score(settings, card, shares[views == view], _of(part.rows, views == view))
-                        for shares in of_seed.values()
+                        _score(
+                            settings,
+                            card,
+                            probabilities[viewpoints == viewpoint],
+                            _of(part.rows, viewpoints == viewpoint),
+                        )
+                        for probabilities in of_seed.values()
                     ]
                 ),
             }
-            for view in sorted(set(views))
+            for viewpoint in sorted(set(viewpoints))
         },
         "confusion": None,
     }
     if truth is not None:
-        counts = sum(np.array(confusion(shares, truth)) for shares in of_seed.values())
+        counts = sum(
+            np.array(confusion(probabilities, truth)) for probabilities in of_seed.values()
+        )
         result["confusion"] = counts.tolist()
     if card["target"] == "friction":
         true = np.array([row["friction"] for row in part.rows])
@@ -395,13 +406,14 @@ def _of(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _rows(
-    part: Videos, test: EvaluationSet, key, model: TrainedModel, shares
+    part: Videos, test: EvaluationSet, key, model: TrainedModel, probabilities
 ) -> list[dict[str, Any]]:
     card = model.card
     truth = known_labels(part.rows, card)
-    check_probabilities(shares, np.zeros(len(shares), np.int64) if truth is None else truth)
-    ids = [one["id"] for one in card["classes"]]
-    values = [one.get("value", math.nan) for one in card["classes"]]
+    no_truth = np.zeros(len(probabilities), np.int64)
+    check_probabilities(probabilities, no_truth if truth is None else truth)
+    ids = [of_class["id"] for of_class in card["classes"]]
+    values = [of_class.get("value", math.nan) for of_class in card["classes"]]
     return [
         {
             "video": row["video"],
@@ -413,12 +425,12 @@ def _rows(
             "network": key[1],
             "seed": key[2],
             "true": row[f"{card['target']}_id"],
-            "predicted": ids[int(likely.argmax())],
+            "predicted": ids[int(of_classes.argmax())],
             "true_value": row["friction"] if card["target"] == "friction" else math.nan,
-            "predicted_value": values[int(likely.argmax())],
-            "probabilities": likely.tolist(),
+            "predicted_value": values[int(of_classes.argmax())],
+            "probabilities": of_classes.tolist(),
         }
-        for row, likely in zip(part.rows, shares, strict=True)
+        for row, of_classes in zip(part.rows, probabilities, strict=True)
     ]
 
 

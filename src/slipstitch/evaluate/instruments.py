@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.metrics import (
+    BY_NAME,
+    TEST_SETS,
+    Answers,
     constant_error,
-    friction_scores,
     material_scores,
     mean_over_seeds,
+    scores_of,
     spread_over_seeds,
 )
-from slipstitch.evaluate.settings import EvaluateSettings
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.conformal import covered
 from slipstitch.instrument.measuring import WEIGHTS, Instrument, Measurement, load_instrument
-from slipstitch.train.videos import Videos
+from slipstitch.sample.videos import Videos
 
 Row = dict[str, Any]
 
@@ -56,40 +58,45 @@ def find_instruments(
 
 
 def measured(instrument: Instrument, videos: np.ndarray) -> list[Measurement]:
-    """Measure videos, each with the same augmented looks as any other."""
+    """Measure videos, each with the same augmented views as any other."""
     return [instrument.measure(video) for video in videos]
 
 
 def scores(
-    said: list[Measurement], rows: list[Row], settings: EvaluateSettings
+    measurements: list[Measurement], rows: list[Row], settings: EvaluateSettings
 ) -> dict[str, float]:
     """Scores of one instrument on videos; fabrics only where all are ones that it knows.
 
     Returns
     -------
     dict
-        Those of `friction_scores` and `material_scores`; ``coverage_90`` and, of more than one
-        simulation, its standard error (every simulation counts once), ``interval_width`` (mean,
-        in mu), ``alarm_rate``.
+        Those of `slipstitch.evaluate.metrics.METRICS` for test sets; of more than one simulation
+        the coverage's standard error, ``coverage_90_error`` (every simulation counts once);
+        ``alarm_rate``.
     """
-    true = np.array([row["friction"] for row in rows])
-    names = list(said[0].material_probabilities)
-    low, high = np.array([one.interval_90 for one in said]).T
-    share, error = covered(low, high, true, [row["simulation"] for row in rows])
+    names = list(measurements[0].material_probabilities)
+    answers = Answers(
+        settings.friction_step,
+        np.array([measurement.friction_coefficient for measurement in measurements]),
+        np.array([row["friction"] for row in rows]),
+        intervals=np.array([measurement.interval_90 for measurement in measurements]),
+        groups=[row["simulation"] for row in rows],
+        alarms=np.array([measurement.alarm for measurement in measurements]),
+    )
     result = {
-        **friction_scores(
-            np.array([one.friction_coefficient for one in said]), true, settings.friction_step
-        ),
-        "coverage_90": share,
-        "interval_width": float((high - low).mean()),
-        "alarm_rate": float(np.mean([one.alarm for one in said])),
+        **scores_of(answers, "friction"),
+        **scores_of(answers, "interval", table=TEST_SETS),
+        "alarm_rate": BY_NAME["alarms"].compute(answers),
     }
+    _, error = answers.coverage
     if np.isfinite(error):  # more than one simulation
         result["coverage_90_error"] = error
     if all(row["material"] in names for row in rows):
-        shares = np.array([list(one.material_probabilities.values()) for one in said])
+        probabilities = np.array(
+            [list(measurement.material_probabilities.values()) for measurement in measurements]
+        )
         truth = np.array([names.index(row["material"]) for row in rows])
-        result |= material_scores(shares, truth)
+        result |= material_scores(probabilities, truth)
     return result
 
 
@@ -121,10 +128,11 @@ def evaluate_instruments(
             return None, []
         rows = [row for row, use in zip(videos.rows, seen, strict=True) if use]
         frames = phased(videos.pixels[seen], instrument.card["frames"], None)
-        said = measured(instrument, frames)
-        each[str(seed)] = scores(said, rows, settings)
+        measurements = measured(instrument, frames)
+        each[str(seed)] = scores(measurements, rows, settings)
         predictions += [
-            _prediction(row, test, seed, one) for row, one in zip(rows, said, strict=True)
+            _prediction(row, test, seed, measurement)
+            for row, measurement in zip(rows, measurements, strict=True)
         ]
     if not each:
         return None, []
@@ -166,14 +174,16 @@ def alarm_rates(
         if not mine.all():
             kinds["viewpoint"] = frames[~mine]
         result[str(seed)] = {
-            kind: float(np.mean([one.alarm for one in measured(instrument, some)]))
-            for kind, some in kinds.items()
+            kind: float(
+                np.mean([measurement.alarm for measurement in measured(instrument, of_kind)])
+            )
+            for kind, of_kind in kinds.items()
         }
     return result
 
 
-def _prediction(row: Row, test, seed: int, said: Measurement) -> Row:
-    fabric = max(said.material_probabilities, key=said.material_probabilities.get)
+def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
+    probabilities = measurement.material_probabilities
     return {
         "video": row["video"],
         "simulation": row["simulation"],
@@ -184,11 +194,11 @@ def _prediction(row: Row, test, seed: int, said: Measurement) -> Row:
         "network": "instrument",
         "seed": seed,
         "true": row["friction_id"],
-        "predicted": fabric,
+        "predicted": max(probabilities, key=probabilities.get),
         "true_value": row["friction"],
-        "predicted_value": said.friction_coefficient,
-        "probabilities": said.distribution[1].tolist(),
-        "low": said.interval_90[0],
-        "high": said.interval_90[1],
-        "alarm": said.alarm_reason,
+        "predicted_value": measurement.friction_coefficient,
+        "probabilities": measurement.distribution[1].tolist(),
+        "low": measurement.interval_90[0],
+        "high": measurement.interval_90[1],
+        "alarm": measurement.alarm_reason,
     }

@@ -4,6 +4,9 @@ Only what is known here of its Sec. 6 and its abstract. A figure that is not lis
 available to us: among them all of Table 3, and of Fig. 6 every curve but one point of one.
 """
 
+from collections.abc import Iterable
+from itertools import groupby
+
 CITATION = (
     "Rasheed, Romero, Bertails-Descoubes, Wuhrer, Franco, Lazarus: Learning to Measure the Static "
     "Friction Coefficient in Cloth Contact, CVPR 2020"
@@ -20,6 +23,21 @@ UNSEEN_TEXTURE = {
     ("friction_conditional", "friction_lt_0.1"): 0.872,
     ("friction_conditional", "friction_lt_0.2"): 0.95,
 }
-# "93.6% of all measurements predicted within 0.1 range of standard physics bench measurements"
-# (abstract); of which network, and trained with which floors, it does not say.
-REAL_FILMS_WITHIN_0_1 = 0.936
+# Of captures, by metric. "93.6% of all measurements predicted within 0.1 range of standard physics
+# bench measurements" (abstract); of which network, and trained with which floors, it does not say.
+CAPTURES = {"within_0.1": 0.936}
+
+
+def captures_cells(names: Iterable[str]) -> list[tuple[float | None, int]]:
+    """The paper's figures for captures as cells of a row: (figure or None, columns that it spans).
+
+    Parameters
+    ----------
+    names : iterable of str
+        Metrics, a column each; neighbours without a figure share a cell.
+    """
+    found = []
+    for figure, same in groupby(CAPTURES.get(name) for name in names):
+        width = len(list(same))
+        found += [(None, width)] if figure is None else [(figure, 1)] * width
+    return found

@@ -4,41 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
 from slipstitch.errors import BadInput
-from slipstitch.friction_law import (
-    adhesion,
-    ageing,
-    anisotropy,
-    humidity,
-    load_power,
-    nap,
-    rate,
-    static_kinetic,
-    wear,
-)
 from slipstitch.friction_law.contact import Contact
-from slipstitch.friction_law.mechanism import ContactMechanism
-
-CONTACT_MECHANISMS: Mapping[str, ContactMechanism] = MappingProxyType(
-    {
-        module.MECHANISM.identifier: module.MECHANISM
-        for module in (
-            load_power,
-            adhesion,
-            static_kinetic,
-            ageing,
-            rate,
-            anisotropy,
-            nap,
-            wear,
-            humidity,
-        )
-    }
-)
+from slipstitch.friction_law.mechanisms import CONTACT_MECHANISMS
 
 
 @dataclass(frozen=True)

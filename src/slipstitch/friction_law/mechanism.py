@@ -18,7 +18,14 @@ Formula = Callable[..., float | np.ndarray]
 class Parameter:
     """One number of a mechanism; the null value is the one at which the mechanism is absent.
 
-    ``scale`` is the size of a change that matters (finite differences and priors use it).
+    Attributes
+    ----------
+    scale : size of a change that matters; finite differences and priors use it.
+    lower, upper : bounds of a fit.
+    kinked : the readings have a kink at the null, so that either side has its own descent.
+    prior_sd : standard deviation of the prior about the null; without one, thirty scales.
+    relative : true = nominal (1 + parameter); the interval is symmetric in the logarithm.
+    coefficient : a friction coefficient, fitted as its natural logarithm.
     """
 
     name: str
@@ -27,23 +34,59 @@ class Parameter:
     scale: float
     lower: float
     upper: float
+    kinked: bool = False
+    prior_sd: float | None = None
+    relative: bool = False
+    coefficient: bool = False
+
+    @property
+    def prior_width(self) -> float:
+        """Standard deviation of the weak prior of a fit."""
+        return 30 * self.scale if self.prior_sd is None else self.prior_sd
 
 
 @dataclass(frozen=True)
 class Mechanism:
     """A departure from plain Coulomb friction, or from the nominal bench or fabric.
 
-    ``needs`` names the recorded covariates without which it cannot be told from anything.
+    Attributes
+    ----------
+    identifier, title : name in verdicts, and what is said after "the model is wrong because".
+    covariate : column of a feature that drives it; None if it acts alike everywhere. Where the
+        column is empty, the mechanism may not be blamed.
+    aliased_if_unrecorded : mechanism that would do the same where that one's covariate was not
+        recorded.
+    tested_at : values of parameters that mean nothing at the null (an onset, a place), at each of
+        which the others are tested.
+    starts : values at each of which a fit starts; without any, at the null.
+    components : names under which two parameters, components of a vector along 0 and 90 degrees,
+        are reported: its size and its direction.
+    direct_check : a measurement of the mechanism itself, and the standard deviation to which it
+        tells each parameter.
     """
 
     identifier: str
     title: str
     parameters: tuple[Parameter, ...]
-    needs: tuple[str, ...] = ()
+    covariate: str | None = field(default=None, kw_only=True)
+    aliased_if_unrecorded: str | None = field(default=None, kw_only=True)
+    tested_at: tuple[Mapping[str, float], ...] = field(default=(), kw_only=True)
+    starts: tuple[Mapping[str, float], ...] = field(default=(), kw_only=True)
+    components: tuple[str, str] | None = field(default=None, kw_only=True)
+    direct_check: tuple[str, Mapping[str, float]] | None = field(default=None, kw_only=True)
 
     def null_values(self) -> dict[str, float]:
         """Parameter values at which the mechanism does nothing."""
         return {parameter.name: parameter.null for parameter in self.parameters}
+
+    def tested_parameters(self) -> list[Parameter]:
+        """Parameters that a test can find off their null: all but those of ``tested_at``."""
+        set_ones = {name for values in self.tested_at for name in values}
+        return [parameter for parameter in self.parameters if parameter.name not in set_ones]
+
+    def acts(self, static: bool) -> bool:
+        """Can it change a reading of friction at rest (``static``) or in motion?"""
+        return True
 
 
 @dataclass(frozen=True)
@@ -65,11 +108,22 @@ class ContactMechanism(Mechanism):
         does nothing.
     """
 
-    factor: Formula | None = None
-    static_factor: Formula | None = None
-    kinetic_factor: Formula | None = None
-    added_force: Formula | None = None
-    unrecorded: Mapping[str, float] = field(default_factory=dict)
+    factor: Formula | None = field(default=None, kw_only=True)
+    static_factor: Formula | None = field(default=None, kw_only=True)
+    kinetic_factor: Formula | None = field(default=None, kw_only=True)
+    added_force: Formula | None = field(default=None, kw_only=True)
+    unrecorded: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Quantities of the contact that the formulas ask for."""
+        formulas = (self.factor, self.static_factor, self.kinetic_factor, self.added_force)
+        own = {parameter.name for parameter in self.parameters}
+        asked = {name for formula in formulas if formula for name in arguments_of(formula)}
+        return frozenset(asked - own)
+
+    def acts(self, static: bool) -> bool:
+        return self.added_force is not None or bool(self.factors(static))
 
     def factors(self, static: bool) -> list[Formula]:
         """The formulas that scale the friction at rest (``static``) or in motion."""

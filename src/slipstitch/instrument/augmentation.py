@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from slipstitch.instrument.settings import InstrumentSettings
+from slipstitch.config.instrument import InstrumentSettings
 
 EVERY = 4  # every so many rows and columns count in a video's mean and deviation
 

@@ -15,7 +15,7 @@ from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import tempered
 from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
-from slipstitch.train.videos import Videos
+from slipstitch.sample.videos import Videos
 
 TEMPERATURES = (0.2, 25.0)
 CELL = 0.05  # width in mu over which a distribution is asked for its probability of the truth
@@ -38,8 +38,8 @@ def fitted_temperature(
     weights = _one_each(groups)
 
     def surprise(logarithm: float) -> float:
-        shares = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
-        return float(-(weights * np.log(np.maximum(shares, 1e-12))).sum())
+        of_truth = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
+        return float(-(weights * np.log(np.maximum(of_truth, 1e-12))).sum())
 
     found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
     return float(np.exp(found.x))

@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
@@ -21,7 +22,6 @@ from slipstitch.instrument.distribution import (
     tempered,
 )
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
 from slipstitch.train.model_file import read_weights, write_weights
 
 FORMAT = "slipstitch-instrument-1"
@@ -50,7 +50,7 @@ class Measurement:
         Whether the video is unlike the training data, so that the rest is not to be believed.
     alarm_reason : str
         Why; empty without alarm.
-    moments : ndarray, shape (frames,)
+    attention_weights : ndarray, shape (frames,)
         Weight of each frame in the decision, sum 1.
     """
 
@@ -60,17 +60,17 @@ class Measurement:
     material_probabilities: dict[str, float]
     alarm: bool
     alarm_reason: str
-    moments: np.ndarray
+    attention_weights: np.ndarray
 
 
 @dataclass(frozen=True)
 class Answers:
-    """Uncalibrated answers for n videos, averaged over augmented looks."""
+    """Uncalibrated answers for n videos, averaged over augmented views."""
 
     probabilities: np.ndarray
     material_logits: np.ndarray
     order: np.ndarray
-    moments: np.ndarray
+    attention_weights: np.ndarray
     embedding: np.ndarray
 
 
@@ -125,18 +125,18 @@ class Instrument:
         with torch.inference_mode():
             for video in videos:
                 repeated = np.repeat(video[None], self.settings.draws, axis=0)
-                looks = augmented(repeated, self.settings, generator)
-                said = self.network(looks, self.card["bfloat16"])
+                views = augmented(repeated, self.settings, generator)
+                outputs = self.network(views, self.card["bfloat16"])
                 # In float64: in float32 a distribution's tail would end at five deviations.
                 cumulative = mixture_cumulative(
-                    said["friction"].double(), self.network.middles.double()
+                    outputs["friction"].double(), self.network.middles.double()
                 )
                 parts.append(
                     [
                         probabilities_on_grid(cumulative.numpy()).mean(0),
                         *(
-                            said[name].double().mean(0).numpy()
-                            for name in ("material", "order", "moments", "embedding")
+                            outputs[name].double().mean(0).numpy()
+                            for name in ("material", "order", "attention_weights", "embedding")
                         ),
                     ]
                 )
@@ -163,7 +163,7 @@ class Instrument:
             RGB, at regular intervals from the start of the stage's motion, cropped as the
             training images are: square. Resized to the network's side where they differ.
         generator : numpy Generator, optional
-            Draws the augmented looks that are averaged; by default always the same.
+            Draws the augmented views that are averaged; by default always the same.
 
         Returns
         -------
@@ -180,7 +180,8 @@ class Instrument:
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars
         logits = answers.material_logits[0] / (bars.material_temperature if bars else 1.0)
-        shares = np.exp(logits - logits.max())
+        probabilities = np.exp(logits - logits.max())
+        probabilities /= probabilities.sum()
         reason = NOT_CALIBRATED
         if bars:
             scores = bars.alarm.raw(video, answers.embedding, answers.order)
@@ -190,11 +191,11 @@ class Instrument:
             distribution=(self.grid, distribution[0]),
             interval_90=(float(low), float(high)),
             material_probabilities=dict(
-                zip(self.card["materials"], (shares / shares.sum()).tolist(), strict=True)
+                zip(self.card["materials"], probabilities.tolist(), strict=True)
             ),
             alarm=bool(reason),
             alarm_reason=reason,
-            moments=answers.moments[0],
+            attention_weights=answers.attention_weights[0],
         )
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
@@ -311,8 +312,8 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
     weights = folder / WEIGHTS
     tensors, card = read_weights(weights, folder / CARD, FORMAT)
     try:
-        said = _Card.model_validate(card)
-        arguments = (said.settings, len(said.materials), said.pixels)
+        known = _Card.model_validate(card)
+        arguments = (known.settings, len(known.materials), known.pixels)
         learnt = {name: value for name, value in tensors.items() if not name.startswith(ALARM)}
         with torch.device("meta"):  # no memory yet for what a card claims
             shapes = InstrumentNetwork(*arguments).state_dict()

@@ -11,9 +11,9 @@ frame before, an eighth from the frame after. It costs nothing and lets convolut
 import torch
 from torch import Tensor, nn
 
+from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.distribution import friction_grid
-from slipstitch.instrument.settings import InstrumentSettings
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
 
@@ -57,7 +57,7 @@ def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
 
 
 class InstrumentNetwork(nn.Module):
-    """Mixture of mu, material logits, order logit, weights of the frames.
+    """Mixture of mu, material logits, order logit, attention weights of the frames.
 
     Parameters
     ----------
@@ -143,8 +143,8 @@ class InstrumentNetwork(nn.Module):
         -------
         dict
             ``friction`` (n, 3, components), see `mixture_cumulative`; ``material`` (n, materials)
-            logits; ``order`` (n,) logit of an ordinary video; ``moments`` (n, frames), weights of
-            the frames, sum 1; ``embedding`` (n, 2 * recurrent_units).
+            logits; ``order`` (n,) logit of an ordinary video; ``attention_weights`` (n, frames),
+            sum 1; ``embedding`` (n, 2 * recurrent_units).
         """
         videos, count = frames.shape[:2]
         maps = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
@@ -156,8 +156,8 @@ class InstrumentNetwork(nn.Module):
             maps = self.place(maps)
         features = self.frame_features(maps.float().flatten(1)).view(videos, count, -1)
         states, _ = self.recurrent(features)
-        moments = self.attention(states)[..., 0].softmax(1)
-        embedding = (states * moments[..., None]).sum(1)
+        attention_weights = self.attention(states)[..., 0].softmax(1)
+        embedding = (states * attention_weights[..., None]).sum(1)
         raw = self.friction(embedding).view(videos, 3, -1)
         # Deviations between a third of the grid's step and its length.
         smallest = torch.log(self.grid[1] / 3)
@@ -166,6 +166,6 @@ class InstrumentNetwork(nn.Module):
             "friction": torch.stack([raw[:, 0], raw[:, 1], spread], dim=1),
             "material": self.material(embedding),
             "order": self.order(embedding)[..., 0],
-            "moments": moments,
+            "attention_weights": attention_weights,
             "embedding": embedding,
         }

@@ -2,46 +2,39 @@
 
 import math
 import os
-import sys
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
+from torch import Tensor
 
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import SPLITS
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
 from slipstitch.instrument.calibration import calibrated
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.settings import InstrumentSettings
-from slipstitch.provenance import (
-    code_digest,
-    provenance_record,
-    start_clock,
-    write_sidecar,
+from slipstitch.provenance import start_clock
+from slipstitch.sample.videos import Videos, read_videos, takes_part
+from slipstitch.train.checkpoint import Progress
+from slipstitch.train.classes import classes_of, labels_of
+from slipstitch.train.loop import (
+    Phase,
+    simulations,
+    train_learner,
+    training_facts,
+    training_identity,
+    write_record,
 )
-from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
-from slipstitch.train.curves import curve
-from slipstitch.train.network import computes_bfloat16
-from slipstitch.train.settings import SPLITS
-from slipstitch.train.training import (
-    HISTORY,
-    DivergedError,
-    PlateauError,
-    classes_of,
-    labels_of,
-    names_digest,
-    set_up_torch,
-    write_history,
-)
-from slipstitch.train.videos import Videos, read_videos, takes_part
+from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
+GRADIENT_NORM_MAX = 1.0
 
 
 def read_training_videos(
@@ -105,17 +98,17 @@ def chance_score(friction: np.ndarray) -> float:
 
 def losses(
     network: InstrumentNetwork,
-    looks: torch.Tensor,
-    friction: torch.Tensor,
-    material: torch.Tensor,
-    ordered: torch.Tensor,
+    views: Tensor,
+    friction: Tensor,
+    material: Tensor,
+    ordered: Tensor,
     bfloat16: bool,
-) -> dict[str, torch.Tensor]:
+) -> dict[str, Tensor]:
     """Mean losses of a batch whose last videos are in disorder.
 
     Parameters
     ----------
-    looks : float tensor, shape (n, frames, side, side, 3)
+    views : float tensor, shape (n, frames, side, side, 3)
     friction, material : tensor, shape (m,)
         Of the first m videos; the rest is in disorder and has none.
     ordered : float tensor, shape (n,)
@@ -126,17 +119,17 @@ def losses(
     dict
         ``friction`` (in mu), ``material``, ``order``; and ``median_error``, without gradient.
     """
-    said = network(looks, bfloat16)
+    outputs = network(views, bfloat16)
     count, spoilt = len(friction), len(ordered) - len(friction)
-    cumulative = mixture_cumulative(said["friction"][:count], network.middles)
+    cumulative = mixture_cumulative(outputs["friction"][:count], network.middles)
     score = ranked_probability_score(cumulative, friction, network.grid).mean()
     with torch.no_grad():
         median = network.middles[(cumulative < 0.5).sum(1).clamp(max=len(network.middles) - 1)]
     return {
         "friction": score,
-        "material": torch.nn.functional.cross_entropy(said["material"][:count], material),
+        "material": torch.nn.functional.cross_entropy(outputs["material"][:count], material),
         "order": torch.nn.functional.binary_cross_entropy_with_logits(
-            said["order"], ordered, weight=torch.where(ordered > 0, 1 / count, 1 / spoilt) / 2
+            outputs["order"], ordered, weight=torch.where(ordered > 0, 1 / count, 1 / spoilt) / 2
         )
         * len(ordered),
         "median_error": (median - friction).abs().mean(),
@@ -148,6 +141,119 @@ def learning_rate(settings: InstrumentSettings, done: float) -> float:
     if done < 0.1:
         return settings.learning_rate * (0.05 + 0.95 * done / 0.1)
     return settings.learning_rate * (0.505 + 0.495 * math.cos(math.pi * (done - 0.1) / 0.9))
+
+
+def training_views(
+    pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Augmented videos at random phase, then some of them in disorder; and which are in order."""
+    videos = phased(pixels, frames, generator)
+    spoilt = videos[generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]]
+    spoilt = np.stack([disordered(video, generator) for video in spoilt])
+    whole = np.concatenate([videos, spoilt])
+    ordered = (torch.arange(len(whole)) < len(videos)).float()
+    return augmented(whole, settings, generator), ordered
+
+
+@dataclass
+class InstrumentLearner:
+    """The instrument's network with the videos that it learns from: a `train.loop.Learner`.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8, shape (n, stored frames, side, side, 3)
+    frames : int
+        That the network sees of them.
+    friction : float tensor, shape (n,)
+    labels : int64 tensor, shape (n,)
+        Class numbers of the fabrics.
+    training : ndarray of bool, shape (n,)
+        Which of the videos train; the others validate.
+    """
+
+    name: str
+    settings: InstrumentSettings
+    network: InstrumentNetwork
+    phases: Sequence[Phase]
+    pixels: np.ndarray
+    frames: int
+    friction: Tensor
+    labels: Tensor
+    training: np.ndarray
+    bfloat16: bool
+
+    def __post_init__(self):
+        settings = self.settings
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), weight_decay=settings.weight_decay
+        )
+        self.batch_size = settings.batch_size
+        self.gradient_norm_max = GRADIENT_NORM_MAX
+        self.chance_loss = chance_score(self.friction.numpy()[self.training])
+        self.plateau_margin = settings.plateau_margin
+        self.plateau_window = 1
+        self.plateau_epochs = None
+        self.diverged_hint = f"a smaller instrument.learning_rate than {settings.learning_rate:g}"
+        self.plateau_hint = "instrument.epochs, instrument.learning_rate"
+
+    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+        """All: they are of one viewpoint."""
+        return np.flatnonzero(self.training), np.flatnonzero(~self.training)
+
+    def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
+        """As the function of this name, by the share of the steps that are done."""
+        steps = -(-videos // self.batch_size)
+        return learning_rate(self.settings, (epoch + step / steps) / phase.epochs)
+
+    def batch_loss(
+        self, batch: np.ndarray, generator: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Weighted sum of the losses; sums of the friction's score and of the median's error."""
+        views, ordered = training_views(self.pixels[batch], self.frames, self.settings, generator)
+        friction, labels = self.friction[batch], self.labels[batch]
+        part = losses(self.network, views, friction, labels, ordered, self.bfloat16)
+        loss = (
+            part["friction"] / self.chance_loss
+            + self.settings.material_weight * part["material"]
+            + self.settings.order_weight * part["order"]
+        )
+        return loss, {
+            "train_loss": part["friction"].item() * len(batch),
+            "train_error": part["median_error"].item() * len(batch),
+        }
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Loss, error and accuracy."""
+        if not len(numbers):
+            return {f"validation_{name}": math.nan for name in ("loss", "error", "accuracy")}
+        self.network.eval()
+        scores, errors, hits = [], [], []
+        with torch.inference_mode():
+            for batch in np.array_split(numbers, -(-len(numbers) // 8)):
+                views = standardised(phased(self.pixels[batch], self.frames, None))
+                outputs = self.network(views, self.bfloat16)
+                cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
+                truth, grid = self.friction[batch], self.network.grid
+                scores.append(ranked_probability_score(cumulative, truth, grid))
+                median = grid[(cumulative < 0.5).sum(1)]
+                errors.append((median - truth).abs())
+                hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
+        return {
+            "validation_loss": float(torch.cat(scores).mean()),
+            "validation_error": float(torch.cat(errors).mean()),
+            "validation_accuracy": float(torch.cat(hits).mean()),
+        }
+
+    def columns(self, phase: Phase) -> dict[str, Any]:
+        """None: there is one phase."""
+        return {}
+
+    def summary(self, row: dict[str, Any]) -> str:
+        """Errors, validation loss, and share of fabrics that are right."""
+        return (
+            f"error {row['train_error']:.3f}, validation loss {row['validation_loss']:.4f}, "
+            f"error {row['validation_error']:.3f}, material {row['validation_accuracy']:.2f}"
+        )
 
 
 def train_instrument(
@@ -205,110 +311,41 @@ def train_instrument(
     set_up_torch(threads)
     videos, training = read_training_videos(settings, dataset, split, viewpoint, frames, uses)
     materials = classes_of(videos.rows, "material")
-    labels = torch.from_numpy(labels_of(videos.rows, materials, "material"))
-    friction = torch.tensor([row["friction"] for row in videos.rows])
-    chance = chance_score(friction.numpy()[training])
-    bfloat16 = computes_bfloat16(settings.precision)
     torch.manual_seed(seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
-    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=settings.weight_decay)
-
-    out = Path(out_dir)
-    checkpoint = out / CHECKPOINT
-    identity = {
-        "settings": settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
-        "dataset_digest": videos.digest,
-        "videos_sha256": names_digest(videos.rows),
-        "network": "instrument",
-        "viewpoint": viewpoint,
-        "frames": frames,
-        "split": split,
-        "seed": seed,
-        "threads": threads,
-        "bfloat16": bfloat16,
-        "code_digest": code_digest("instrument"),
-    }
-    progress, message = load_checkpoint(checkpoint, identity, network, optimizer)
-    progress = progress or Progress()
-    if message:
-        print(message, file=sys.stderr)
-    saved_at = time.monotonic()
-    name = f"instrument {split} seed {seed}"
-    chosen = np.flatnonzero(training)
-    steps = -(-len(chosen) // settings.batch_size)
-    bar = tqdm(
-        total=settings.epochs,
-        initial=progress.epoch,
-        desc=name,
-        unit="epoch",
-        disable=not sys.stderr.isatty(),
+    learner = InstrumentLearner(
+        name=f"instrument {split} seed {seed}",
+        settings=settings,
+        network=network,
+        phases=[Phase("", (viewpoint,), settings.epochs)],
+        pixels=videos.pixels,
+        frames=frames,
+        friction=torch.tensor([row["friction"] for row in videos.rows]),
+        labels=torch.from_numpy(labels_of(videos.rows, materials, "material")),
+        training=training,
+        bfloat16=computes_bfloat16(settings.precision),
     )
-    while progress.epoch < settings.epochs:
-        order = np.random.default_rng([seed, progress.epoch]).permutation(chosen)
-        network.train()
-        while progress.step < steps:
-            done = (progress.epoch + progress.step / steps) / settings.epochs
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(settings, done)
-            batch = order[progress.step * settings.batch_size :][: settings.batch_size]
-            generator = np.random.default_rng([seed, progress.epoch, progress.step])
-            looks, ordered = training_looks(videos.pixels[batch], frames, settings, generator)
-            part = losses(network, looks, friction[batch], labels[batch], ordered, bfloat16)
-            loss = (
-                part["friction"] / chance
-                + settings.material_weight * part["material"]
-                + settings.order_weight * part["order"]
-            )
-            if not math.isfinite(loss.item()):
-                raise DivergedError(
-                    f"{name}: the loss became {loss.item()} in epoch {progress.epoch + 1}, step "
-                    f"{progress.step + 1}; no instrument is written (try a smaller "
-                    f"instrument.learning_rate than {settings.learning_rate:g})"
-                )
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            progress.step += 1
-            progress.loss_sum += part["friction"].item() * len(batch)
-            progress.error_sum += part["median_error"].item() * len(batch)
-            if time.monotonic() - saved_at >= settings.checkpoint_interval_s:
-                save_checkpoint(checkpoint, identity, progress, network, optimizer)
-                saved_at = time.monotonic()
-            if after_step is not None:
-                after_step(progress)
-        row = {
-            "epoch": progress.epoch + 1,
-            "videos": len(order),
-            "train_loss": progress.loss_sum / len(order),
-            "train_error": progress.error_sum / len(order),
-            **_validation(network, videos, frames, ~training, friction, labels, bfloat16),
-            "chance_loss": chance,
-        }
-        progress = Progress(epoch=progress.epoch + 1, history=[*progress.history, row])
-        bar.update()
-        bar.set_postfix_str(
-            f"{curve([past['train_loss'] for past in progress.history])} "
-            f"loss {row['train_loss']:.4f} of {chance:.4f}, error {row['validation_error']:.3f}"
-        )
-        if bar.disable:
-            print(_epoch_line(name, row, settings.epochs), file=sys.stderr)
-    bar.close()
-    last = progress.history[-1]
-    if settings.plateau_margin is not None and (
-        last["train_loss"] > (1.0 - settings.plateau_margin) * chance
-    ):
-        raise PlateauError(
-            f"{name}: after {settings.epochs} epochs the training loss is still "
-            f"{last['train_loss']:.4f}, at chance ({chance:.4f}): nothing was learnt, no "
-            "instrument is written (instrument.epochs, instrument.learning_rate)"
-        )
-
+    identity = training_identity(
+        "instrument",
+        settings,
+        videos,
+        learner.phases,
+        network="instrument",
+        split=split,
+        seed=seed,
+        frames=frames,
+        threads=threads,
+        bfloat16=learner.bfloat16,
+    )
+    out = Path(out_dir)
+    history = train_learner(
+        learner, seed, out, identity, settings.checkpoint_interval_s, after_step
+    )
     card = {
-        "materials": [one["name"] for one in materials],
+        "materials": [entry["name"] for entry in materials],
         "frames": frames,
         "pixels": network.pixels,
-        "bfloat16": bfloat16,
+        "bfloat16": learner.bfloat16,
         "viewpoint": viewpoint,
         "split": split,
         "seed": seed,
@@ -316,77 +353,23 @@ def train_instrument(
         "dataset_digest": videos.digest,
         "frictions": sorted({row["friction"] for row in videos.rows}),
         "training_videos": int(training.sum()),
-        "training_simulations": len(_simulations(videos, training)),
-        "calibration_simulations": len(_simulations(videos, ~training)),
-        "epochs": settings.epochs,
-        "train_loss": last["train_loss"],
-        "chance_loss": chance,
-        "parameters": sum(weight.numel() for weight in network.parameters()),
-        "multiply_accumulates_per_frame": network.multiply_accumulates,
+        "training_simulations": len(simulations(videos, training)),
+        "calibration_simulations": len(simulations(videos, ~training)),
+        **training_facts(learner, history),
         "use": "measures friction in drop-and-drag videos seen as this dataset's are; elsewhere "
         "its alarm says so, and its intervals promise nothing",
     }
-    instrument = calibrated(Instrument(network, card, None), videos, training)
-    out.mkdir(parents=True, exist_ok=True)
-    write_history(progress.history, out / HISTORY)
-    card = save_instrument(instrument, out)
-    inputs = [Path(dataset) / "manifest.parquet"]
-    inputs += [Path(dataset) / file for file in sorted({row["file"] for row in videos.rows})]
-    record = provenance_record(
-        "instrument", inputs=inputs, config={"instrument": settings}, seed=seed, started=started
+    card = save_instrument(calibrated(Instrument(network, card, None), videos, training), out)
+    write_record(
+        "instrument",
+        out,
+        history,
+        (WEIGHTS, CARD),
+        dataset=dataset,
+        videos=videos,
+        settings=settings,
+        seed=seed,
+        threads=threads,
+        started=started,
     )
-    record["threads"] = threads
-    for file in (WEIGHTS, CARD, HISTORY):
-        write_sidecar(out / file, record)
-    checkpoint.unlink(missing_ok=True)
     return card
-
-
-def _simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
-    return {row["simulation"] for row, use in zip(videos.rows, chosen, strict=True) if use}
-
-
-def training_looks(
-    pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Augmented videos at random phase, then some of them in disorder; and which are in order."""
-    videos = phased(pixels, frames, generator)
-    spoilt = videos[generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]]
-    spoilt = np.stack([disordered(video, generator) for video in spoilt])
-    whole = np.concatenate([videos, spoilt])
-    ordered = (torch.arange(len(whole)) < len(videos)).float()
-    return augmented(whole, settings, generator), ordered
-
-
-def _validation(network, videos, frames, chosen, friction, labels, bfloat16) -> dict[str, float]:
-    """Loss, error and accuracy on the videos that do not train; NaN where there are none."""
-    indices = np.flatnonzero(chosen)
-    if not len(indices):
-        names = ("videos", "loss", "error", "accuracy")
-        return {f"validation_{name}": math.nan for name in names}
-    network.eval()
-    scores, errors, hits = [], [], []
-    with torch.inference_mode():
-        for batch in np.array_split(indices, -(-len(indices) // 8)):
-            looks = standardised(phased(videos.pixels[batch], frames, None))
-            said = network(looks, bfloat16)
-            cumulative = mixture_cumulative(said["friction"], network.middles)
-            scores.append(ranked_probability_score(cumulative, friction[batch], network.grid))
-            median = network.grid[(cumulative < 0.5).sum(1)]
-            errors.append((median - friction[batch]).abs())
-            hits.append((said["material"].argmax(1) == labels[batch]).float())
-    return {
-        "validation_videos": len(indices),
-        "validation_loss": float(torch.cat(scores).mean()),
-        "validation_error": float(torch.cat(errors).mean()),
-        "validation_accuracy": float(torch.cat(hits).mean()),
-    }
-
-
-def _epoch_line(name: str, row: dict[str, Any], epochs: int) -> str:
-    return (
-        f"{name}: epoch {row['epoch']}/{epochs}: loss {row['train_loss']:.4f} "
-        f"(chance {row['chance_loss']:.4f}), error {row['train_error']:.3f}, "
-        f"validation loss {row['validation_loss']:.4f}, error {row['validation_error']:.3f}, "
-        f"material {row['validation_accuracy']:.2f}"
-    )

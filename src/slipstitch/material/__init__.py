@@ -1,11 +1,18 @@
 """Fabrics and their data-driven elastic law: measured tables, no solver."""
 
-from slipstitch.material.catalogue import Fabric, fabric_names, load_fabric, read_fabric_file
+from slipstitch.material.catalogue import (
+    Fabric,
+    fabric_digest,
+    fabric_names,
+    load_fabric,
+    read_fabric_file,
+)
 from slipstitch.material.law import ElasticTables, isotropic_tables
 
 __all__ = [
     "ElasticTables",
     "Fabric",
+    "fabric_digest",
     "fabric_names",
     "isotropic_tables",
     "load_fabric",

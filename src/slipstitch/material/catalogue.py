@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cache
@@ -118,3 +119,34 @@ def load_fabric(name: str) -> Fabric:
     except KeyError:
         allowed = ", ".join(_catalogue())
         raise BadInput(f"unknown material {name!r}; allowed: {allowed}") from None
+
+
+def fabric_digest(name: str, catalogue: str | Path = CATALOGUE) -> str | None:
+    """SHA-256 of the numbers of one fabric, whatever other fabrics there are.
+
+    Parameters
+    ----------
+    name : str
+    catalogue : path, optional
+        File of fabrics; the project's own by default.
+
+    Returns
+    -------
+    str or None
+        None if there is no fabric of this name.
+
+    Raises
+    ------
+    BadInput
+        If the file is no file of fabrics.
+    """
+    fabrics = _catalogue() if catalogue == CATALOGUE else read_fabric_file(catalogue)
+    if name not in fabrics:
+        return None
+    fabric = fabrics[name]
+    numbers = [
+        fabric.areal_density_kg_m2,
+        fabric.stretching_N_m.tolist(),
+        fabric.bending_N_m.tolist(),
+    ]
+    return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Measurement, load_instrument
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.sample.frames import sampled_frames
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
@@ -36,6 +37,8 @@ class MeasuredVideo:
         What identifies the instrument: the digest of its weights, if its card has one.
     config_path : path
         The configuration that told which frames to take.
+    stage_path : StagePath
+        As that configuration has it.
     """
 
     name: str
@@ -44,6 +47,7 @@ class MeasuredVideo:
     uncertainty: float
     instrument: str
     config_path: Path
+    stage_path: StagePath
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -80,7 +84,7 @@ class MeasuredVideo:
             "alarm": bool(measured.alarm),
             "alarm_reason": measured.alarm_reason,
             "frame_time_s": video.time_s.tolist(),
-            "moments": np.asarray(measured.moments).tolist(),
+            "moments": np.asarray(measured.attention_weights).tolist(),
             "stage_start_s": video.start.time_s,
             "stage_start_found": video.start.found,
             "notes": video.notes,
@@ -141,6 +145,7 @@ def measure_video(
         _half_width(grid, probability),
         str(instrument.card.get("weights_sha256") or "unknown"),
         config_path,
+        schedule.path,
     )
 
 

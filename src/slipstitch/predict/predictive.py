@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.features import Measurements, assemble
 from slipstitch.criticise.inference.fit import jacobian, parameters_of
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import Measurements, assemble
+from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_json
 
@@ -46,8 +46,10 @@ def _is_model(model: object) -> bool:
     """Whether it has the shape of a fitted model."""
     if not isinstance(model, dict):
         return False
-    names = [model.get(key) for key in ("causes", "parameters")]
-    if not all(isinstance(one, list) and all(isinstance(x, str) for x in one) for one in names):
+    lists = [model.get(key) for key in ("causes", "parameters")]
+    if not all(isinstance(found, list) for found in lists):
+        return False
+    if not all(isinstance(name, str) for found in lists for name in found):
         return False
     try:
         values = np.array(model["values"], dtype=float)
@@ -55,12 +57,12 @@ def _is_model(model: object) -> bool:
         scatter = {key: np.array(value, float) for key, value in model["scatter"].items()}
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return False
-    count = len(names[1])
+    count = len(model["parameters"])
     return (
         values.shape == (count,)
         and covariance.shape == (count, count)
         and all(value.shape == (3,) for value in scatter.values())
-        and all(np.isfinite(one).all() for one in (values, covariance, *scatter.values()))
+        and all(np.isfinite(numbers).all() for numbers in (values, covariance, *scatter.values()))
     )
 
 
@@ -93,7 +95,7 @@ def predict_model(model: dict, design: Measurements) -> tuple[np.ndarray, np.nda
     named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
     mean = design.predict(named, causes)
     columns = jacobian(design, causes, parameters, values, mean)
-    coefficients = [j for j, p in enumerate(parameters) if p.name.startswith("mu_")]
+    coefficients = [j for j, p in enumerate(parameters) if p.coefficient]
     sensitivity = columns[:, coefficients].sum(axis=1)
     scatter = np.array(
         [model["scatter"].get(protocol, USUAL_SCATTER) for protocol in design.protocol]

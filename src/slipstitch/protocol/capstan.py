@@ -12,9 +12,9 @@ import numpy as np
 
 from slipstitch import theory
 from slipstitch.cloth import ClothSolver, rectangle
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.specimen import cylindrical_strip_tables, solver_settings
-from slipstitch.simulate.settings import SimulationSettings
 
 RADIUS_M = 0.020
 TURN_A_VERTEX_RAD = radians(2.0)

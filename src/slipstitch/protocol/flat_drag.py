@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
@@ -16,7 +17,6 @@ from slipstitch.protocol.specimen import (
     MEMBRANE_STIFFNESS_N_M,
     solver_settings,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 
 def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:

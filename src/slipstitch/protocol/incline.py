@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import isotropic_tables
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
@@ -17,7 +18,6 @@ from slipstitch.protocol.specimen import (
     MEMBRANE_STIFFNESS_N_M,
     solver_settings,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 CREEP_MAX_M = 1.0e-6  # elastic microslip stays below; more than this in a second is sliding
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     cylindrical_strip_tables,
     solver_settings,
 )
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.theory.landed import LARGEST_GAMMA
 
 LENGTH_M = 0.20

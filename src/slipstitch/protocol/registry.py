@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.cantilever import cantilever
 from slipstitch.protocol.capstan import capstan
@@ -16,7 +19,7 @@ from slipstitch.protocol.landed_strip import landed_strip
 from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
-from slipstitch.simulate.settings import SimulationSettings
+from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
 
 @dataclass(frozen=True)
@@ -105,3 +108,19 @@ def run_protocol(
             raise BadInput(f"protocol {name}: {option} {value}: must be finite and at least 0")
         values[option] = float(value)
     return protocol.run(settings or SimulationSettings(), **values)
+
+
+def run_protocol_to_file(
+    name: str, options: Mapping[str, float], settings: SimulationSettings, out: str | os.PathLike
+) -> dict[str, Any]:
+    """Run one experiment and write its result as JSON, with its provenance beside it.
+
+    Parameters and errors as for `run_protocol`.
+    """
+    started = start_clock()
+    result = run_protocol(name, options, settings)
+    with atomic_path(out) as temporary:
+        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    config = {"options": dict(options), "simulation": settings}
+    write_sidecar(out, provenance_record("protocol", config=config, started=started))
+    return result

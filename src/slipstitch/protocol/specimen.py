@@ -6,8 +6,8 @@ from math import pi
 import numpy as np
 
 from slipstitch.cloth import SolverSettings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import ElasticTables, isotropic_tables
-from slipstitch.simulate.settings import SimulationSettings
 
 AREAL_DENSITY_KG_M2 = 0.2
 MEMBRANE_STIFFNESS_N_M = 200.0

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     cylindrical_strip_tables,
     solver_settings,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 LENGTH_M = 0.20
 THICKNESS_M = 1.0e-3

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.protocol.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
@@ -16,7 +17,6 @@ from slipstitch.protocol.specimen import (
     hanging_with_tail,
     solver_settings,
 )
-from slipstitch.simulate.settings import SimulationSettings
 
 
 def strip_drag(

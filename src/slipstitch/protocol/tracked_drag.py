@@ -11,8 +11,8 @@ from math import ceil, pi, sin, sqrt, tan
 
 import numpy as np
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
-from slipstitch.cloth.solver import GRAVITY_M_S2
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.friction_law.contact import REFERENCE_HUMIDITY_PCT
 from slipstitch.protocol.specimen import (

@@ -3,29 +3,58 @@
 A stage is rerun when its digest changes. The digest covers the modules of the stage's package and
 every module of Slipstitch that these import, directly or through others, wherever in the file the
 import stands; it follows modules, not whole packages, so that editing what a stage never imports
-leaves the stage alone. Files that are no Python source (tables, templates) count in every package
-of which a module was met. Imports by computed name are not seen; the project has none in stages.
+leaves the stage alone. Imports by computed name are not seen; the project has none in stages.
+
+What computes counts, what only words does not: of a module counts its normal form, without
+comments, layout, docstrings, descriptions and the words of errors
+(`slipstitch.provenance.normal_form`). Four kinds of source count in part:
+
+- The command line, reading and checking a configuration, records and progress do not count: they
+  decide which values reach a stage or write down what happened, and the values themselves are
+  compared as parameters of the rules.
+- The configuration's types count where they compute: a function, a constant, a property or a
+  method counts in a stage that imports it or speaks of an attribute of its name, directly or
+  through another such piece. Fields do not, nor their defaults, bounds and validators: a value is
+  compared, whatever made it. So a stage must be handed its settings, never make them of defaults.
+- A catalogue's entries (fabrics, viewpoints, textures, floors) do not count: a rule has those that
+  it uses as its parameter, so that one more changes no other. Its functions and classes do.
+- A file that is no Python source (a table, a template) counts where a module or a template that
+  counts names it, and in all of its package if none at all does.
 """
 
 import ast
 import functools
 import hashlib
 import os
+from collections.abc import Iterable
 from pathlib import Path
+
+from slipstitch.provenance.normal_form import (
+    computing_definitions,
+    names_in,
+    normal_form,
+    parsed,
+    without_entries,
+    written,
+)
 
 PACKAGE = "slipstitch"
 
-# These decide which values reach a stage or write down what happened; the values themselves are
-# compared as parameters of the rules, so editing them shall not throw away simulations.
 NOT_PART_OF_A_RESULT = (
-    "slipstitch.command",
+    "slipstitch.cli",
     "slipstitch.__main__",
-    "slipstitch.config",
+    "slipstitch.config.load",
+    "slipstitch.config.schema",
     "slipstitch.doctor",
     "slipstitch.errors",
     "slipstitch.progress",
     "slipstitch.provenance",
 )
+CATALOGUES = (
+    "slipstitch.catalogue",
+    "slipstitch.material.catalogue",
+)
+CONFIGURATION = "slipstitch.config"
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")
 
 
@@ -38,29 +67,45 @@ def _module_file(name: str, root: Path) -> Path | None:
     return None
 
 
-def _imported(name: str, source: Path) -> set[str]:
+def _module_name(source: Path, root: Path) -> str:
+    parts = source.relative_to(root).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def _text(source: Path) -> str:
+    return source.read_text(encoding="utf-8")
+
+
+def _imported(name: str, source: Path) -> frozenset[str]:
     """Dotted names that the module imports inside the package; some may be no modules."""
-    text = source.read_text(encoding="utf-8")
-    return _imports_in(name, source.name == "__init__.py", text)
+    modules, members = _imports_in(name, source.name == "__init__.py", _text(source))
+    return modules | members
 
 
 @functools.cache
-def _imports_in(name: str, is_package: bool, text: str) -> set[str]:
-    """`_imported` by the source's text: an audit reads the same sources in several places."""
+def _imports_in(name: str, is_package: bool, text: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Modules that are imported or imported from, and what is imported from them, which may be
+    modules too; by the source's text, as an audit reads the same sources in several places.
+    """
     parts = name.split(".")
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(text, filename=name)):
+    modules: set[str] = set()
+    members: set[str] = set()
+    for node in ast.walk(parsed(text, name)):
         if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
+            modules.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             if node.level:
                 depth = len(parts) - node.level + is_package
                 base = ".".join(parts[:depth] + ([node.module] if node.module else []))
             else:
                 base = node.module or ""
-            names.add(base)
-            names.update(f"{base}.{alias.name}" for alias in node.names)
-    return {found for found in names if found.split(".")[0] == PACKAGE}
+            modules.add(base)
+            members.update(f"{base}.{alias.name}" for alias in node.names)
+    modules, members = (
+        frozenset(found for found in names if _is_in(found, [PACKAGE]))
+        for names in (modules, members)
+    )
+    return modules, members
 
 
 def _with_parents(name: str) -> list[str]:
@@ -69,11 +114,164 @@ def _with_parents(name: str) -> list[str]:
     return [".".join(parts[: length + 1]) for length in range(len(parts))]
 
 
+def _is_in(name: str, packages: Iterable[str]) -> bool:
+    return any(name == package or name.startswith(package + ".") for package in packages)
+
+
 def _counts(name: str) -> bool:
     # The package itself holds nothing but its version: a release shall not rerun everything.
-    return name != PACKAGE and not any(
-        name == left or name.startswith(left + ".") for left in NOT_PART_OF_A_RESULT
-    )
+    return name != PACKAGE and not _is_in(name, NOT_PART_OF_A_RESULT) and not _is_settings(name)
+
+
+def _is_settings(name: str) -> bool:
+    """Whether a module is one of the configuration's types."""
+    if _is_in(name, NOT_PART_OF_A_RESULT):
+        return False
+    return _is_in(name, [CONFIGURATION]) or name.endswith(".settings")
+
+
+def _modules(stage: str, base: Path) -> dict[str, Path]:
+    """Modules that count as a whole, by name."""
+    start = f"{PACKAGE}.{stage}"
+    entry = _module_file(start, base)
+    if entry is None:
+        raise ModuleNotFoundError(f"there is no package {start} in {base}")
+    whole = _is_in(start, [CONFIGURATION])
+    waiting = [start]
+    if entry.name == "__init__.py":
+        waiting += [_module_name(source, base) for source in entry.parent.rglob("*.py")]
+    modules: dict[str, Path] = {}
+    seen: set[str] = set()
+    while waiting:
+        for name in _with_parents(waiting.pop()):
+            if name in seen:
+                continue
+            seen.add(name)
+            own = _is_in(name, [start]) and (whole or not _is_settings(name))
+            source = _module_file(name, base) if own or _counts(name) else None
+            if source is None:
+                continue
+            modules[name] = source
+            waiting.extend(_imported(name, source))
+    return modules
+
+
+@functools.cache
+def _attributes_in(text: str, name: str) -> frozenset[str]:
+    return frozenset(names_in(parsed(text, name))[1])
+
+
+def _names_spoken(modules: dict[str, Path], base: Path) -> tuple[set[str], set[str]]:
+    """What modules speak of that may be a piece of the configuration.
+
+    Returns
+    -------
+    names : set of str
+        What they import from the configuration's modules, or speak of as attributes of those.
+    attributes : set of str
+        All attributes.
+    """
+    names: set[str] = set()
+    attributes: set[str] = set()
+    imports_a_module = False
+    for name, source in modules.items():
+        attributes |= _attributes_in(_text(source), name)
+        for member in _imports_in(name, source.name == "__init__.py", _text(source))[1]:
+            module, _, imported = member.rpartition(".")
+            if _is_settings(member) and _module_file(member, base):
+                imports_a_module = True
+            elif _is_settings(module):
+                names.add(imported)
+    return names | (attributes if imports_a_module else set()), attributes
+
+
+def _settings_pieces(modules: dict[str, Path], base: Path) -> dict[str, list[str]]:
+    """Of the configuration's modules, by name: the normal forms of what counts for `modules`."""
+    unspoken = [
+        (module, *piece)
+        for source in sorted((base / PACKAGE).rglob("*.py"))
+        if _is_settings(module := _module_name(source, base)) and module not in modules
+        for piece in computing_definitions(_text(source), module)
+    ]
+    names, attributes = _names_spoken(modules, base)
+    counting: dict[str, list[str]] = {}
+    while True:
+        left, spoken = [], []
+        for piece in unspoken:
+            _, name, is_member, _ = piece
+            (spoken if name in (attributes if is_member else names) else left).append(piece)
+        if not spoken:
+            return {module: sorted(forms) for module, forms in counting.items()}
+        unspoken = left
+        for module, _, _, node in spoken:
+            counting.setdefault(module, []).append(written(node))
+            of_node = names_in(node)
+            names |= of_node[0]
+            attributes |= of_node[1]
+
+
+def _data_files(modules: dict[str, Path], base: Path) -> set[Path]:
+    """Files that are no sources, in the packages of `modules`, and that count."""
+    found: set[Path] = set()
+    for folder in {source.parent for source in modules.values()} - {base / PACKAGE}:
+        found |= _files_in(folder)
+    if not found:
+        return found
+    sources = {
+        name: _text(source)
+        for source in (base / PACKAGE).rglob("*.py")
+        if not _is_in(name := _module_name(source, base), NOT_PART_OF_A_RESULT)
+    }
+    templates = {path: _text(path) for path in found if path.suffix == ".j2"}
+    naming: dict[Path, set[str | Path]] = {
+        path: {
+            *(other for other, text in templates.items() if other != path and path.name in text),
+            # In the text first: the normal form, which has no comments, takes longer.
+            *(
+                name
+                for name, text in sources.items()
+                if path.name in text and path.name in normal_form(text, name)
+            ),
+        }
+        for path in found
+    }
+    reading: set[str | Path] = {name for name in modules if not _is_in(name, CATALOGUES)}
+    counting: set[Path] = set()
+    while True:
+        more = {path for path in found - counting if not naming[path] or naming[path] & reading}
+        if not more:
+            return counting
+        counting |= more
+        reading |= more
+
+
+def _files_in(package: Path) -> set[Path]:
+    """Files that are no sources in a package and in those folders of it that are no packages."""
+    found = set()
+    for entry in package.iterdir():
+        if entry.is_dir():
+            if entry.name != "__pycache__" and not (entry / "__init__.py").exists():
+                found |= _files_in(entry)
+        elif not entry.name.endswith((".py", *IGNORED_SUFFIXES)) and entry.name[0] != ".":
+            found.add(entry)
+    return found
+
+
+def _base(root: str | os.PathLike | None) -> Path:
+    return Path(root) if root is not None else Path(__file__).resolve().parents[2]
+
+
+def _contents(stage: str, root: str | os.PathLike | None) -> dict[Path, bytes]:
+    """What counts of each file, sorted by the files' paths below the root."""
+    base = _base(root)
+    modules = _modules(stage, base)
+    contents = {path: path.read_bytes() for path in _data_files(modules, base)}
+    for name, source in modules.items():
+        form = without_entries if _is_in(name, CATALOGUES) else normal_form
+        contents[source] = form(_text(source), name).encode()
+    for name, pieces in _settings_pieces(modules, base).items():
+        contents[_module_file(name, base)] = "\n".join(pieces).encode()
+    return dict(sorted(contents.items(), key=lambda item: item[0].relative_to(base).as_posix()))
 
 
 def code_sources(stage: str, root: str | os.PathLike | None = None) -> list[Path]:
@@ -92,58 +290,19 @@ def code_sources(stage: str, root: str | os.PathLike | None = None) -> list[Path
     ModuleNotFoundError
         If there is no such package.
     """
-    base = Path(root) if root is not None else Path(__file__).resolve().parents[2]
-    start = f"{PACKAGE}.{stage}"
-    entry = _module_file(start, base)
-    if entry is None:
-        raise ModuleNotFoundError(f"there is no package {start} in {base}")
-    waiting = [start]
-    if entry.name == "__init__.py":
-        for source in entry.parent.rglob("*.py"):
-            relative = source.relative_to(base).with_suffix("")
-            waiting.append(".".join(relative.parts).removesuffix(".__init__"))
-    modules: dict[str, Path] = {}
-    seen: set[str] = set()
-    while waiting:
-        for name in _with_parents(waiting.pop()):
-            if name in seen:
-                continue
-            seen.add(name)
-            own = name == start or name.startswith(start + ".")
-            source = _module_file(name, base) if own or _counts(name) else None
-            if source is None:
-                continue
-            modules[name] = source
-            waiting.extend(_imported(name, source))
-    files = set(modules.values())
-    for folder in {source.parent for source in modules.values()} - {base / PACKAGE}:
-        files.update(_data_files(folder))
-    return sorted(files, key=lambda file: file.relative_to(base).as_posix())
-
-
-def _data_files(package: Path) -> set[Path]:
-    """Files that are no sources in a package and in those folders of it that are no packages."""
-    found = set()
-    for entry in package.iterdir():
-        if entry.is_dir():
-            if entry.name != "__pycache__" and not (entry / "__init__.py").exists():
-                found |= _data_files(entry)
-        elif not entry.name.endswith((".py", *IGNORED_SUFFIXES)) and entry.name[0] != ".":
-            found.add(entry)
-    return found
+    return list(_contents(stage, root))
 
 
 @functools.cache
 def code_digest(stage: str, root: str | os.PathLike | None = None) -> str:
-    """SHA-256 over the sources that the result of `stage` depends on (64 hexadecimal digits).
+    """SHA-256 over what computes in the sources of `stage` (64 hexadecimal digits).
 
     Deterministic: a function of the files' paths below the package and their contents only. The
     answer is kept for the life of the process. Parameters and errors as for `code_sources`.
     """
-    base = Path(root) if root is not None else Path(__file__).resolve().parents[2]
+    base = _base(root)
     digest = hashlib.sha256()
-    for file in code_sources(stage, base):
-        content = file.read_bytes()
+    for file, content in _contents(stage, base).items():
         digest.update(f"{file.relative_to(base).as_posix()}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()

@@ -13,12 +13,18 @@ from typing import Any
 import pyarrow.parquet as pq
 import yaml
 
+from slipstitch.catalogue import FLOORS
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.release.card import write_card
-from slipstitch.release.chain import (
+from slipstitch.release.checksums import SUMS, files_below, write_sums
+from slipstitch.release.code import check_project, copy_code
+from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
+from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
+from slipstitch.release.previews import write_previews
+from slipstitch.release.records import (
     RECORDS,
     VERIFICATION,
     Artefact,
@@ -28,14 +34,9 @@ from slipstitch.release.chain import (
     locate,
     write_record,
 )
-from slipstitch.release.checksums import SUMS, files_below, write_sums
-from slipstitch.release.code import check_project, copy_code
-from slipstitch.release.currency import config_changes, current_digest
-from slipstitch.release.manifest import MANIFEST, read_sampled, released_rows, write_manifest
-from slipstitch.release.previews import write_previews
 from slipstitch.release.shards import features_of, write_shards
 from slipstitch.release.splits import parts, parts_of_splits, split_columns
-from slipstitch.render.catalogue import FLOORS
+from slipstitch.sample.manifest import MANIFEST_SCHEMA, read_manifest
 
 CONFIG = f"{RECORDS}/config.json"
 GRID = f"{RECORDS}/grid.parquet"
@@ -86,7 +87,7 @@ def _facts(config: Config, project: Path) -> dict[str, Any]:
 
 
 def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
-    """Refuse to release what the code or the configuration would not make now.
+    """Refuse to release what code, configuration or catalogue would not make now.
 
     Raises
     ------
@@ -104,6 +105,9 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
         changes = config_changes(artefact, config)
         if changes:
             raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
+        changes = catalogue_changes(artefact)
+        if changes:
+            raise BadInput(f"{artefact.path}: made with another catalogue: {changes[0]}")
 
 
 def _outside(config: Config) -> dict[str, Path]:
@@ -168,7 +172,7 @@ def write_release(
     _check_target(out)
     project = check_project(project)
     sample = results / "sample"
-    sampled = read_sampled(sample / MANIFEST)
+    sampled, _ = read_manifest(sample)
     made = [f"results/sample/{MANIFEST}"]
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
@@ -205,7 +209,7 @@ def _fill(
         partial(progress, description="release: ", unit="file"),
     )
     rows = released_rows(sampled, splits, part_of, places)
-    write_manifest(rows, pq.read_schema(sample / MANIFEST), list(splits), folder)
+    write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
     pictures = write_previews(folder, rows)
     copy_code(project, folder)
     facts = _facts(config, project)
@@ -292,23 +296,27 @@ def _verification(folder: Path) -> list[dict[str, Any]]:
         return []
     comparisons = json.loads(path.read_text(encoding="utf-8"))["comparisons"]
     kinds = {"matte": [], "mirrors": []}
-    for one in comparisons:
-        kinds["matte" if FLOORS[one["floor"]].reflectance[1] == 0 else "mirrors"].append(one)
+    for compared in comparisons:
+        kinds["matte" if FLOORS[compared["floor"]].reflectance[1] == 0 else "mirrors"].append(
+            compared
+        )
     return [
         {
             "floor": kind,
-            "images": len(ones),
-            "least_psnr_db": ones[0]["least_psnr_db"],
-            "lowest_psnr_db": min(one["psnr_db"] for one in ones),
-            "mean_psnr_db": sum(one["psnr_db"] for one in ones) / len(ones),
-            "lowest_ssim": min(one["ssim"] for one in ones),
+            "images": len(of_kind),
+            "least_psnr_db": of_kind[0]["least_psnr_db"],
+            "lowest_psnr_db": min(compared["psnr_db"] for compared in of_kind),
+            "mean_psnr_db": sum(compared["psnr_db"] for compared in of_kind) / len(of_kind),
+            "lowest_ssim": min(compared["ssim"] for compared in of_kind),
         }
-        for kind, ones in kinds.items()
-        if ones
+        for kind, of_kind in kinds.items()
+        if of_kind
     ]
 
 
 def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
-    records = [one.provenance for one in artefacts.values() if one.provenance is not None]
+    records = [
+        artefact.provenance for artefact in artefacts.values() if artefact.provenance is not None
+    ]
     commits = {record["git_commit"] for record in records if record["git_commit"]}
     return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}

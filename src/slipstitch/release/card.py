@@ -4,14 +4,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import yaml
 
+from slipstitch.page.templates import render
 from slipstitch.release.manifest import SAMPLED, described
 from slipstitch.release.splits import PREFIX, question
 from slipstitch.sample.splits import SIDES
 
 FILE = "README.md"
+_TEMPLATE = Path(__file__).with_name("card.md.j2")
 _NO_LABELS = frozenset(
     {"video", "pixels_sha256", "simulation", "frames", "pixels", "part", "shard", "first_row"}
 )
@@ -37,8 +38,8 @@ def front_matter(
             {"split": side, "path": [f"data/{part}-*.parquet" for part in names]}
             for side, names in sides.items()
         ]
-        one = {"config_name": split, "data_files": files}
-        configs.append(one | ({"default": True} if split == default else {}))
+        entry = {"config_name": split, "data_files": files}
+        configs.append(entry | ({"default": True} if split == default else {}))
     configs.append(
         {
             "config_name": "everything",
@@ -111,14 +112,8 @@ def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_column
     """
     default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
     images = sum(row["frames"] for row in rows)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slipstitch.release", "."),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    text = environment.get_template("card.md.j2").render(
+    text = render(
+        _TEMPLATE,
         front_matter=front_matter(facts, images, parts, default),
         facts=facts,
         default=default,

@@ -20,9 +20,9 @@ from rocrate.model.file import File
 from rocrate.rocrate import ROCrate
 
 from slipstitch.provenance import file_digest
-from slipstitch.release.chain import Artefact, record_file
 from slipstitch.release.checksums import files_below
 from slipstitch.release.code import CODE, SNAKEFILE
+from slipstitch.release.records import Artefact, record_file
 
 FILE = "ro-crate-metadata.json"
 PROFILES = {

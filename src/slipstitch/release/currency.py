@@ -1,12 +1,14 @@
-"""Whether artefacts are what the code and the configuration would make now."""
+"""Whether artefacts are what code, configuration and catalogue would make now."""
 
 import os
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config
+from slipstitch.material import fabric_digest
 from slipstitch.provenance import code_digest
-from slipstitch.release.chain import Artefact
+from slipstitch.release.records import Artefact
 
 # Which viewpoints there are decides which shards there are, not what one shard holds
 # (rules/render.smk); a shard's own viewpoint is compared by its id.
@@ -42,6 +44,30 @@ def config_changes(artefact: Artefact, config: Config) -> list[str]:
             skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
             changes += _differences(section, value, now[section], skip)
     return changes
+
+
+def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
+    """The entries of the catalogue that the artefact was made with, by kind and name."""
+    entries = (artefact.provenance or {}).get("config", {}).get("catalogue", {})
+    kinds = entries.items() if isinstance(entries, Mapping) else ()
+    return {kind: dict(of_kind) for kind, of_kind in kinds if isinstance(of_kind, Mapping)}
+
+
+def catalogue_changes(artefact: Artefact) -> list[str]:
+    """Entries of the catalogue that the artefact was made with and that are others now.
+
+    Returns
+    -------
+    list of str
+        ``catalogue.kind.name: recorded -> now``.
+    """
+    then = recorded_entries(artefact)
+    named = {kind: then.get(kind, ()) for kind in ("viewpoints", "textures", "floors")}
+    now = {
+        "fabrics": {name: fabric_digest(name) for name in then.get("fabrics", ())},
+        **catalogue_entries(**named),
+    }
+    return list(_differences("catalogue", then, now, frozenset()))
 
 
 def _differences(name: str, then: Any, now: Any, skip: frozenset[str]) -> Iterator[str]:

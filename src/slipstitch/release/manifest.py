@@ -7,14 +7,11 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
     attach_metadata,
-    read_metadata,
-    read_parquet,
 )
 from slipstitch.release.splits import PREFIX, question
-from slipstitch.sample.dataset import dataset_digest
+from slipstitch.sample.manifest import dataset_digest
 
 MANIFEST = "manifest.parquet"
 # Columns of the sample stage's manifest that the release gives its own meaning.
@@ -67,24 +64,6 @@ def described(column: str) -> str:
 def _sampled_name(column: str) -> str:
     renamed = column == "file" or column.startswith(PREFIX)
     return f"{SAMPLED}{column}" if renamed else column
-
-
-def read_sampled(path: Path) -> list[dict[str, Any]]:
-    """Rows of the sample stage's manifest.
-
-    Raises
-    ------
-    BadInput
-        If it is missing, damaged, empty, or not as it was written.
-    """
-    needed = ("video", "simulation", "material", "friction", "frames", "pixels_sha256", "file")
-    read_parquet(path, needed)
-    rows = read_parquet(path).to_pylist()
-    if not rows:
-        raise BadInput(f"{path}: no video in it")
-    if read_metadata(path).get("dataset_digest") != dataset_digest(rows):
-        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
-    return rows
 
 
 def released_rows(

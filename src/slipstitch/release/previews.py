@@ -101,9 +101,9 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     out = folder / FOLDER
     out.mkdir()
     rows = sorted(rows, key=lambda row: row["video"])
-    one = rows[0]
-    middle = one["frames"] // 2
-    alike = [row for row in rows if all(row[k] == one[k] for k in ("texture_id", "viewpoint_id"))]
+    first = rows[0]
+    middle = first["frames"] // 2
+    alike = [row for row in rows if all(row[k] == first[k] for k in ("texture_id", "viewpoint_id"))]
     pictures = {}
 
     def save(name: str, tiles, downs, acrosses, words: str) -> None:
@@ -114,17 +114,17 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
     save(
         "fabrics_by_friction", tiles, downs, [f"friction {mu:g}" for mu in acrosses],
-        f"Fabrics by friction coefficient, all at the same moment (texture {one['texture']}, "
-        f"viewpoint {one['viewpoint']})",
+        f"Fabrics by friction coefficient, all at the same moment (texture {first['texture']}, "
+        f"viewpoint {first['viewpoint']})",
     )  # fmt: skip
-    same = [row for row in rows if row["simulation"] == one["simulation"]]
+    same = [row for row in rows if row["simulation"] == first["simulation"]]
     tiles, downs, acrosses = _table(same, "viewpoint", "texture", middle, show)
     save(
         "viewpoints_by_texture", tiles, downs, acrosses,
-        f"One moment of one simulation ({one['material']}, friction {one['friction']:g}) from "
+        f"One moment of one simulation ({first['material']}, friction {first['friction']:g}) from "
         "every viewpoint in every texture",
     )  # fmt: skip
-    positions = _spread(range(one["frames"]), 8)
+    positions = _spread(range(first["frames"]), 8)
     chosen = _spread(alike, 6)
     save(
         "through_time",

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 import cv2
 import numpy as np
 
+from slipstitch.config.render import AugmentationSettings
 from slipstitch.render.encoding import encode_srgb
-from slipstitch.render.settings import AugmentationSettings
 from slipstitch.render.surroundings import generator
 
 # The read noise of a sensor, as a share of the shot noise at full white.

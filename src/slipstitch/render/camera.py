@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.render.catalogue import Viewpoint
+from slipstitch.catalogue import Viewpoint
 
 Pose = Viewpoint | tuple[np.ndarray, np.ndarray]
 

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
+from slipstitch.config import Config
+from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
     file_digest,
@@ -22,7 +25,6 @@ from slipstitch.provenance import (
     read_metadata,
     start_clock,
 )
-from slipstitch.render.settings import RenderSettings
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
     Shot,
@@ -74,6 +76,41 @@ class Job:
     frames_sampled: int
     seed: int
 
+    @classmethod
+    def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "Job":
+        """The job of a configuration, with a viewpoint by its id or its name.
+
+        Raises
+        ------
+        BadInput
+            If there is no such viewpoint.
+        """
+        ids = config.render.viewpoint_ids()
+        name = ids.get(viewpoint, viewpoint)
+        if name not in VIEWPOINTS:
+            known = ", ".join(f"{key} ({value})" for key, value in ids.items())
+            raise BadInput(
+                f"no viewpoint {viewpoint!r}; the configuration has {known}; "
+                f"by name there are: {', '.join(VIEWPOINTS)}"
+            )
+        # A viewpoint given by name keeps its id if the configuration has one.
+        identity = next((key for key, value in ids.items() if value == name), name)
+        return cls.of_view(config, trajectory_path, identity, name)
+
+    @classmethod
+    def of_view(
+        cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
+    ) -> "Job":
+        """The job of a configuration, with id and name of a viewpoint."""
+        return cls(
+            trajectory_path,
+            viewpoint_id,
+            viewpoint,
+            config.render,
+            config.sample.frames_kept,
+            config.seed,
+        )
+
     @property
     def simulation(self) -> str:
         """The simulation's id."""
@@ -83,6 +120,10 @@ class Job:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
         return [self.trajectory_path, *([camera] if camera else [])]
+
+    def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
+        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        return catalogue_entries([self.viewpoint], textures, self.settings.floors)
 
 
 @dataclass(frozen=True)
@@ -206,6 +247,7 @@ def _pack_record(job: Job, started: tuple[float, float]) -> dict:
             "render": job.settings.model_dump(mode="json", exclude=unused),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
+            "catalogue": job.catalogue_entries(),
         },
         seed=job.seed,
         started=started,

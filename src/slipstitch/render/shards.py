@@ -1,13 +1,15 @@
 """From the light of a simulation from one viewpoint to its image shard: textures and cameras."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.provenance import parquet_stream, provenance_record, start_clock
+from slipstitch.config import Config
+from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
@@ -114,6 +116,31 @@ def render_shard(
     }
 
 
+def render_shards_from_packs(
+    config: Config,
+    trajectory_path: str | os.PathLike,
+    pack_paths: Iterable[Path],
+    folder: Path,
+) -> Iterator[tuple[Path, dict]]:
+    """Make the image shards of one simulation without Blender, from the light of its viewpoints.
+
+    Returns
+    -------
+    iterator of (path, dict)
+        Each shard, named as its pack, when it is written; what `render_shard` returns, and
+        ``viewpoint``, by name.
+    """
+    for pack_path in pack_paths:
+        try:
+            view = read_metadata(pack_path).get("viewpoint", {})
+        except (OSError, ValueError):
+            view = {}  # read_pack says what is wrong with it
+        job = Job.of_view(config, trajectory_path, view.get("id", ""), view.get("name", ""))
+        out = folder / pack_path.name
+        done = render_shard(job, out, pack_path=pack_path)
+        yield out, done | {"viewpoint": job.viewpoint}
+
+
 def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.ndarray) -> dict:
     video = f"{job.simulation}_{texture}_{job.viewpoint_id}"
     return {
@@ -146,6 +173,7 @@ def _description(
             "render": job.settings.model_dump(mode="json", exclude={"verified_images"}),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
+            "catalogue": job.catalogue_entries(names.values()),
         },
         seed=job.seed,
         started=started,

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.config.render import RenderSettings
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, turned
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.render.catalogue import VIEWPOINTS
-from slipstitch.render.settings import RenderSettings
-from slipstitch.sample.frames import sampled_frames
 from slipstitch.simulate.trajectory import Trajectory
 
 

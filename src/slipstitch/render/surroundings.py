@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from slipstitch.render.catalogue import FLOORS
-from slipstitch.render.settings import RenderSettings
+from slipstitch.catalogue import FLOORS
+from slipstitch.config.render import RenderSettings
 
 # Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
 # so that neither is drawn through the other.
@@ -32,7 +32,7 @@ class Surroundings:
     floor : str
         Name in the catalogue.
     albedo, reflectance, roughness : float
-        As drawn, see `slipstitch.render.catalogue.Floor`.
+        As drawn, see `slipstitch.catalogue.Floor`.
     lamp_position_m : tuple of float
     """
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from slipstitch.catalogue import TEXTURES, is_texture_file
 from slipstitch.errors import BadInput
 from slipstitch.provenance import image_bytes
-from slipstitch.render.catalogue import TEXTURES, is_texture_file
 
 TEXELS = 512
 # Cloth is neither black nor a mirror of all light; the interreflection is resolved up to 0.8.
@@ -27,7 +27,7 @@ def texture(name: str) -> np.ndarray:
     Parameters
     ----------
     name : str
-        One of `slipstitch.render.catalogue.TEXTURES`, or an image file (sRGB).
+        One of `slipstitch.catalogue.TEXTURES`, or an image file (sRGB).
 
     Returns
     -------

@@ -103,9 +103,7 @@ def compare(
     stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
     view = read_metadata(shard)["viewpoint"]
     settings = config.render
-    job = Job(
-        trajectory_path, view["id"], view["name"], settings, config.sample.frames_kept, config.seed
-    )
+    job = Job.of_view(config, trajectory_path, view["id"], view["name"])
     name = settings.texture_ids()[stored["texture"]]
     trajectory = usable_trajectory(trajectory_path)
     pack = read_pack(pack_path, trajectory_path)

@@ -8,13 +8,20 @@ import numpy as np
 
 from slipstitch.errors import BadInput
 from slipstitch.evaluate import paper
-from slipstitch.evaluate.capture_scores import distance, subsets, what_they_are
-from slipstitch.evaluate.metrics import mean_over_seeds, spread_over_seeds
-from slipstitch.evaluate.wording import number, percent
+from slipstitch.evaluate.capture_scores import subsets, what_they_are
+from slipstitch.evaluate.metrics import (
+    BY_NAME,
+    CAPTURES,
+    Answers,
+    distance,
+    mean_over_seeds,
+    metrics_of,
+    spread_over_seeds,
+)
+from slipstitch.page.figures import svg_uri
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import MODEL_TITLES, NETWORKS, SPLIT_TITLES, seeds_of
 from slipstitch.report.results import Results
-from slipstitch.report.wording import svg_uri
 
 SUBSET_TITLES = {
     "all": "all captures",
@@ -22,8 +29,7 @@ SUBSET_TITLES = {
     "reflective": "captures, reflective only",
 }
 REFLECTIVE = "all captures, reflective training"
-SHARES = ("friction_lt_0.1", "friction_lt_0.2", "within_0.1", "median_lt_0.1", "equal_predictions")
-ERRORS = ("mean_absolute_error", "median_error")
+COLUMNS = metrics_of(CAPTURES, "friction", "capture")
 
 
 def training_floors(
@@ -115,12 +121,14 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
     return {
         "first_line": what_they_are(rows),
         "real": not rows[0]["surrogate"],
+        "columns": COLUMNS,
+        "paper": paper.captures_cells(metric.name for metric in COLUMNS),
         "groups": groups,
         "reflective_floors": any("reflective" in group["floors"] for group in groups),
         "reflective_training": other.floors,
         "other_networks": results.captures_of_other_networks(),
         "figure": svg_uri(
-            learning_pictures.cumulative_captures(panels, paper.REAL_FILMS_WITHIN_0_1)
+            learning_pictures.cumulative_captures(panels, paper.CAPTURES["within_0.1"])
         ),
     }
 
@@ -199,7 +207,11 @@ def _simulated_row(metrics, details, model, split, errors) -> list[dict[str, Any
     if not entry:
         return []
     detail = details.get(split, {}).get(NETWORKS.get(model, model), {})
-    within = [{"within_0.1": float((one <= 0.1 + 1e-9).mean())} for one in errors.values()]
+    metric = BY_NAME["within_0.1"]
+    within = [
+        {metric.name: metric.compute(Answers(np.nan, off, np.zeros_like(off)))}
+        for off in errors.values()
+    ]
     mean = entry | (mean_over_seeds(within) if within else {})
     spread = (detail.get("spread") or {}) | ((spread_over_seeds(within) or {}) if within else {})
     return [_row("simulated test set", entry, mean | {"spread": spread})]
@@ -211,6 +223,5 @@ def _row(title: str, entry: Mapping[str, Any], scores: Mapping[str, Any]) -> dic
         "title": title,
         "n": entry["n"],
         "pairs": entry.get("pairs"),
-        "shares": {name: percent(scores.get(name), spread.get(name)) for name in SHARES},
-        "errors": {name: number(scores.get(name), spread.get(name)) for name in ERRORS},
+        "cells": [metric.shown(scores, spread) for metric in COLUMNS],
     }

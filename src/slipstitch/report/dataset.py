@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.page.figures import png_uri
+from slipstitch.page.wording import evenly
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
-from slipstitch.report.wording import data_uri, evenly
 
 # The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s a stroke).
 MID_STROKE_S = 22.5
@@ -19,9 +20,9 @@ def dataset(results: Results) -> dict[str, Any] | None:
         return None
     config = results.config
     by_name = {row["video"]: row for row in rows}
-    grid = [one for one in simulations(config) if one.replicate_id == "r00"]
+    grid = [simulation for simulation in simulations(config) if simulation.replicate_id == "r00"]
     frames = config.sample.frames
-    recorded_s = (config.simulation.frames - 1) / config.simulation.frame_rate_hz
+    recorded_s = config.simulation.recorded_s
     mid_stroke = [min(frames - 1, round(MID_STROKE_S / recorded_s * (frames - 1)))]
     view = viewpoints(config)[0]
     texture = textures(config)[0]
@@ -29,18 +30,18 @@ def dataset(results: Results) -> dict[str, Any] | None:
     def cell(simulation: Simulation, texture_id: str, view_id: str, position: list[int]):
         row = by_name.get(f"{simulation.id}_{texture_id}_{view_id}")
         images = results.images(row, position) if row else []
-        return data_uri(images[0], "image/png") if images else None
+        return png_uri(images[0]) if images else None
 
     frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
     materials = {
         material: [
-            cell(one, texture["id"], view["id"], mid_stroke)
-            for one in grid
-            if one.material == material and one.friction in frictions
+            cell(simulation, texture["id"], view["id"], mid_stroke)
+            for simulation in grid
+            if simulation.material == material and simulation.friction in frictions
         ]
         for material in config.grid.materials
     }
-    same = [one for one in grid if one.material == grid[0].material]
+    same = [simulation for simulation in grid if simulation.material == grid[0].material]
     middle = same[len(same) // 2]
     views = {
         item["name"]: [
@@ -49,15 +50,15 @@ def dataset(results: Results) -> dict[str, Any] | None:
         for item in viewpoints(config)
     }
     strips = []
-    for one in dict.fromkeys((same[0], same[-1])):
-        row = by_name.get(f"{one.id}_{texture['id']}_{view['id']}")
+    for simulation in dict.fromkeys((same[0], same[-1])):
+        row = by_name.get(f"{simulation.id}_{texture['id']}_{view['id']}")
         positions = evenly(range(frames), 10)
         images = results.images(row, list(positions)) if row else []
         if images:
             strips.append(
                 {
-                    "title": f"{one.material}, µ = {one.friction:g}",
-                    "images": [data_uri(image, "image/png") for image in images],
+                    "title": f"{simulation.material}, µ = {simulation.friction:g}",
+                    "images": [png_uri(image) for image in images],
                 }
             )
     sides = {

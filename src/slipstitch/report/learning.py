@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 from slipstitch.config import Config
 from slipstitch.evaluate import paper
-from slipstitch.evaluate.wording import number, percent, seeds_in_words
+from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of
+from slipstitch.page.wording import percent, seeds_in_words
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",
@@ -27,15 +28,20 @@ ENTRIES = {
     "friction_conditional": "lrcn_conditional",
     "instrument": "instrument",
 }
-MEASURES = (
-    ("material_baseline", "material_top1", "Material, first guess"),
-    ("material_baseline", "material_top2", "Material, first two guesses"),
-    ("friction_baseline", "friction_lt_0.1", "Friction, error < 0.1, baseline"),
-    ("friction_baseline", "friction_lt_0.2", "Friction, error < 0.2, baseline"),
-    ("friction_conditional", "friction_lt_0.1", "Friction, error < 0.1, given the material"),
-    ("friction_conditional", "friction_lt_0.2", "Friction, error < 0.2, given the material"),
-)
+# What the paper's tables count of each network, and what tells its rows apart.
+COUNTED = {
+    "material_baseline": ("fabric", ""),
+    "friction_baseline": ("friction", ", baseline"),
+    "friction_conditional": ("friction", ", given the material"),
+    "instrument": ("friction", ", instrument"),
+}
 TURNED = "view_"
+
+
+def counted_metrics(network: str) -> list[Metric]:
+    """The metrics of a network that the paper's tables have: shares of right answers."""
+    kind, _ = COUNTED[network]
+    return [metric for metric in metrics_of(TEST_SETS, kind) if metric.title]
 
 
 class Score(NamedTuple):
@@ -45,7 +51,7 @@ class Score(NamedTuple):
     spread: float | None
 
 
-def score(metrics, details, test_set: str, network: str, measure: str) -> Score:
+def score(metrics, details, test_set: str, network: str, metric: str) -> Score:
     """A network's score on a test set.
 
     Parameters
@@ -55,7 +61,7 @@ def score(metrics, details, test_set: str, network: str, measure: str) -> Score:
     """
     entry = metrics.get(test_set, {}).get(ENTRIES[network]) or {}
     detail = details.get(test_set, {}).get(network) or {}
-    return Score(entry.get(measure), (detail.get("spread") or {}).get(measure))
+    return Score(entry.get(metric), (detail.get("spread") or {}).get(metric))
 
 
 def seeds_of(entries: Mapping[str, Mapping[str, Any]]) -> str:
@@ -95,14 +101,14 @@ def headline(config: Config, metrics, details) -> dict[str, Any] | None:
 def beside_paper(
     metrics, details, titles: Mapping[str, str], quoted: Mapping[tuple[str, str], float]
 ) -> dict[str, Any]:
-    """A table of the paper's measures: its own figures, then a column a test set of ours.
+    """A table of the paper's metrics: its own figures, then a column a test set of ours.
 
     Parameters
     ----------
     titles : mapping
         Test set -> heading of its column; those that were not run are left out.
     quoted : mapping
-        (network, measure) -> the paper's figure.
+        (network, metric) -> the paper's figure.
     """
     shown = [name for name in titles if metrics.get(name)]
     return {
@@ -111,7 +117,7 @@ def beside_paper(
                 "title": titles[name],
                 "n": max(row["n"] for row in metrics[name].values()),
                 "simulations": max(
-                    (one.get("simulations") or 0 for one in details.get(name, {}).values()),
+                    (network.get("simulations") or 0 for network in details.get(name, {}).values()),
                     default=0,
                 ),
                 "seeds": seeds_of(
@@ -122,13 +128,14 @@ def beside_paper(
         ],
         "rows": [
             {
-                "title": title,
-                "paper": quoted.get((network, measure)),
+                "title": metric.title + COUNTED[network][1],
+                "paper": quoted.get((network, metric.name)),
                 "cells": [
-                    percent(*score(metrics, details, name, network, measure)) for name in shown
+                    percent(*score(metrics, details, name, network, metric.name)) for name in shown
                 ],
             }
-            for network, measure, title in MEASURES
+            for network in ("material_baseline", *NETWORKS.values())
+            for metric in counted_metrics(network)
         ],
     }
 
@@ -168,7 +175,7 @@ def test_sets(metrics, details) -> list[dict[str, Any]]:
         if split.startswith(TURNED):
             continue
         of_split = details.get(split, {})
-        trained_on = next((one.get("trained_on") for one in of_split.values()), None)
+        trained_on = next((network.get("trained_on") for network in of_split.values()), None)
         groups.append(
             {
                 "split": SPLIT_TITLES.get(split, split.replace("_", " ")),
@@ -188,23 +195,20 @@ def _test_row(model: str, row, detail, of_split) -> dict[str, Any]:
     # The baseline's row holds the scores of two networks.
     fabric = of_split.get("material_baseline", {}) if model == "lrcn_baseline" else detail
     spread = (fabric.get("spread") or {}) | (detail.get("spread") or {})
-    shares = ("friction_lt_0.1", "friction_lt_0.2", "material_top1", "material_top2", "coverage_90")
     return {
         "model": MODEL_TITLES.get(model, model).replace("network", "").strip(),
         "n": row["n"],
         "simulations": detail.get("simulations"),
         "seeds": len(row.get("seeds") or []) or None,
         "chance": percent(detail.get("chance", {}).get("uniform")),
-        "shares": {name: percent(row.get(name), spread.get(name)) for name in shares},
-        "error": number(row.get("mean_absolute_error"), spread.get("mean_absolute_error")),
-        "width": number(row.get("interval_width"), spread.get("interval_width"), 2),
+        "cells": [metric.shown(row, spread) for metric in metrics_of(TEST_SETS)],
     }
 
 
 def alarms(details) -> list[dict[str, Any]]:
     """How often the instruments' alarm is raised, a row an instrument."""
     return [
-        {"split": SPLIT_TITLES[split], "seed": seed, "shares": shares}
+        {"split": SPLIT_TITLES[split], "seed": seed, "rates": rates}
         for split in ("by_simulation", "by_video")
-        for seed, shares in details.get(split, {}).get("instrument", {}).get("alarms", {}).items()
+        for seed, rates in details.get(split, {}).get("instrument", {}).get("alarms", {}).items()
     ]

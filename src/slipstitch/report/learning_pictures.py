@@ -1,4 +1,4 @@
-"""Figures of training and test. Every function returns an SVG as text, or None without data."""
+"""Figures of training and test. Every function returns None without data."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from slipstitch.calibrate.picture import MEASURED, THEORY
 from slipstitch.evaluate.cumulative import draw_cumulative
-from slipstitch.report.drawing import BLUE, GREEN, INK, ORANGE, new_figure, styled, svg
+from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
 from slipstitch.report.results import History
 
 NETWORK_NAMES = {
@@ -31,35 +32,37 @@ def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]
 
 
 @styled
-def training(histories: Sequence[History]) -> str | None:
+def training(histories: Sequence[History]) -> Figure | None:
     """Loss against epoch, a panel a network and split; chance as a dotted line."""
     if not histories:
         return None
-    networks = [name for name in NETWORK_NAMES if any(one.network == name for one in histories)]
-    splits = list(dict.fromkeys(one.split for one in histories))
+    networks = [
+        name for name in NETWORK_NAMES if any(history.network == name for history in histories)
+    ]
+    splits = list(dict.fromkeys(history.split for history in histories))
     splits.sort(key=lambda name: list(SPLIT_NAMES).index(name) if name in SPLIT_NAMES else 9)
     figure = new_figure(3.2 * len(networks) + 0.4, 2.2 * len(splits) + 0.6)
     panels = figure.subplots(len(splits), len(networks), sharex=True, squeeze=False)
     lines = {}
-    for one in histories:
-        if one.network not in networks:
+    for history in histories:
+        if history.network not in networks:
             continue
-        axes = panels[splits.index(one.split)][networks.index(one.network)]
-        epochs = [row["epoch"] for row in one.epochs]
+        axes = panels[splits.index(history.split)][networks.index(history.network)]
+        epochs = [row["epoch"] for row in history.epochs]
         for key, name, style in (
             ("train_loss", "training", {"color": BLUE}),
             ("validation_loss", "validation", {"color": MEASURED}),
         ):
-            values = [row.get(key) for row in one.epochs]
+            values = [row.get(key) for row in history.epochs]
             values = [value if isinstance(value, float) else np.nan for value in values]
             marker = {"marker": "o", "ms": 2.5} if len(epochs) < 40 else {}
             (line,) = axes.plot(epochs, values, lw=1.3, **marker, **style)
             lines.setdefault(name, line)
-        chance = one.epochs[0].get("chance_loss")
+        chance = history.epochs[0].get("chance_loss")
         if isinstance(chance, float):
             lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
-        for where, _ in _fine_tuning(one.epochs):
-            axes.axvline(where, color="#dddbd4", lw=0.8, zorder=0)
+        for where, _ in _fine_tuning(history.epochs):
+            axes.axvline(where, color=LINE, lw=0.8, zorder=0)
     for axes, network in zip(panels[0], networks, strict=True):
         axes.set_title(NETWORK_NAMES[network])
     for row, split in zip(panels, splits, strict=True):
@@ -70,7 +73,7 @@ def training(histories: Sequence[History]) -> str | None:
     figure.legend(
         lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
     )
-    return svg(figure)
+    return figure
 
 
 def _friction_rows(predictions, split: str, network: str) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +118,7 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, frictions: Sequence[float]) 
 
 
 @styled
-def confusions(predictions, frictions: Sequence[float]) -> str | None:
+def confusions(predictions, frictions: Sequence[float]) -> Figure | None:
     """True against predicted friction, for both splits and both friction networks."""
     networks = ("friction_baseline", "friction_conditional")
     found = [
@@ -140,11 +143,11 @@ def confusions(predictions, frictions: Sequence[float]) -> str | None:
             axes.set_ylabel(f"{SPLIT_NAMES[split]}\ntrue µ", fontsize=8)
     for axes in panels[-1]:
         axes.set_xlabel("predicted µ", fontsize=8)
-    return svg(figure)
+    return figure
 
 
 @styled
-def cumulative(predictions, frictions: Sequence[float]) -> str | None:
+def cumulative(predictions, frictions: Sequence[float]) -> Figure | None:
     """Share of test videos against the error allowed, with a uniform guess for comparison."""
     splits = [
         name
@@ -175,7 +178,7 @@ def cumulative(predictions, frictions: Sequence[float]) -> str | None:
         axes.set(title=SPLIT_NAMES[split], xlabel="error of µ", xlim=(0, widest), ylim=(0, 1.02))
     panels[0].set_ylabel("share of test videos")
     panels[-1].legend(frameon=False, fontsize=8, loc="lower right")
-    return svg(figure)
+    return figure
 
 
 _LINES = {
@@ -187,29 +190,29 @@ _LINES = {
 
 
 @styled
-def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> str | None:
+def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> Figure | None:
     """Share of right answers against the camera's turn, with the spread over seeds.
 
     Parameters
     ----------
     curves : mapping
-        (network, measure) -> turn in degrees -> (mean, spread or None).
+        (network, metric) -> turn in degrees -> (mean, spread or None).
     """
     figure = new_figure(7.8, 2.9)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     lines = {}
-    for axes, measures in zip(
+    for axes, metrics in zip(
         panels, (("friction_lt_0.1", "material_top1"), ("friction_lt_0.2",)), strict=True
     ):
-        for (network, measure), values in curves.items():
-            known = {turn: one for turn, one in values.items() if one[0] is not None}
-            if measure not in measures or not known:
+        for (network, metric), values in curves.items():
+            known = {turn: score for turn, score in values.items() if score[0] is not None}
+            if metric not in metrics or not known:
                 continue
             name, colour = _LINES[network]
             lines[name] = axes.errorbar(
-                list(known), [one[0] for one in known.values()],
-                yerr=[one[1] or 0.0 for one in known.values()], color=colour, lw=1.4, marker="o",
-                ms=3.5, capsize=2.5, ls="--" if network == "material_baseline" else "-",
+                list(known), [score[0] for score in known.values()],
+                yerr=[score[1] or 0.0 for score in known.values()], color=colour, lw=1.4,
+                marker="o", ms=3.5, capsize=2.5, ls="--" if network == "material_baseline" else "-",
             )  # fmt: skip
         axes.set(xlabel="turn of the camera, degrees", ylim=(0, 1.04))
         axes.set_xticks(sorted({turn for values in curves.values() for turn in values}))
@@ -218,7 +221,7 @@ def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> str
     figure.legend(
         lines.values(), lines.keys(), loc="outside upper center", ncols=4, frameon=False, fontsize=8
     )
-    return svg(figure)
+    return figure
 
 
 _CURVES = {
@@ -231,7 +234,7 @@ _CURVES = {
 
 
 @styled
-def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> str | None:
+def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> Figure | None:
     """Share of videos against the error, simulated and captured, a panel a model.
 
     Parameters
@@ -247,8 +250,8 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
     drawn = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in drawn.flat[len(panels) :]:
         axes.set_axis_off()
-    curves = [one for panel in panels for one in panel["curves"].values() if len(one)]
-    widest = max(0.3, *(float(one.max()) for one in curves))
+    curves = [errors for panel in panels for errors in panel["curves"].values() if len(errors)]
+    widest = max(0.3, *(float(errors.max()) for errors in curves))
     lines = {}
     for axes, panel in zip(drawn.flat, panels, strict=False):
         for name, errors in panel["curves"].items():
@@ -263,4 +266,4 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
     figure.legend(
         lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
     )
-    return svg(figure)
+    return figure

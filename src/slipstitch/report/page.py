@@ -7,17 +7,19 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import yaml
 
-from slipstitch import __version__
 from slipstitch.config import Config
 from slipstitch.config.grid import simulations, viewpoints
 from slipstitch.evaluate import paper
-from slipstitch.evaluate.wording import percent
+from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
+from slipstitch.page.figures import svg_uri
+from slipstitch.page.templates import render
+from slipstitch.page.wording import counted
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
-from slipstitch.report import learning_pictures, pictures
+from slipstitch.report import learning_pictures
 from slipstitch.report.captures import captures_section
+from slipstitch.report.cost import cost_section
 from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import (
     alarms,
@@ -28,11 +30,12 @@ from slipstitch.report.learning import (
     unseen_texture,
 )
 from slipstitch.report.physics import convergence, physics
-from slipstitch.report.results import Benchmark, Results
+from slipstitch.report.results import Results
 from slipstitch.report.simulations import simulation_section
 from slipstitch.report.viewpoints import table_3
-from slipstitch.report.wording import counted, duration, svg_uri
 from slipstitch.status.runs import Failure
+
+TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def scale_in_words(config: Config) -> str:
@@ -51,31 +54,16 @@ def scale_in_words(config: Config) -> str:
     )
 
 
-def _cost_rows(benchmarks: Sequence[Benchmark]) -> list[dict[str, str]]:
-    return [
-        {
-            "stage": one.stage,
-            "jobs": str(one.jobs),
-            "cpu": duration(one.cpu_s),
-            "wall": duration(one.wall_s),
-            "cpu_median": duration(one.cpu_median_s),
-            "wall_median": duration(one.wall_median_s),
-            "memory": "–" if one.memory_mib is None else f"{one.memory_mib:.0f} MiB",
-        }
-        for one in benchmarks
-    ]
-
-
 def _failure_rows(failures: Sequence[Failure]) -> list[dict[str, str]]:
     return [
         {
-            "when": datetime.fromtimestamp(one.time_s, UTC).strftime("%Y-%m-%d %H:%M"),
-            "rule": one.rule,
-            "output": ", ".join(one.output[:2]) + (" ..." if len(one.output) > 2 else ""),
-            "log": ", ".join(one.log),
-            "then": one.then,
+            "when": datetime.fromtimestamp(failure.time_s, UTC).strftime("%Y-%m-%d %H:%M"),
+            "rule": failure.rule,
+            "output": ", ".join(failure.output[:2]) + (" ..." if len(failure.output) > 2 else ""),
+            "log": ", ".join(failure.log),
+            "then": failure.then,
         }
-        for one in failures
+        for failure in failures
     ]
 
 
@@ -127,14 +115,12 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     metrics, details = results.metrics(), results.details()
     predictions = results.predictions()
     frictions = config.grid.frictions
-    benchmarks = results.benchmarks()
     histories = results.histories()
     step = closest_frictions(frictions)
-    calibrated = (config.train.view_order or config.render.viewpoints)[0]
+    calibrated = config.calibrated_view
     captures = captures_section(results, metrics, details, predictions)
     record = provenance_record("report")
     return {
-        "version": __version__,
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
         "commit": (record["git_commit"] or "unknown")[:12],
         "dirty": record["git_dirty"],
@@ -158,6 +144,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "table_3": table_3(metrics, details, calibrated),
         "captures": captures,
         "not_tested": not_tested(metrics, captures) if metrics else [],
+        "metrics": metrics_of(TEST_SETS),
         "test_sets": test_sets(metrics, details),
         "alarms": alarms(details),
         "paper": paper,
@@ -165,11 +152,9 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "step": step,
         "confusion": svg_uri(learning_pictures.confusions(predictions, frictions)),
         "cumulative": svg_uri(learning_pictures.cumulative(predictions, frictions)),
-        "costs": _cost_rows(benchmarks),
         "runs": len(results.runs()),
         "failures": _failure_rows(results.failures()),
-        "cost_figure": svg_uri(pictures.costs(benchmarks)),
-        "total_cpu": duration(sum(one.cpu_s for one in benchmarks)) if benchmarks else None,
+        "cost": cost_section(results.benchmarks()),
         "provenance": _provenance(results),
     }
 
@@ -182,17 +167,7 @@ def render_page(context: Mapping[str, Any]) -> str:
     context : mapping
         What `page_context` returned.
     """
-    folder = Path(__file__).parent
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"percent": percent, "duration": duration}
-    style = (folder / "style.css").read_text(encoding="utf-8")
-    return environment.get_template("page.html.j2").render(**context, style=style)
+    return render(TEMPLATE, **context)
 
 
 def write_report(

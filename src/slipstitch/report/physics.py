@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from slipstitch.calibrate.choice import describe
-from slipstitch.report import pictures
+from slipstitch.page.figures import svg_uri
+from slipstitch.page.wording import quantity, yes_or_no
+from slipstitch.report import physics_pictures
 from slipstitch.report.results import Results
-from slipstitch.report.wording import in_words, quantity, svg_uri
 
 _OPTION_NAMES = {
     "friction": "µ",
@@ -34,10 +35,10 @@ def physics(results: Results) -> dict[str, Any] | None:
                     f"{_OPTION_NAMES.get(key, key)} {value:.4g}"
                     for key, value in check["options"].items()
                 ),
-                "measured": in_words(check["measured"])
+                "measured": yes_or_no(check["measured"])
                 if yes_no
                 else quantity(check["measured"], scale, shown),
-                "theory": in_words(check["theory"])
+                "theory": yes_or_no(check["theory"])
                 if yes_no
                 else quantity(check["theory"], scale, shown),
                 "error": "" if yes_no else quantity(check["error"], error_scale, error_unit, 2),
@@ -49,7 +50,7 @@ def physics(results: Results) -> dict[str, Any] | None:
         "checks": checks,
         "met": sum(check["met"] for check in checks),
         "settings": calibration.get("settings", {}),
-        "figure": svg_uri(pictures.calibration(calibration))
+        "figure": svg_uri(physics_pictures.calibration(calibration))
         if calibration.get("experiments")
         else None,
         "strip": _strip(calibration),
@@ -75,8 +76,8 @@ def _strip(calibration: Mapping[str, Any]) -> dict[str, Any] | None:
         for trial in strip["trials"]
     ]
     return {
-        "figure": svg_uri(pictures.strip(calibration)),
-        "settings_figure": svg_uri(pictures.settings(calibration)),
+        "figure": svg_uri(physics_pictures.strip(calibration)),
+        "settings_figure": svg_uri(physics_pictures.settings(calibration)),
         "rows": rows,
         "demand": strip["demand"],
         "not_told": strip["not_told"],
@@ -108,7 +109,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
                     }
                 )
     return {
-        "figure": svg_uri(pictures.convergence(study)),
+        "figure": svg_uri(physics_pictures.convergence(study)),
         "rows": rows,
         "settings": study["settings"],
         "demand": quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),

@@ -20,6 +20,8 @@ from slipstitch.provenance import (
     read_sidecar,
     reading,
 )
+from slipstitch.sample.images import read_frames
+from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.runs import Failure, Run, failures, read_runs
 
@@ -37,8 +39,8 @@ STAGES = (
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """What the report needs of one simulation.
+class SimulationSummary:
+    """What the report shows of one simulation.
 
     Attributes
     ----------
@@ -110,9 +112,9 @@ def _json_if_there(path: Path) -> Any | None:
     return read_json(path) if path.exists() else None
 
 
-def _table(path: Path, columns: list[str] | None = None, **options):
+def _table(path: Path, columns: list[str]):
     with reading(path, "Parquet file"):
-        table = pq.read_table(path, columns=columns, page_checksum_verification=True, **options)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
         table.validate(full=True)
         _ = table.column_names  # raises where one is no text
         return table
@@ -155,14 +157,18 @@ class Results:
 
     def simulated(self) -> list[Simulation]:
         """The simulations of the grid whose trajectory is there."""
-        return [one for one in simulations(self.config) if self.simulation_path(one).exists()]
+        return [
+            simulation
+            for simulation in simulations(self.config)
+            if self.simulation_path(simulation).exists()
+        ]
 
-    def trajectories(self, chosen: list[Simulation] | None = None) -> Iterator[Trajectory]:
+    def trajectories(self, chosen: list[Simulation] | None = None) -> Iterator[SimulationSummary]:
         """Trajectories, one by one: they are large."""
-        for one in self.simulated() if chosen is None else chosen:
-            yield self._trajectory(one)
+        for simulation in self.simulated() if chosen is None else chosen:
+            yield self._trajectory(simulation)
 
-    def _trajectory(self, simulation: Simulation) -> Trajectory:
+    def _trajectory(self, simulation: Simulation) -> SimulationSummary:
         path = self.simulation_path(simulation)
         run = read_trajectory(path)
         solver = _table(path, ["residual", "newton_iterations"])
@@ -172,7 +178,7 @@ class Results:
         line = line[np.argsort(run.uv[line, 1], kind="stable")]
         centre = run.positions_m[:, line][:, :, [0, 2]].astype(float)
         centre[:, :, 0] -= run.stage_x_m[:, None]
-        return Trajectory(
+        return SimulationSummary(
             simulation=simulation,
             time_s=run.time_s,
             stage_x_m=run.stage_x_m,
@@ -195,21 +201,17 @@ class Results:
 
     def manifest(self) -> list[dict[str, Any]] | None:
         """Rows of the dataset's manifest."""
-        path = self.folder / "sample" / "manifest.parquet"
-        return _table(path).to_pylist() if path.exists() else None
+        folder = self.folder / "sample"
+        return read_manifest(folder)[0] if (folder / MANIFEST).exists() else None
 
     def images(self, video: Mapping[str, Any], positions: list[int]) -> list[bytes]:
         """PNG bytes of a video's sampled frames at some positions."""
         path = self.folder / "sample" / video["file"]
         if not path.exists():
             return []
-        table = _table(
-            path,
-            ["position", "image"],
-            filters=[("video", "=", video["video"]), ("position", "in", positions)],
-        )
-        rows = sorted(table.to_pylist(), key=lambda row: row["position"])
-        return [row["image"]["bytes"] for row in rows]
+        wanted = sorted(positions)
+        found = {position: png for _, position, png in read_frames(path, video["video"])}
+        return [found[position] for position in wanted if position in found]
 
     def histories(self) -> list[History]:
         """Training curves, in the order of the configuration."""
@@ -319,7 +321,9 @@ class Results:
         """One record of each stage, with the artefact that carries it."""
         candidates = {
             "calibrate": ["calibrate/calibration.json"],
-            "simulate": [f"simulate/{one.id}.parquet" for one in self.simulated()[:1]],
+            "simulate": [
+                f"simulate/{simulation.id}.parquet" for simulation in self.simulated()[:1]
+            ],
             "render": [
                 path.relative_to(self.folder)
                 for path in sorted((self.folder / "render").glob("m*_v*.parquet"))[:1]

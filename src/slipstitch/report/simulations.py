@@ -8,9 +8,10 @@ from PIL import Image
 
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
-from slipstitch.report import pictures
-from slipstitch.report.results import Results, Trajectory
-from slipstitch.report.wording import data_uri, evenly, svg_uri
+from slipstitch.page.figures import data_uri, svg_uri
+from slipstitch.page.wording import evenly
+from slipstitch.report import physics_pictures
+from slipstitch.report.results import Results, SimulationSummary
 
 # A page that a browser opens at once, at the paper's scale too.
 MOST_FRICTIONS_SHOWN = 6
@@ -23,40 +24,44 @@ def simulation_section(results: Results) -> dict[str, Any]:
     planned = simulations(config)
     done = results.simulated()
     frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
-    shown = [one for one in done if one.friction in frictions]
-    trajectories: list[Trajectory] = list(results.trajectories(shown))
+    shown = [simulation for simulation in done if simulation.friction in frictions]
+    trajectories: list[SimulationSummary] = list(results.trajectories(shown))
     first = {}
-    for one in trajectories:
-        first.setdefault((one.simulation.material, one.simulation.friction), one)
-    cpu = sorted(one.cpu_s for one in trajectories if one.cpu_s is not None)
+    for run in trajectories:
+        first.setdefault((run.simulation.material, run.simulation.friction), run)
+    cpu = sorted(run.cpu_s for run in trajectories if run.cpu_s is not None)
     return {
         "planned": len(planned),
         "done": len(done),
-        "missing": [one.id for one in planned if one not in done],
+        "missing": [simulation.id for simulation in planned if simulation not in done],
         "frictions": frictions,
         "all_frictions": len(frictions) == len(config.grid.frictions),
-        "profiles": svg_uri(pictures.profiles(list(first.values()))),
-        "tails": svg_uri(pictures.tails(trajectories)),
-        "residual": max((one.residual for one in trajectories), default=None),
+        "profiles": svg_uri(physics_pictures.profiles(list(first.values()))),
+        "tails": svg_uri(physics_pictures.tails(trajectories)),
+        "residual": max((run.residual for run in trajectories), default=None),
         "tolerance": max(
-            (one.tolerance for one in trajectories if one.tolerance is not None), default=None
+            (run.tolerance for run in trajectories if run.tolerance is not None), default=None
         ),
         "cpu_median": cpu[len(cpu) // 2] if cpu else None,
         "cpu_largest": cpu[-1] if cpu else None,
-        "duration": max((float(one.time_s[-1]) for one in trajectories), default=None),
+        "duration": max((float(run.time_s[-1]) for run in trajectories), default=None),
         "sheets": _sheets(results, done),
     }
 
 
 def _sheets(results: Results, done: Sequence[Simulation]) -> list[dict[str, str]]:
     """Contact sheets of some simulations, made small."""
-    having = [one for one in done if one.replicate_id == "r00" and results.preview(one)]
+    having = [
+        simulation
+        for simulation in done
+        if simulation.replicate_id == "r00" and results.preview(simulation)
+    ]
     ends = (min(results.config.grid.frictions), max(results.config.grid.frictions))
-    having.sort(key=lambda one: (one.friction not in ends, one.material_id, one.friction))
-    chosen = [one for one in having if one.friction in ends] or having
+    having.sort(key=lambda shown: (shown.friction not in ends, shown.material_id, shown.friction))
+    chosen = [simulation for simulation in having if simulation.friction in ends] or having
     sheets = []
-    for one in evenly(chosen, MOST_SHEETS_SHOWN):
-        path = results.preview(one)
+    for simulation in evenly(chosen, MOST_SHEETS_SHOWN):
+        path = results.preview(simulation)
         try:
             with Image.open(path) as image:
                 small = image.convert("RGB")
@@ -69,8 +74,8 @@ def _sheets(results: Results, done: Sequence[Simulation]) -> list[dict[str, str]
             raise BadInput(f"{path}: not an image: {error}") from None
         sheets.append(
             {
-                "id": one.id,
-                "title": f"{one.material}, µ = {one.friction:g}",
+                "id": simulation.id,
+                "title": f"{simulation.material}, µ = {simulation.friction:g}",
                 "image": data_uri(buffer.getvalue(), "image/webp"),
             }
         )

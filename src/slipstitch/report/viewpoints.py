@@ -1,22 +1,33 @@
 """The paper's Table 3: the calibrated viewpoint turned by some degrees."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from slipstitch.evaluate.wording import percent
+from slipstitch.evaluate.metrics import Metric
+from slipstitch.page.figures import svg_uri
+from slipstitch.page.wording import percent
 from slipstitch.report import learning_pictures
-from slipstitch.report.learning import MODEL_TITLES, NETWORKS, TURNED, Score, score, seeds_of
-from slipstitch.report.wording import svg_uri
-
-SHOWN = (
-    ("material_baseline", "material_top1"),
-    ("friction_baseline", "friction_lt_0.1"),
-    ("friction_baseline", "friction_lt_0.2"),
-    ("friction_conditional", "friction_lt_0.1"),
-    ("friction_conditional", "friction_lt_0.2"),
-    ("instrument", "friction_lt_0.1"),
-    ("instrument", "friction_lt_0.2"),
+from slipstitch.report.learning import (
+    COUNTED,
+    MODEL_TITLES,
+    NETWORKS,
+    TURNED,
+    Score,
+    counted_metrics,
+    score,
+    seeds_of,
 )
+
+
+def _columns(known: Collection[str]) -> list[tuple[str, Metric]]:
+    """(network, metric) of every column: of the fabric the first guess alone."""
+    return [
+        (network, metric)
+        for network in COUNTED
+        if network in known
+        for metric in counted_metrics(network)
+        if metric.name != "material_top2"
+    ]
 
 
 def turns(metrics) -> dict[int, str]:
@@ -44,12 +55,14 @@ def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
     if not sets:
         return None
     known = {network for name in sets.values() for network in details.get(name, {})}
-    columns = [(network, measure) for network, measure in SHOWN if network in known]
+    columns = _columns(known)
     rows = {
         turn: {
             **_size(details.get(name, {})),
             "seeds": seeds_of(metrics[name]),
-            "scores": [score(metrics, details, name, *column) for column in columns],
+            "scores": [
+                score(metrics, details, name, network, metric.name) for network, metric in columns
+            ],
         }
         for turn, name in sets.items()
     }
@@ -57,17 +70,17 @@ def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
     if straight:
         rows[0] = straight | {"seeds": seeds_of(metrics.get("by_video", {}))}
     curves = {
-        column: {turn: row["scores"][k] for turn, row in sorted(rows.items())}
-        for k, column in enumerate(columns)
+        (network, metric.name): {turn: row["scores"][k] for turn, row in sorted(rows.items())}
+        for k, (network, metric) in enumerate(columns)
     }
     return {
         "networks": _headings(columns),
-        "measures": [measure for _, measure in columns],
+        "metrics": [metric for _, metric in columns],
         "rows": [
             {
                 **row,
                 "turn": f"{turn:+d}°".replace("-", "−") if turn else "0°",
-                "cells": [percent(*one) for one in row["scores"]],
+                "cells": [percent(*of_network) for of_network in row["scores"]],
             }
             for turn, row in sorted(rows.items())
         ],
@@ -80,12 +93,12 @@ def _headings(columns) -> list[tuple[str, int]]:
     titles = {network: MODEL_TITLES[model] for model, network in NETWORKS.items()}
     titles |= {"material_baseline": "material network", "instrument": MODEL_TITLES["instrument"]}
     networks = [network for network, _ in columns]
-    return [(titles[one], networks.count(one)) for one in dict.fromkeys(networks)]
+    return [(titles[network], networks.count(network)) for network in dict.fromkeys(networks)]
 
 
 def _size(of_set: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
-        name: max((one.get(name) or 0 for one in of_set.values()), default=0)
+        name: max((network.get(name) or 0 for network in of_set.values()), default=0)
         for name in ("n", "simulations")
     }
 
@@ -103,9 +116,9 @@ def _straight(of_set, columns, calibrated: str) -> dict[str, Any] | None:
         **_size(seen),
         "scores": [
             Score(
-                (seen.get(network, {}).get("mean") or {}).get(measure),
-                (seen.get(network, {}).get("spread") or {}).get(measure),
+                (seen.get(network, {}).get("mean") or {}).get(metric.name),
+                (seen.get(network, {}).get("spread") or {}).get(metric.name),
             )
-            for network, measure in columns
+            for network, metric in columns
         ],
     }

@@ -1,100 +1,29 @@
 """Writing the dataset: the frames of every simulation's videos and the manifest of all videos."""
 
-import hashlib
-import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
-from slipstitch.provenance import provenance_record, read_metadata, start_clock, write_parquet
-from slipstitch.render.catalogue import VIEWPOINTS
+from slipstitch.provenance import provenance_record, read_metadata, start_clock
 from slipstitch.render.surroundings import MATTE
-from slipstitch.sample.frames import sampled_frames
+from slipstitch.sample.images import pixels_digest, write_frames
+from slipstitch.sample.manifest import write_manifest
 from slipstitch.sample.shards import decode, read_shard, simulations_of
 from slipstitch.sample.splits import (
     check_no_simulation_on_both_sides,
     split_by_simulation,
     split_by_video,
 )
-
-MANIFEST = "manifest.parquet"
-
-IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-FRAMES_SCHEMA = pa.schema(
-    [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("material", pa.string()),
-        ("friction", pa.float64()),
-        ("position", pa.int32()),
-        ("frame", pa.int32()),
-        ("time_s", pa.float64()),
-        ("stage_x_m", pa.float64()),
-        ("image", IMAGE),
-    ]
-)
-MANIFEST_SCHEMA = pa.schema(
-    [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("material_id", pa.string()),
-        ("friction_id", pa.string()),
-        ("replicate_id", pa.string()),
-        ("texture_id", pa.string()),
-        ("viewpoint_id", pa.string()),
-        ("material", pa.string()),
-        ("friction", pa.float64()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("material_role", pa.string()),
-        ("friction_role", pa.string()),
-        ("texture_role", pa.string()),
-        ("viewpoint_role", pa.string()),
-        ("viewpoint_turn_deg", pa.float64()),
-        ("floor", pa.string()),
-        ("floor_reflectance", pa.float64()),
-        ("floor_roughness", pa.float64()),
-        ("split_by_video", pa.string()),
-        ("split_by_simulation", pa.string()),
-        ("frames", pa.int32()),
-        ("pixels", pa.int32()),
-        ("pixels_sha256", pa.string()),
-        ("file", pa.string()),
-    ]
-)
-
-
-def _hugging_face(schema: pa.Schema) -> pa.Schema:
-    """The schema with the metadata by which Hugging Face datasets shows `image` as images."""
-    kinds = {pa.string(): "string", pa.float64(): "float64", pa.int32(): "int32"}
-    features = {
-        field.name: {"_type": "Image"}
-        if field.type == IMAGE
-        else {"dtype": kinds[field.type], "_type": "Value"}
-        for field in schema
-    }
-    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
-
-
-def dataset_digest(rows: Sequence[dict[str, Any]]) -> str:
-    """SHA-256 of the manifest's rows; images enter by the digests of their decoded pixels."""
-    return hashlib.sha256(json.dumps(list(rows), sort_keys=True).encode()).hexdigest()
-
-
-def pixels_digest(video: np.ndarray) -> str:
-    """SHA-256 of a video's decoded pixels, uint8 of shape (frames, pixels, pixels, 3)."""
-    return hashlib.sha256(np.ascontiguousarray(video).tobytes()).hexdigest()
 
 
 def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
@@ -190,31 +119,6 @@ def write_dataset(
     )
     write_manifest(rows, out_dir, record)
     return rows
-
-
-def write_manifest(
-    rows: Sequence[dict[str, Any]], out_dir: str | os.PathLike, record: dict[str, Any]
-) -> None:
-    """Write the rows of all videos, with the digest of the dataset."""
-    write_parquet(
-        pa.Table.from_pylist(list(rows), schema=MANIFEST_SCHEMA),
-        Path(out_dir) / MANIFEST,
-        {"dataset_digest": dataset_digest(rows)},
-        record,
-    )
-
-
-def write_frames(
-    images: Sequence[dict[str, Any]], path: str | os.PathLike, record: dict[str, Any]
-) -> None:
-    """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
-    write_parquet(
-        pa.Table.from_pylist(list(images), schema=_hugging_face(FRAMES_SCHEMA)),
-        path,
-        {},
-        record,
-        compression="none",  # PNG is compressed already
-    )
 
 
 def _write_simulation(

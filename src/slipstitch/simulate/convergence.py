@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings, StageSettings
 from slipstitch.material import load_fabric
-from slipstitch.simulate.settings import SimulationSettings
 
-# Written by `python -m slipstitch.convergence publish`.
+# Written by `slipstitch convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")
-GRAVITY_M_S2 = 9.81
 
 
 def bending_length_m(material: str) -> float:
@@ -45,10 +45,10 @@ def measured_convergence(
     -------
     dict or None
         ``nearest`` (material, friction), ``studied`` (time_step_s, vertices_per_side, window_s),
-        ``applies`` (whether the run is at least as fine), ``time_step`` and ``mesh`` (distances
-        to the finest run, timing of events; see `slipstitch.convergence.study.summary`),
-        ``converged`` (None: not known), and ``note`` in words. None if no study came with the
-        package.
+        ``applies`` (whether the run is at least as fine, and its stage moves as the paper's),
+        ``time_step`` and ``mesh`` (distances to the finest run, timing of events; see
+        `slipstitch.convergence.study.summary`), ``converged`` (None: not known), and ``note`` in
+        words. None if no study came with the package.
     """
     if not measured.is_file():
         return None
@@ -62,8 +62,10 @@ def measured_convergence(
 
     case = min(study["cases"], key=far)
     studied = study["studied"]
+    same_stage = settings.stage == StageSettings()
     applies = (
-        step_s <= studied["time_step_s"] * (1 + 1e-9)
+        same_stage
+        and step_s <= studied["time_step_s"] * (1 + 1e-9)
         and settings.vertices_per_side >= studied["vertices_per_side"]
     )
     return {
@@ -73,7 +75,7 @@ def measured_convergence(
         "time_step": case["time_step"],
         "mesh": case["mesh"],
         "converged": case["converged"] if applies else None,
-        "note": _note(case, applies),
+        "note": _note(case, applies) if same_stage else "another stage path: nothing is known",
     }
 
 

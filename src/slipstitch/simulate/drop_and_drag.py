@@ -9,6 +9,9 @@ from math import ceil, cos, radians, sin
 
 import numpy as np
 
+from slipstitch.bench.extended_model import ExtendedModel, read_extended_model
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.bench.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.cloth import (
     ClothSolver,
     Sheets,
@@ -17,15 +20,12 @@ from slipstitch.cloth import (
     rectangle,
     run_together,
 )
-from slipstitch.cloth.solver import GRAVITY_M_S2
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
-from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.material import ElasticTables, fabric_digest, load_fabric
 from slipstitch.progress import progress
-from slipstitch.protocol.extended_model import ExtendedModel, read_extended_model
-from slipstitch.protocol.stage import SIDE_M, TAB_M, StagePath
 from slipstitch.simulate.convergence import measured_convergence
-from slipstitch.simulate.settings import SimulationSettings
 from slipstitch.simulate.trajectory import Trajectory
 
 
@@ -85,6 +85,10 @@ class DropAndDrag:
     friction: float
     seed: int
 
+    def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
+        """What the record says of the fabric's measured numbers."""
+        return {"fabrics": {self.material: fabric_digest(self.material)}}
+
 
 Recorded = tuple[Trajectory, dict[str, np.ndarray]]
 
@@ -105,7 +109,7 @@ def simulate_drop_and_drag(
         See :class:`DropAndDrag`.
     settings : SimulationSettings
     path : StagePath, optional
-        Motion of the clamps.
+        Motion of the clamps; that of the settings by default.
     device : str
         Warp device on which forces and stiffness are evaluated.
 
@@ -155,7 +159,7 @@ def simulate_batch(
     BadInput
         As there, for any of the runs.
     """
-    path = path or StagePath()
+    path = path or StagePath(**dict(settings.stage))
     n = settings.vertices_per_side
     mesh = rectangle(n, n, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T

@@ -55,7 +55,7 @@ def plan_of(dag) -> list[dict[str, Any]]:
             "benchmark": None if job.benchmark is None else str(job.benchmark),
             "threads": job.threads,
             "needed": job in needed,
-            "after": sorted(dag.jobid(one) for one in dag.dependencies[job] if one.output),
+            "after": sorted(dag.jobid(before) for before in dag.dependencies[job] if before.output),
         }
         for job in dag.jobs
         if job.output

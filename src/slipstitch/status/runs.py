@@ -107,7 +107,7 @@ def _is_event(event: Any) -> bool:
         return all(isinstance(event[key], float | int) for key in ("own_cpu_s", "jobs_cpu_s"))
     if event["event"] == "failed":
         named = [*event["output"], *event["log"], event["rule"]]
-        return isinstance(event["job"], int) and all(isinstance(one, str) for one in named)
+        return isinstance(event["job"], int) and all(isinstance(name, str) for name in named)
     return isinstance(event.get("job", 0), int)
 
 
@@ -143,13 +143,13 @@ def _is_job(job: Any) -> bool:
     lists = [job[key] for key in ("output", "log")]
     texts = [job["rule"], job["benchmark"] or "", *lists[0], *lists[1]]
     return (
-        all(isinstance(one, list) for one in lists)
+        all(isinstance(paths, list) for paths in lists)
         and len(lists[0]) > 0
-        and all(isinstance(one, str) and "\0" not in one for one in texts)
+        and all(isinstance(text, str) and "\0" not in text for text in texts)
         and isinstance(job["id"], int)
         and isinstance(job["threads"], int)
         and isinstance(job["needed"], bool)
-        and all(isinstance(one, int) for one in job["after"])
+        and all(isinstance(before, int) for before in job["after"])
     )
 
 
@@ -211,10 +211,10 @@ def failure_lines(
     folder: str | os.PathLike, event: Failure | dict[str, Any], count: int = LOG_LINES
 ) -> list[str]:
     """What one failure has to say: what failed, where its log is, and the log's end."""
-    one = event if isinstance(event, dict) else vars(event)
-    made = ", ".join(one["output"][:3]) + (" ..." if len(one["output"]) > 3 else "")
-    lines = [f"failed: {one['rule']}, which makes {made}"]
-    for log in one["log"]:
+    failure = event if isinstance(event, dict) else vars(event)
+    made = ", ".join(failure["output"][:3]) + (" ..." if len(failure["output"]) > 3 else "")
+    lines = [f"failed: {failure['rule']}, which makes {made}"]
+    for log in failure["log"]:
         lines.append(f"  the end of {log}:")
         lines += [f"    {line}" for line in last_lines(Path(folder).parent / log, count)]
     return lines
@@ -225,7 +225,7 @@ def last_failures(folder: str | os.PathLike, most: int = 3) -> str:
     runs = read_runs(folder)
     # Of a job that was tried several times, the last attempt.
     failed = {event["job"]: event for event in (runs[-1].failures if runs else [])}
-    standing = [one for job, one in failed.items() if runs[-1].state[job] == "failed"]
+    standing = [event for job, event in failed.items() if runs[-1].state[job] == "failed"]
     lines = []
     for event in standing[:most]:
         lines += ["", *failure_lines(folder, event)]

@@ -31,11 +31,13 @@ def finish_times_s(
         Seconds from now, by job.
     """
     wanted = {job: min(cores, (threads or {}).get(job, 1)) for job in duration_s}
-    waiting = {job: sum(one in duration_s for one in after.get(job, ())) for job in duration_s}
+    waiting = {
+        job: sum(before in duration_s for before in after.get(job, ())) for job in duration_s
+    }
     followers: dict[int, list[int]] = {}
     for job in duration_s:
-        for one in after.get(job, ()):
-            followers.setdefault(one, []).append(job)
+        for before in after.get(job, ()):
+            followers.setdefault(before, []).append(job)
     ready = [job for job, count in waiting.items() if count == 0]
     heapq.heapify(ready)
     running: list[tuple[float, int]] = []
@@ -55,8 +57,8 @@ def finish_times_s(
         now_s, job = heapq.heappop(running)
         ends[job] = now_s
         free += wanted[job]
-        for one in followers.get(job, ()):
-            waiting[one] -= 1
-            if waiting[one] == 0:
-                heapq.heappush(ready, one)
+        for follower in followers.get(job, ()):
+            waiting[follower] -= 1
+            if waiting[follower] == 0:
+                heapq.heappush(ready, follower)
     return ends

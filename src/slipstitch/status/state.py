@@ -11,7 +11,7 @@ from statistics import median
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.config.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
 from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
 
@@ -34,7 +34,7 @@ class Measured:
 
 
 @dataclass
-class Stage:
+class StageProgress:
     """One stage of the run: its jobs by state, their cost (s), disk used and to be used (bytes)."""
 
     name: str
@@ -70,7 +70,7 @@ class Status:
         The last run; None if no run has left a journal.
     alive : bool or None
         Whether it still runs; None if that cannot be known here.
-    stages : list of Stage
+    stages : list of StageProgress
     running : list of Running
         Jobs under way, or interrupted if the run is no more.
     failures : list of Failure
@@ -81,7 +81,7 @@ class Status:
 
     run: Run | None
     alive: bool | None
-    stages: list[Stage] = field(default_factory=list)
+    stages: list[StageProgress] = field(default_factory=list)
     running: list[Running] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     left_s: float | None = None
@@ -209,7 +209,7 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
     expected = Expectation(
         config, [(job, measured[job["id"]]) for job in plan if job["id"] in measured]
     )
-    stages = {stage_of(job): Stage(stage_of(job)) for job in plan}
+    stages = {stage_of(job): StageProgress(stage_of(job)) for job in plan}
     left_s, unknown = {}, False
     for job in plan:
         stage, state = stages[stage_of(job)], states[job["id"]]
@@ -243,11 +243,13 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
     return found
 
 
-def _disk(folder: Path, config: Config | None, stages: dict[str, Stage]) -> None:
+def _disk(folder: Path, config: Config | None, stages: dict[str, StageProgress]) -> None:
     """Fill in what the stages' files take, and what the jobs to come will add."""
     model = {}
     if config is not None:
-        model = {one.stage: one.disk_bytes for one in [*estimate(config), estimate_release(config)]}
+        model = {
+            stage.stage: stage.disk_bytes for stage in [*estimate(config), estimate_release(config)]
+        }
     for stage in stages.values():
         stage.disk_bytes = folder_bytes(folder / stage.name)
         if stage.done == stage.jobs:

@@ -3,9 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.theory.domain import require
-
-GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True)

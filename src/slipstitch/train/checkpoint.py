@@ -22,14 +22,27 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass
 class Progress:
-    """How far a training has come: finished epochs, steps of the current one and its sums."""
+    """How far a training has come: finished epochs, steps of the current one and its sums.
+
+    Attributes
+    ----------
+    epoch, step : int
+    sums : dict
+        Losses and other columns of the history, summed over the current epoch's videos so far.
+    history : list of dict
+        A row a finished epoch.
+    """
 
     epoch: int = 0
     step: int = 0
-    loss_sum: float = 0.0
-    correct: int = 0
-    error_sum: float = 0.0
+    sums: dict[str, float] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, sums: dict[str, float]) -> None:
+        """One step more, with its sums over the batch."""
+        self.step += 1
+        for name, value in sums.items():
+            self.sums[name] = self.sums.get(name, 0) + value
 
 
 def save_checkpoint(

@@ -10,11 +10,12 @@ import torch
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import nn
 
+from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest
-from slipstitch.train.network import LRCN
-from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
+from slipstitch.train.network import build_network
 
 FORMAT = "slipstitch-lrcn-1"
 WEIGHTS = "model.safetensors"
@@ -25,7 +26,7 @@ CARD = "model.json"
 class TrainedModel:
     """A network with its weights, and its card."""
 
-    network: LRCN
+    network: nn.Module
     card: dict[str, Any]
 
     @property
@@ -42,6 +43,7 @@ def write_weights(
     The same tensors and card give the same bytes. The card stands inside the weights file too, and
     outside with the weights' SHA-256, so that neither can change without the other.
     """
+    weights.parent.mkdir(parents=True, exist_ok=True)
     whole = {name: value.contiguous() for name, value in tensors.items()}
     with atomic_path(weights) as temporary:
         save_file(whole, temporary, {"card": json.dumps(card, sort_keys=True)})
@@ -88,7 +90,9 @@ def read_weights(
     return tensors, card
 
 
-def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
+def save_model(
+    network: nn.Module, card: dict[str, Any], folder: str | os.PathLike
+) -> dict[str, Any]:
     """Write ``model.safetensors`` and ``model.json``; return the card as written."""
     return write_weights(
         network.state_dict(),
@@ -112,7 +116,7 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
         raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
     try:
         settings = TrainSettings.model_validate(card["settings"])
-        network = LRCN(
+        network = build_network(
             settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
         )
         network.load_state_dict(tensors)

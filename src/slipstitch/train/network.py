@@ -7,14 +7,12 @@ docs/learning.md.
     frame --> conv1a .. conv4a --> features [+ one-hot material] --> LSTM --> FC --> softmax
 """
 
-import math
-
 import torch
 from torch import Tensor, nn
 
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.train.convolution import Convolution
-from slipstitch.train.settings import TrainSettings
 
 
 def scaled(size: int, width: float) -> int:
@@ -22,7 +20,7 @@ def scaled(size: int, width: float) -> int:
     return max(1, round(size * width))
 
 
-class Block(nn.Sequential):
+class ConvolutionBlock(nn.Sequential):
     """3 x 3 convolutions a, b, ... with rectifiers, then 2 x 2 max pooling.
 
     The last rectifier comes after the pooling, with which it commutes, on a quarter of the pixels.
@@ -85,7 +83,7 @@ class LRCN(nn.Module):
         ):
             outputs = scaled(size, settings.width)
             pool = number < last or settings.pool_last_block
-            blocks.append(Block(channels, outputs, convolutions, pool, settings))
+            blocks.append(ConvolutionBlock(channels, outputs, convolutions, pool, settings))
             for _ in range(convolutions):
                 side -= 0 if settings.padding == "same" else 2
                 self.multiply_accumulates += 9 * channels * outputs * max(side, 0) ** 2
@@ -188,26 +186,34 @@ def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
     return nn.functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(outputs))
 
 
-def probabilities(logits: Tensor) -> Tensor:
+def class_probabilities(logits: Tensor) -> Tensor:
     """Softmax, averaged over outputs: shape (videos, classes)."""
     return logits.softmax(-1).mean(1)
 
 
-def computes_bfloat16(precision: str) -> bool:
-    """Whether a run with this `precision` setting computes its convolutions in bfloat16.
+# A network by its name in `train.architecture`, where the setting lists it too. Each is built as
+# `build_network` does, counts its `multiply_accumulates` a frame, has the buffers `mean` and
+# `deviation` for the colours, and gives logits as `LRCN.forward` does.
+ARCHITECTURES: dict[str, type[nn.Module]] = {"lrcn": LRCN}
 
-    ``auto`` asks the processor for AVX512-BF16: without, bfloat16 is emulated, and slower.
+
+def build_network(
+    settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
+) -> nn.Module:
+    """The network that `settings.architecture` names, its weights drawn from torch's generator.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    classes : int
+    pixels : int
+        Side of the frames.
+    condition_classes : int
+        Materials that a conditional network is told one of; 0: it is told nothing.
+
+    Raises
+    ------
+    BadInput
+        If the frames are too small for the network.
     """
-    if precision == "auto":
-        return bool(torch.cpu._is_avx512_bf16_supported())
-    return precision == "bfloat16"
-
-
-def chance_loss(labels: list[int]) -> float:
-    """Cross-entropy of the best guess that ignores the video: the entropy of the labels.
-
-    ln K where the K classes are equally frequent.
-    """
-    counts = torch.bincount(torch.tensor(labels)).double()
-    shares = counts[counts > 0] / counts.sum()
-    return max(0.0, -math.fsum(float(share * share.log()) for share in shares))
+    return ARCHITECTURES[settings.architecture](settings, classes, pixels, condition_classes)

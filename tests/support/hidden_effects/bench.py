@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from support.hidden_effects.elastica import hanging_cloth, pushed_strip
-from support.hidden_effects.slider_bench import spring_slider
+from support.hidden_effects.slider_bench import G, spring_slider
 
-G = 9.80665
 LIBRARY = (
     "load_power",
     "adhesion",

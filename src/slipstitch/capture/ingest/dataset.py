@@ -17,8 +17,8 @@ from slipstitch.material import fabric_names
 from slipstitch.provenance import provenance_record, read_parquet, start_clock, write_parquet
 from slipstitch.render.camera_file import read_camera_file
 from slipstitch.render.encoding import encode_png
-from slipstitch.sample.dataset import dataset_digest, pixels_digest, write_frames, write_manifest
-from slipstitch.train.videos import read_manifest
+from slipstitch.sample.images import pixels_digest, write_frames
+from slipstitch.sample.manifest import dataset_digest, read_manifest, write_manifest
 
 CAPTURES = "captures.parquet"
 CAPTURES_SCHEMA = pa.schema(

@@ -12,16 +12,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipstitch.capture.settings import CaptureSettings, PairSettings
+from slipstitch.catalogue import FLOORS, Viewpoint
 from slipstitch.config import Config
+from slipstitch.config.captures import CaptureSettings, PairSettings
 from slipstitch.config.grid import simulation_seed
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.render.camera import Camera, Pose, pose, turned
 from slipstitch.render.camera_file import LensCamera, write_camera_file
-from slipstitch.render.catalogue import FLOORS, Viewpoint
 from slipstitch.render.shots import viewpoint_pose
 from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, generator
-from slipstitch.simulate.settings import SimulationSettings
 
 # The whole travel fits into the film's width with this focal length (in widths).
 _FOCAL_WIDTHS = 1.72
@@ -66,10 +67,18 @@ def films(config: Config) -> list[Film]:
     return made
 
 
+def find_film(config: Config, name: str) -> Film:
+    """The film with id `name`; BadInput if there is none."""
+    known = {film.id: film for film in films(config)}
+    if name not in known:
+        raise BadInput(f"no surrogate capture {name!r}; there are: {', '.join(known)}")
+    return known[name]
+
+
 def surrogate_simulation(config: Config) -> SimulationSettings:
     """How films are simulated: as the training data, but for what makes them unlike."""
     settings, training = config.captures, config.simulation
-    duration_s = (training.frames - 1) / training.frame_rate_hz
+    duration_s = training.recorded_s
     factor = settings.bench_variation
     return training.model_copy(
         update={

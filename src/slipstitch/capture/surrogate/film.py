@@ -115,7 +115,7 @@ def _write(config: Config, film: Film, images, path) -> int:
     rng = generator(config.seed, "surrogate", film.id, "camera")
     red, blue = 1 + settings.colour_cast * rng.uniform(-1, 1, 2)
     drift, phase = settings.exposure_drift_stops * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
-    duration_s = (config.simulation.frames - 1) / config.simulation.frame_rate_hz + _REST_S
+    duration_s = config.simulation.recorded_s + _REST_S
 
     def photograph(light: np.ndarray, time_s: float) -> np.ndarray:
         share = time_s / duration_s

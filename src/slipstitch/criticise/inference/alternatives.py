@@ -6,19 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.features import Measurements
-from slipstitch.criticise.features.assembly import INSTRUMENT_QUANTITIES
 from slipstitch.criticise.inference.covariance import Group
-from slipstitch.criticise.inference.fit import KINKED, Fit
+from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.generic import generic_shapes
 from slipstitch.criticise.inference.structure import Test
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.mechanisms import MECHANISMS
 
-WEAR_SETTLING_SLIDES = (1.0, 2.5, 6.0)
 # Noncentrality, a run, that the shrunken rich model expects of all columns together. The same for
 # every column: room given to columns because they stand out is not given in the simulated
 # replicates, and doubled the false alarms when it was tried.
-EXPECTED_SHARE = 0.25
+EXPECTED_NONCENTRALITY = 0.25
 
 
 @dataclass
@@ -32,7 +30,7 @@ class Alternatives:
 
 def sensitivity_of(fitted: Fit) -> np.ndarray:
     """d(feature)/d(ln mu), (n,)."""
-    own = [j for j, p in enumerate(fitted.parameters) if p.name.startswith("mu_")]
+    own = [j for j, p in enumerate(fitted.parameters) if p.coefficient]
     return fitted.jacobian[:, own].sum(axis=1)
 
 
@@ -62,18 +60,13 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
             continue
         unrecorded = measurements.unrecorded(name)
         column_values = []
-        settings = WEAR_SETTLING_SLIDES if name == "wear" else (None,)
-        for setting in settings:
-            start = values | mechanism.null_values()
-            if setting is not None:
-                start["wear_r0"] = setting
+        for setting in mechanism.tested_at or ({},):
+            start = values | mechanism.null_values() | setting
             causes = (*fitted.causes, name)
             columns = []
-            for parameter in mechanism.parameters:
-                if parameter.name == "wear_r0":
-                    continue
+            for parameter in mechanism.tested_parameters():
                 # A static excess shows once it exceeds the noise: a step of its whole scale.
-                step = parameter.scale * (1.0 if parameter.name in KINKED else 0.1)
+                step = parameter.scale * (1.0 if parameter.kinked else 0.1)
                 back = 0.0 if parameter.lower == parameter.null else step
                 ends = [
                     measurements.predict(start | {parameter.name: parameter.null + s}, causes)
@@ -90,17 +83,23 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
             )
             continue
         nuisance = nuisance_columns(measurements, unrecorded & keep, sensitivity)
-        for setting, columns in zip(settings, column_values, strict=True):
-            label = name if setting is None else f"{name}@{setting:g}"
-            tests.append(Test(label, "mechanism", name, columns, nuisance))
-    usable = keep & (sensitivity != 0)
-    usable &= ~measurements.rows["quantity"].isin(INSTRUMENT_QUANTITIES).to_numpy()
+        tests += [Test(columns, nuisance, mechanism=name) for columns in column_values]
+    usable = keep & (sensitivity != 0) & measurements.of_friction
     for shape in generic_shapes(measurements.rows, usable):
         column = measurements.rows[shape.covariate]
         empty = (column == "").to_numpy() if column.dtype == object else column.isna().to_numpy()
         nuisance = nuisance_columns(measurements, empty & usable, sensitivity)
         columns = shape.columns * np.where(usable, sensitivity, 0.0)[:, None]
-        tests.append(Test(shape.name, "generic", shape.covariate, columns, nuisance))
+        tests.append(
+            Test(
+                columns,
+                nuisance,
+                covariate=shape.covariate,
+                shape=shape.form,
+                scanned=shape.scanned,
+                spanned=shape.spanned,
+            )
+        )
     return Alternatives(tests, sensitivity, untestable)
 
 
@@ -114,15 +113,14 @@ def rich_columns(
 
     Each is scaled to the noncentrality expected of it, seen orthogonal to the fixed columns.
     """
-    chosen, bumps = [], {}
+    chosen, scanned = [], {}
     for test in tests:
-        if test.family == "generic":
-            if "S-shaped" in test.name:
+        if test.spanned:
+            continue
+        if test.scanned:  # neighbours are alike: every third will do
+            scanned[test.covariate] = scanned.get(test.covariate, 0) + 1
+            if scanned[test.covariate] % 3 != 1:
                 continue
-            if "bump" in test.name or "cycle" in test.name:
-                bumps[test.covariate] = bumps.get(test.covariate, 0) + 1
-                if bumps[test.covariate] % 3 != 1:
-                    continue
         chosen.append(test.columns[group.index])
     if not chosen:
         return np.zeros((len(group.index), 0))
@@ -137,5 +135,5 @@ def rich_columns(
     norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
     good = norm > 1e-3 * np.maximum(before, 1e-12)
     runs = np.trace(group.same_run / group.same_run.sum(axis=0))
-    expected = EXPECTED_SHARE * runs / max(int(good.sum()), 1)
+    expected = EXPECTED_NONCENTRALITY * runs / max(int(good.sum()), 1)
     return columns[:, good] * np.sqrt(expected / norm[good])

@@ -6,75 +6,32 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
 
-from slipstitch.criticise.features import Measurements
-from slipstitch.criticise.inference.alternatives import (
-    alternatives,
-    nuisance_columns,
-    rich_columns,
-    sensitivity_of,
+from slipstitch.criticise.inference.fit import Fit, fit
+from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
+from slipstitch.criticise.inference.selection import (
+    Candidate,
+    candidate,
+    combined_p,
+    explains,
+    fitted_pairs,
+    number_of_runs,
+    second_is_significant,
 )
-from slipstitch.criticise.inference.covariance import (
-    Group,
-    Scatter,
-    estimate_scatter,
-    make_groups,
-    restricted_projection,
-)
-from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.structure import Outcome, Test, run_tests
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.inference.state import State, state_at, test_at
+from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.mechanisms import MECHANISMS
 
-START_SCATTER = Scatter(0.05, 0.03, 1.2)
-MECHANISM_SHARE, GENERIC_SHARE = 0.6, 0.4
 SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.01
-PAIR_SIGNIFICANCE = 0.01
 TIE_BIC = 6.0
-CHANCE_GAIN = 20.0
 MODERATE = 60.0
 # Stated uncertainties may be 1.5 times too small; readings of one run that disagree by more than
 # this hold an effect that differs within runs.
 LARGEST_INSTRUMENT_FACTOR = 1.8
-OUTLIER_T = 4.2
-SUSPECT_T = 2.6
-OUTLIER_SHARE = 0.08
 # Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
 SMALLEST_RUNS, SMALLEST_SPECIMENS, LEAST_RUNS = 8, 3, 5
-
-
-@dataclass
-class Candidate:
-    """A fitted set of causes with its standing: credit over the null, BIC relative to the null."""
-
-    causes: tuple[str, ...]
-    fitted: Fit
-    credit: float
-    bic: float
-
-
-@dataclass
-class Excluded:
-    """A run, or one feature of it, that no model explains."""
-
-    run_id: str
-    reason: str
-    features: np.ndarray
-
-
-@dataclass
-class State:
-    """Scatter, weights and tests at one fitted model."""
-
-    keep: np.ndarray
-    groups: list[Group]
-    scatters: dict[str, Scatter]
-    weights: Weights
-    sensitivity: np.ndarray
-    tests: list[Test]
-    rich: dict[str, np.ndarray]
-    untestable: dict[str, str]
 
 
 @dataclass
@@ -97,265 +54,6 @@ class Analysis:
     reason: str = ""
 
 
-def settle(
-    measurements: Measurements,
-    fitted: Fit,
-    keep: np.ndarray,
-    start: dict[str, Scatter] | None = None,
-) -> State:
-    """Estimate the scatter at a fitted model and set up the weights and tests there."""
-    sensitivity = sensitivity_of(fitted)
-    uncensored = keep & ~measurements.lower_bound
-    groups = make_groups(
-        measurements.protocol,
-        measurements.run,
-        measurements.specimen,
-        measurements.u,
-        sensitivity,
-        uncensored,
-    )
-    found = alternatives(measurements, fitted, keep)
-    residual = measurements.y - fitted.prediction
-    scatters, rich = {}, {}
-    for group in groups:
-        fixed = _fixed(group, sensitivity)
-        guess = (start or {}).get(group.protocol, START_SCATTER)
-        own = rich_columns(found.tests, group, group.variance(START_SCATTER), fixed)
-        scatter = estimate_scatter(group, residual[group.index], fixed, own, guess)
-        rich[group.protocol] = own
-        scatters[group.protocol] = scatter
-    weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
-    return State(keep, groups, scatters, weights, sensitivity, found.tests, rich, found.untestable)
-
-
-def _fixed(group: Group, sensitivity: np.ndarray) -> np.ndarray:
-    d = sensitivity[group.index]
-    size = np.linalg.norm(d)
-    return (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
-
-
-def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list[Excluded]:
-    """Runs (and single features) that lie far off under the rich model, the worst first.
-
-    Suspects are left out of the scatter by which they are judged.
-    """
-    found: list[tuple[float, Excluded]] = []
-    residual = measurements.y - fitted.prediction
-    for group in state.groups:
-        scatter = state.scatters[group.protocol]
-        fixed = _fixed(group, state.sensitivity)
-        rich = rich_columns(state.tests, group, group.variance(scatter), fixed)
-        suspects = _deviations(measurements, group, scatter, rich, residual, state)
-        suspects = [s for s in suspects if s[0] > SUSPECT_T]
-        if not suspects:
-            continue
-        runs = len(np.unique(measurements.run[group.index]))
-        suspects = suspects[: 1 + int(1.5 * OUTLIER_SHARE * runs)]
-        suspicious = np.concatenate([s[2] for s in suspects])
-        kept = np.flatnonzero(~np.isin(group.index, suspicious))
-        if len(kept) < 0.6 * len(group.index):
-            continue
-        rest = Group(
-            group.protocol,
-            group.index[kept],
-            group.u[kept],
-            group.sensitivity[kept],
-            group.same_specimen[np.ix_(kept, kept)],
-            group.same_run[np.ix_(kept, kept)],
-        )
-        scatter = estimate_scatter(
-            rest, residual[rest.index], _fixed(rest, state.sensitivity), rich[kept], scatter
-        )
-        for t, signed, features, what in _deviations(
-            measurements, group, scatter, rich, residual, state
-        ):
-            limit = OUTLIER_T if what == "run-level outlier" else OUTLIER_T + 0.6
-            if t > limit:
-                name = str(measurements.rows["run_id"].iloc[features[0]])
-                found.append((t, Excluded(name, f"{what}, t={signed:.1f}", features)))
-    found.sort(key=lambda item: -item[0])
-    return [item[1] for item in found]
-
-
-def _deviations(measurements, group, scatter, rich, residual, state):
-    """(|t|, t, features, what) of every run and of single features, the worst first."""
-    variance = group.variance(scatter)
-    projection, _ = restricted_projection(
-        variance + rich @ rich.T, _fixed(group, state.sensitivity)
-    )
-    pulled = projection @ residual[group.index]
-    runs, d = measurements.run[group.index], group.sensitivity
-    quantities = measurements.rows["quantity"].to_numpy()[group.index]
-    result = []
-    for run in np.unique(runs):
-        mine = np.flatnonzero(runs == run)
-        information = d[mine] @ projection[np.ix_(mine, mine)] @ d[mine]
-        worst = 0.0
-        if information > 1e-9:
-            t = float(d[mine] @ pulled[mine] / np.sqrt(information))
-            worst = abs(t)
-            result.append((worst, t, group.index[mine], "run-level outlier"))
-        if len(mine) == 1:
-            continue
-        for i in mine:
-            t = float(pulled[i] / np.sqrt(max(projection[i, i], 1e-12)))
-            if abs(t) > worst + 1.0:
-                result.append((abs(t), t, group.index[[i]], f"outlier in {quantities[i]}"))
-    return sorted(result, key=lambda item: -item[0])
-
-
-def settle_without_outliers(
-    measurements: Measurements,
-    causes: tuple[str, ...],
-    start: dict[str, float] | None,
-    fitted: Fit | None = None,
-) -> tuple[Fit, State, list[Excluded]]:
-    """Fit, estimate the scatter, set the worst outliers aside; repeat until none is left."""
-    keep = np.ones(len(measurements.y), bool)
-    excluded: list[Excluded] = []
-    runs = {
-        p: len(set(measurements.run[measurements.protocol == p]))
-        for p in np.unique(measurements.protocol)
-    }
-    budget = {p: max(1, int(1.5 * OUTLIER_SHARE * n + 0.5)) for p, n in runs.items()}
-    in_all = max(1, int(OUTLIER_SHARE * sum(runs.values()) + 0.5))
-    spent = {p: [0, 0] for p in runs}  # whole runs, single features
-    if fitted is None:
-        fitted = _first_fit(measurements, causes, keep, start)
-    state = settle(measurements, fitted, keep)
-    for _ in range(6):
-        new, seen = [], set()
-        for outlier in find_outliers(measurements, fitted, state):
-            # An outlier bends the level of its specimen: its siblings are judged without it.
-            specimen = measurements.specimen[outlier.features[0]]
-            if specimen in seen:
-                continue
-            seen.add(specimen)
-            protocol = measurements.protocol[outlier.features[0]]
-            whole = keep & (measurements.run == measurements.run[outlier.features[0]])
-            kind = int(len(outlier.features) < whole.sum())
-            total = sum(count[kind] for count in spent.values())
-            room = spent[protocol][kind] < budget[protocol] and total < in_all
-            if room and keep[outlier.features].all():
-                spent[protocol][kind] += 1
-                new.append(outlier)
-            if len(new) >= 3:
-                break
-        fitted = fit(measurements, state.weights, causes, fitted.as_dict())
-        if not new:
-            break
-        for outlier in new:
-            keep[outlier.features] = False
-        excluded += new
-        state = settle(measurements, fitted, keep, state.scatters)
-        fitted = fit(measurements, state.weights, causes, fitted.as_dict())
-    state = settle(measurements, fitted, keep, state.scatters)
-    fitted = fit(measurements, state.weights, causes, fitted.as_dict())
-    return fitted, state, excluded
-
-
-def _first_fit(measurements, causes, keep, start) -> Fit:
-    """A fit with usual scatters; sensitivities from a first guess of the coefficients."""
-    fitted = None
-    values = dict(start or {})
-    for _ in range(2):
-        named = {p.name: values.get(p.name, p.null) for p in measurements.null_parameters}
-        base = measurements.predict(named, ())
-        moved = measurements.predict({k: v + 0.01 for k, v in named.items()}, ())
-        sensitivity = (moved - base) / 0.01
-        groups = make_groups(
-            measurements.protocol,
-            measurements.run,
-            measurements.specimen,
-            measurements.u,
-            sensitivity,
-            keep & ~measurements.lower_bound,
-        )
-        scatters = {g.protocol: START_SCATTER for g in groups}
-        weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
-        fitted = fit(measurements, weights, causes, values)
-        values = fitted.as_dict()
-    return fitted
-
-
-def _observations(measurements: Measurements, keep: np.ndarray) -> int:
-    return len(np.unique(measurements.run[keep]))
-
-
-def candidate(
-    measurements: Measurements,
-    state: State,
-    causes: tuple[str, ...],
-    null: Fit,
-    inflation: dict[str, float],
-    start: dict[str, float] | None = None,
-) -> Candidate:
-    """Fit a set of causes and score it against the null (with the same nuisance levels)."""
-    unrecorded = np.zeros(len(measurements.y), bool)
-    for cause in causes:
-        unrecorded |= measurements.unrecorded(cause)
-    weights, base = state.weights, null
-    nuisance = nuisance_columns(measurements, unrecorded & state.keep, state.sensitivity)
-    if nuisance is not None:
-        weights = weights.with_nuisance(nuisance)
-        base = fit(measurements, weights, null.causes, null.as_dict())
-    values = null.as_dict() | (start or {})
-    best = None
-    settlings = (1.5, 5.0) if "wear" in causes and "wear_r0" not in (start or {}) else (None,)
-    for settling in settlings:
-        first = values if settling is None else values | {"wear_r0": settling, "wear": 0.02}
-        found = fit(measurements, weights, causes, first)
-        if best is None or found.chi2 < best.chi2:
-            best = found
-    share = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
-    # The inflation corrects gains by chance, which are small: only the first part is deflated.
-    gained = max(base.chi2 - best.chi2, 0.0)
-    credit = gained - (1.0 - 1.0 / share) * min(gained, CHANCE_GAIN)
-    extra = len(best.parameters) - len(base.parameters)
-    cost = extra * np.log(max(_observations(measurements, state.keep), 2))
-    return Candidate(causes, best, credit, cost - credit)
-
-
-def _inflation(outcome: Outcome) -> dict[str, float]:
-    result: dict[str, float] = {}
-    for test, value in zip(outcome.tests, outcome.inflation, strict=True):
-        if test.family == "mechanism":
-            result[test.covariate] = max(result.get(test.covariate, 1.0), float(value))
-    return result
-
-
-def combined_p(outcome: Outcome) -> float:
-    """Family-wise p over mechanisms and shapes, Bonferroni-weighted between the two."""
-    return float(
-        min(
-            1.0,
-            outcome.family_p.get("mechanism", 1.0) / MECHANISM_SHARE,
-            outcome.family_p.get("generic", 1.0) / GENERIC_SHARE,
-        )
-    )
-
-
-def test_at(
-    measurements: Measurements,
-    fitted: Fit,
-    state: State,
-    rng: np.random.Generator,
-    replicates: int,
-) -> Outcome:
-    """Tests of everything beyond the fitted model."""
-    residual = measurements.y - fitted.prediction
-    return run_tests(
-        state.tests,
-        fitted.jacobian,
-        residual,
-        state.groups,
-        state.scatters,
-        state.rich,
-        rng,
-        replicates,
-    )
-
-
 def analyse(
     measurements: Measurements,
     seed: int = 1,
@@ -371,16 +69,16 @@ def analyse(
     """
     rng = np.random.default_rng(seed)
     report("fit of the null")
-    null, null_state, excluded = settle_without_outliers(measurements, (), None)
+    null, null_state, excluded = fit_without_outliers(measurements, (), None)
     report("test of the null")
     outcome = test_at(measurements, null, null_state, rng, replicates)
     global_p = combined_p(outcome)
-    inflation = _inflation(outcome)
+    inflation = outcome.mechanism_inflation()
     testable = [
         name
         for name in MECHANISMS
         if any(
-            t.covariate == name and t.family == "mechanism" and np.isfinite(p)
+            t.mechanism == name and np.isfinite(p)
             for t, p in zip(outcome.tests, outcome.log_p, strict=True)
         )
     ]
@@ -406,7 +104,7 @@ def analyse(
     report("fits of single mechanisms")
     ranking = [candidate(measurements, null_state, (name,), null, inflation) for name in testable]
     ranking.sort(key=lambda c: c.bic)
-    runs = _observations(measurements, null_state.keep)
+    runs = number_of_runs(measurements, null_state.keep)
     specimens = len(np.unique(measurements.specimen[null_state.keep]))
     few = runs < SMALLEST_RUNS or specimens < SMALLEST_SPECIMENS
     if runs < LEAST_RUNS or specimens < 2 or (few and global_p > SIGNIFICANCE):
@@ -427,7 +125,7 @@ def analyse(
         best = ranking[0]
         if best.bic > -2:
             break
-        _, state, excluded = settle_without_outliers(measurements, best.causes, None, best.fitted)
+        _, state, excluded = fit_without_outliers(measurements, best.causes, None, best.fitted)
         base = fit(measurements, state.weights, (), null.as_dict())
         starts = {c.causes: c.fitted.as_dict() for c in ranking}
         ranking = [
@@ -439,15 +137,15 @@ def analyse(
             break
     singles = list(ranking)
     best = singles[0]
-    left_state = settle(measurements, best.fitted, state.keep, state.scatters)
+    left_state = state_at(measurements, best.fitted, state.keep, state.scatters)
     left = test_at(measurements, best.fitted, left_state, rng, replicates)
-    pairs = _pairs(measurements, state, base, singles, left, left_state, inflation, rng)
-    accepted = [p for p in pairs if _pair_counts(p, singles)]
+    pairs = fitted_pairs(measurements, state, base, singles, left, left_state, inflation, rng)
+    accepted = [p for p in pairs if second_is_significant(p, singles)]
     ranking = sorted(singles + pairs, key=lambda c: c.bic)
     chosen = best
     if accepted and accepted[0].bic < best.bic:
         chosen = accepted[0]
-        left_state = settle(measurements, chosen.fitted, state.keep, state.scatters)
+        left_state = state_at(measurements, chosen.fitted, state.keep, state.scatters)
         left = test_at(measurements, chosen.fitted, left_state, rng, replicates)
     chosen_p = combined_p(left)
     if chosen.bic > -2:
@@ -465,13 +163,13 @@ def analyse(
             "stated uncertainty: something differs within runs"
         )
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    doubles = [(c, measurements.unrecorded_double(c)) for c in chosen.causes]
-    doubles = [(c, double) for c, double in doubles if double]
-    if doubles:
-        cause, double = doubles[0]
-        why = f"{cause} would explain it, but what would drive {double} instead was not recorded"
+    aliases = [(c, measurements.unrecorded_alias(c)) for c in chosen.causes]
+    aliases = [(c, alias) for c, alias in aliases if alias]
+    if aliases:
+        cause, alias = aliases[0]
+        why = f"{cause} would explain it, but what would drive {alias} instead was not recorded"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    if chosen.credit < MODERATE and not _explains(outcome, chosen, measurements, state):
+    if chosen.credit < MODERATE and not explains(outcome, chosen, measurements, state):
         why = "a shape outside the library describes the data better than any mechanism"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     rivals = [c for c in singles if c.bic - chosen.bic < TIE_BIC and c.bic < 0]
@@ -482,78 +180,3 @@ def analyse(
         ties = [c.causes for c in rivals]
         return result("confounded", (), ties, chosen, left_state, left)
     return result("cause", chosen.causes, [chosen.causes], chosen, left_state, left)
-
-
-def _explains(outcome: Outcome, chosen: Candidate, measurements, state) -> bool:
-    """Does the chosen model beat the best generic shape (its place or period counted)?
-
-    For moderate effects only: the score test of a shape says little far from the null, and a
-    shape that beats a strong cause leaves structure behind.
-    """
-    runs = np.log(max(_observations(measurements, state.keep), 2))
-    best = np.inf
-    for i, test in enumerate(outcome.tests):
-        if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
-            continue
-        scanned = 1 if ("bump" in test.name or "cycle" in test.name) else 0
-        best = min(best, (outcome.degrees[i] + scanned) * runs - outcome.statistic[i])
-    return chosen.bic <= best + 2.0
-
-
-def _pair_counts(pair: Candidate, singles: list[Candidate]) -> bool:
-    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?"""
-    alone = [c for c in singles if c.causes[0] in pair.causes]
-    if not alone:
-        return False
-    top = max(alone, key=lambda c: c.credit)
-    extra = len(pair.fitted.parameters) - len(top.fitted.parameters)
-    threshold = chi_square.isf(PAIR_SIGNIFICANCE / max(len(singles) - 1, 1), max(extra, 1))
-    return pair.credit - top.credit > threshold and pair.bic < top.bic
-
-
-def _pairs(measurements, state, base, singles, left, left_state, inflation, rng, most=5):
-    """The most promising pairs, fitted: screened by score tests beside the leading singles."""
-    promise: dict[tuple[str, ...], float] = {}
-    testable = {c.causes[0] for c in singles}
-
-    def offer(single, outcome):
-        for i, test in enumerate(outcome.tests):
-            if test.family != "mechanism" or test.covariate not in testable:
-                continue
-            if not np.isfinite(outcome.log_p[i]):
-                continue
-            pair = tuple(sorted((single.causes[0], test.covariate)))
-            promise[pair] = max(promise.get(pair, 0.0), single.credit + outcome.statistic[i])
-
-    offer(singles[0], left)
-    beside_best = sorted(promise, key=lambda pair: -promise[pair])[:6]
-    if combined_p(left) < 0.3:
-        for single in singles[1:4]:
-            other = settle_fast(measurements, single.fitted, state)
-            outcome = run_tests(
-                other,
-                single.fitted.jacobian,
-                measurements.y - single.fitted.prediction,
-                state.groups,
-                state.scatters,
-                state.rich,
-                rng,
-                replicates=2,
-            )
-            outcome.statistic = outcome.statistic * outcome.inflation
-            offer(single, outcome)
-    else:
-        beside_best, most = beside_best[:3], 0
-    others = sorted(set(promise) - set(beside_best), key=lambda pair: (-promise[pair], pair))
-    starts = {c.causes[0]: c.fitted.as_dict() for c in singles}
-    fitted = []
-    for pair in beside_best + others[:most]:
-        first = max(pair, key=lambda name: next(c.credit for c in singles if c.causes[0] == name))
-        fitted.append(candidate(measurements, state, pair, base, inflation, starts[first]))
-    return sorted(fitted, key=lambda c: c.bic)
-
-
-def settle_fast(measurements, fitted, state) -> list[Test]:
-    """Mechanism tests beside another fitted model, at the scatter already known."""
-    found = alternatives(measurements, fitted, state.keep)
-    return [test for test in found.tests if test.family == "mechanism"]

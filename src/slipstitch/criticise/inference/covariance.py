@@ -13,6 +13,8 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
+from slipstitch.criticise.measurements import Measurements
+
 # Prior of the understatement of the instrument's uncertainty: 1 to 1.5, log-normal.
 KAPPA_MEDIAN, KAPPA_LOG_SD, KAPPA_LIMITS = 1.2, 0.18, (0.9, 2.5)
 KAPPA_STARTS = (1.0, 1.5)
@@ -51,17 +53,20 @@ class Group:
         return v
 
 
-def make_groups(protocol, run, specimen, u, sensitivity, keep) -> list[Group]:
+def make_groups(
+    measurements: Measurements, sensitivity: np.ndarray, keep: np.ndarray
+) -> list[Group]:
     """Groups of the kept features, a group a protocol."""
     groups = []
-    for name in dict.fromkeys(protocol.tolist()):
-        index = np.flatnonzero((protocol == name) & keep)
+    run, specimen = measurements.run, measurements.specimen
+    for name in dict.fromkeys(measurements.protocol.tolist()):
+        index = np.flatnonzero((measurements.protocol == name) & keep)
         if len(index):
             groups.append(
                 Group(
                     name,
                     index,
-                    u[index],
+                    measurements.u[index],
                     sensitivity[index],
                     (specimen[index][:, None] == specimen[index][None, :]).astype(float),
                     (run[index][:, None] == run[index][None, :]).astype(float),

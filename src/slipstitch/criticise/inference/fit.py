@@ -8,9 +8,9 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr
 
-from slipstitch.criticise.features import Measurements
 from slipstitch.criticise.inference.covariance import Group, Scatter
-from slipstitch.criticise.mechanism import MECHANISMS
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.friction_law import Parameter
 
 
@@ -134,8 +134,8 @@ def fit(
 ) -> Fit:
     """Levenberg-Marquardt from ``start`` (missing parameters start at their null values).
 
-    A very weak prior (ten scales wide, or three for logarithms of mu's) keeps parameters finite
-    that the data do not determine.
+    A very weak prior (:attr:`Parameter.prior_width`) keeps parameters finite that the data do not
+    determine.
     """
     parameters = parameters_of(measurements, causes)
     lower = np.array([p.lower for p in parameters])
@@ -144,8 +144,7 @@ def fit(
     null = np.array([p.null for p in parameters])
     start = start or {}
     values = np.array([start.get(p.name, p.null) for p in parameters])
-    width = np.array([3.0 if p.name.startswith("mu_") else 30 * p.scale for p in parameters])
-    width = np.where([p.name == "wear_r0" for p in parameters], 4.0, width)
+    width = np.array([p.prior_width for p in parameters])
 
     def evaluate(v):
         named = {p.name: float(x) for p, x in zip(parameters, v, strict=True)}
@@ -188,14 +187,10 @@ def fit(
     return Fit(causes, parameters, values, chi2, prediction, columns, white, converged, covariance)
 
 
-# Mechanisms whose effect on slips has a kink at the null: either side has its own descent.
-KINKED = ("static_kinetic", "ageing", "rate")
-
-
 def _better_side(values, parameters, start, evaluate):
     """The best of the start and of one scale to either side of it, for kinked parameters."""
     for j, parameter in enumerate(parameters):
-        if parameter.name not in KINKED or start.get(parameter.name, 0.0) != 0.0:
+        if not parameter.kinked or start.get(parameter.name, parameter.null) != parameter.null:
             continue
         trials = []
         for shift in (0.0, parameter.scale, -parameter.scale):

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from slipstitch.criticise.inference.analysis import Analysis, Candidate, State
+from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, fit
+from slipstitch.criticise.inference.selection import Candidate
+from slipstitch.criticise.inference.state import State, level_column
 
 
 @dataclass(frozen=True)
@@ -32,13 +34,11 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     """
     m, state = analysis.measurements, analysis.state
     residual = m.y - fitted.prediction
-    everything = make_groups(m.protocol, m.run, m.specimen, m.u, state.sensitivity, ~m.lower_bound)
+    everything = make_groups(m, state.sensitivity, ~m.lower_bound)
     result = {}
     for group in everything:
-        d = group.sensitivity
-        size = np.linalg.norm(d)
-        fixed = (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
-        nothing = np.zeros((len(d), 0))
+        fixed = level_column(group, state.sensitivity)
+        nothing = np.zeros((len(group.index), 0))
         result[group.protocol] = estimate_scatter(group, residual[group.index], fixed, nothing)
     return result
 

@@ -9,24 +9,16 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.features import Measurements
-from slipstitch.criticise.features.drag import drag_block
-from slipstitch.criticise.features.drop_drag import drop_drag_block
-from slipstitch.criticise.features.incline import incline_block
-from slipstitch.criticise.features.spring_slider import spring_slider_block
-from slipstitch.criticise.features.strip import strip_block
-from slipstitch.criticise.inference.analysis import Analysis, Candidate
+from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, jacobian
+from slipstitch.criticise.inference.selection import Candidate
+from slipstitch.criticise.measurements import Measurements, measurements_of
+from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.protocols import PROTOCOLS
+from slipstitch.criticise.protocols.protocol import Protocol
 
 TRIALS = 5
-BUILDERS = {
-    "incline": incline_block,
-    "strip": strip_block,
-    "drag": lambda table, nominal, measured: drag_block(table, None, nominal),
-    "drop_drag": lambda table, nominal, measured: drop_drag_block(table, None, nominal),
-    "spring_slider": lambda table, nominal, measured: spring_slider_block(table, None, nominal),
-}
 COMMON = {
     "clock_min": 30.0,
     "repeat_index": 0.0,
@@ -36,74 +28,6 @@ COMMON = {
     "pos_x_mm": 50.0,
     "operator": "",
 }
-SETTINGS = {
-    "incline": {
-        "azimuth_deg": 0.0,
-        "area_cm2": 50.0,
-        "added_mass_g": 20.0,
-        "u_angle_deg": 0.3,
-    },
-    "strip": {
-        "azimuth_deg": 0.0,
-        "length_mm": 45.0,
-        "width_mm": 12.0,
-        "ply": 1.0,
-        "push_speed_mm_s": 0.5,
-        "u_eps": 0.004,
-    },
-    "drag": {
-        "stage_azimuth_deg": 0.0,
-        "area_cm2": 100.0,
-        "added_mass_g": 20.0,
-        "speed_mm_s": 10.0,
-        "u_force_mN": 0.3,
-    },
-    "drop_drag": {
-        "stage_azimuth_deg": 0.0,
-        "height_mm": 100.0,
-        "speed_mm_s": 10.0,
-        "u_pos_mm": 0.3,
-    },
-    "spring_slider": {
-        "stage_azimuth_deg": 0.0,
-        "area_cm2": 50.0,
-        "added_mass_g": 50.0,
-        "spring_N_m": 200.0,
-        "speed_mm_s": 1.0,
-        "u_force_mN": 0.5,
-    },
-}
-VARIED = (
-    ("incline", "added_mass_g", (0, 5, 20, 50, 200)),
-    ("incline", "area_cm2", (12.5, 25, 50, 100)),
-    ("incline", "dwell_s", (1, 10, 100, 1000)),
-    ("incline", "orientation_deg", (0, 45, 90, 135, 180)),
-    ("incline", "repeat_index", (0, 1, 2, 4, 8, 16)),
-    ("incline", "rh_pct", (35, 50, 65)),
-    ("incline", "azimuth_deg", (0, 90, 180, 270)),
-    ("strip", "length_mm", (30, 45, 60)),
-    ("drag", "speed_mm_s", (1, 3, 10, 30)),
-    ("drag", "added_mass_g", (0, 10, 30, 100)),
-    ("drag", "area_cm2", (25, 50, 100, 200)),
-    ("drag", "dwell_s", (1, 10, 100, 1000)),
-    ("drag", "orientation_deg", (0, 45, 90, 135, 180)),
-    ("drag", "stage_azimuth_deg", (0, 90, 180, 270)),
-    ("drag", "repeat_index", (0, 1, 2, 4, 8, 16)),
-    ("drop_drag", "height_mm", (70, 100, 130)),
-    ("drop_drag", "speed_mm_s", (3, 10, 30)),
-    ("spring_slider", "speed_mm_s", (0.03, 0.3, 3)),
-    ("spring_slider", "added_mass_g", (20, 50, 150)),
-)
-# Direct checks of bench and fabric: what to do, the parameters it reads, how well.
-DIRECT = (
-    ("weigh a cut of known area", {"mass_error": 0.01}),
-    ("cantilever test of the fabric's stiffness", {"bending_error": 0.05}),
-    ("a level on the floor along azimuths 0 and 90", {"tilt_along": 0.05, "tilt_across": 0.05}),
-    ("known weights on the force cell", {"force_offset": 0.1, "force_gain": 0.005}),
-    ("a ruler in the camera's view", {"camera_scale": 0.002}),
-    ("a dial gauge on the stage at the reversal", {"backlash": 0.02}),
-    ("a flash seen by camera and stage clock", {"time_lag": 0.02}),
-)
 
 
 @dataclass(frozen=True)
@@ -115,9 +39,11 @@ class Separation:
     expected_delta_loglik: float
 
 
-def _design(case: Case, protocol: str, column: str, levels) -> Measurements | None:
+def _design(
+    case: Case, protocol: Protocol, column: str, levels: tuple[float, ...]
+) -> Measurements | None:
     rows = []
-    settings = {k: _usual(case, protocol, k, v) for k, v in SETTINGS[protocol].items()}
+    settings = {k: _usual(case, protocol, k, v) for k, v in protocol.usual_settings.items()}
     for trial in range(TRIALS):
         for level in levels:
             row = {**COMMON, **settings, column: float(level)}
@@ -125,32 +51,30 @@ def _design(case: Case, protocol: str, column: str, levels) -> Measurements | No
             row["specimen_id"] = f"N{trial}"
             rows.append(row)
     try:
-        block = BUILDERS[protocol](pd.DataFrame(rows), case.nominal, False)
+        tables = {protocol.runs_table: pd.DataFrame(rows)}
+        block = protocol.features(tables, case.nominal, False)
     except KeyError:  # a nominal value that this protocol needs is not given
         return None
-    block.rows.insert(0, "protocol", protocol)
-    n = len(block.rows)
-    return Measurements(
-        [block],
-        block.rows,
-        np.zeros(n),
-        block.rows["u"].to_numpy(float),
-        pd.factorize(block.rows["run_id"])[0],
-        pd.factorize(block.rows["specimen_id"])[0],
-        np.full(n, protocol),
-        np.zeros(n, bool),
-    )
+    block.rows.insert(0, "protocol", protocol.name)
+    return measurements_of([block])
 
 
-def _usual(case: Case, protocol: str, column: str, otherwise: float) -> float:
-    for name in (protocol, f"{protocol}_runs"):
-        table = case.tables.get(name)
-        if table is not None and column in table and table[column].notna().any():
-            values = table[column].dropna()
-            if column.startswith("u_"):
-                return float(values.median())
-            return float(values.mode().iloc[0])
-    return otherwise
+def _usual(case: Case, protocol: Protocol, column: str, otherwise: float) -> float:
+    table = case.tables.get(protocol.runs_table)
+    if table is None or column not in table or not table[column].notna().any():
+        return otherwise
+    values = table[column].dropna()
+    return float(values.median() if column.startswith("u_") else values.mode().iloc[0])
+
+
+def _direct_checks() -> dict[str, dict[str, float]]:
+    """Measurements of a mechanism itself, and to what standard deviation they tell parameters."""
+    checks: dict[str, dict[str, float]] = {}
+    for mechanism in MECHANISMS.values():
+        if mechanism.direct_check is not None:
+            measure, readings = mechanism.direct_check
+            checks.setdefault(measure, {}).update(readings)
+    return checks
 
 
 def separations(case: Case, analysis: Analysis, most_pairs: int = 3) -> list[Separation]:
@@ -162,11 +86,13 @@ def separations(case: Case, analysis: Analysis, most_pairs: int = 3) -> list[Sep
     by_causes = {c.causes: c for c in analysis.ranking}
     rivals = [by_causes[c] for c in analysis.alternatives if c in by_causes]
     designs = []
-    for protocol, column, levels in VARIED:
-        design = _design(case, protocol, column, levels)
-        if design is not None:
-            text = ",".join(f"{level:g}" for level in levels)
-            designs.append((f"{protocol}, {column} in {{{text}}}, {TRIALS} trials each", design))
+    for protocol in PROTOCOLS.values():
+        for column, levels in protocol.varied:
+            design = _design(case, protocol, column, levels)
+            if design is not None:
+                text = ",".join(f"{level:g}" for level in levels)
+                measure = f"{protocol.name}, {column} in {{{text}}}, {TRIALS} trials each"
+                designs.append((measure, design))
     cache: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
     result = []
     for a, b in list(combinations(rivals, 2))[:most_pairs]:
@@ -174,7 +100,7 @@ def separations(case: Case, analysis: Analysis, most_pairs: int = 3) -> list[Sep
             (_expected(analysis, a, b, design, i, cache), text)
             for i, (text, design) in enumerate(designs)
         ]
-        options += [(_direct(a, b, readings), text) for text, readings in DIRECT]
+        options += [(_direct(a, b, readings), text) for text, readings in _direct_checks().items()]
         value, text = max(options)
         result.append(Separation((a.causes, b.causes), text, round(value, 2)))
     return result
@@ -192,16 +118,7 @@ def _expected(analysis, a: Candidate, b: Candidate, design, number, cache) -> fl
     scatter = analysis.state.scatters.get(protocol) or Scatter(0.04, 0.03, 1.2)
     values = a.fitted.as_dict()
     values = {p.name: values.get(p.name, p.null) for p in design.null_parameters}
-    base = design.predict(values, ())
-    moved = design.predict({k: v + 0.01 for k, v in values.items()}, ())
-    group = make_groups(
-        design.protocol,
-        design.run,
-        design.specimen,
-        design.u,
-        (moved - base) / 0.01,
-        np.ones(len(base), bool),
-    )[0]
+    group = make_groups(design, design.sensitivity(values), np.ones(len(design.y), bool))[0]
     variance = group.variance(scatter) + s_a + s_b
     difference = f_a - f_b
     return float(0.5 * difference @ np.linalg.solve(variance, difference))
@@ -212,7 +129,7 @@ def _predicted(fitted: Fit, design: Measurements) -> tuple[np.ndarray, np.ndarra
     other one, with a wide prior."""
     parameters = [*design.null_parameters]
     names = {p.name for p in parameters}
-    own = [p for p in fitted.parameters if not p.name.startswith("mu_") or p.name in names]
+    own = [p for p in fitted.parameters if not p.coefficient or p.name in names]
     missing = [p for p in parameters if p.name not in {q.name for q in own}]
     known = fitted.as_dict()
     ordered = own + missing

@@ -26,14 +26,28 @@ IDENTIFIED = 1e-4
 
 @dataclass(frozen=True)
 class Test:
-    """One alternative: columns over all features, beside nuisance columns that cost nothing."""
+    """One alternative: columns over all features, beside nuisance columns that cost nothing.
 
-    name: str
-    family: str
-    covariate: str
+    Attributes
+    ----------
+    mechanism : identifier, if it is a mechanism's own effect; otherwise a generic ``shape`` (in
+        words) along a ``covariate``.
+    scanned : one of a row of shapes that differ by their place or period.
+    spanned : its columns are combinations of other tests' columns.
+    """
+
     columns: np.ndarray
     nuisance: np.ndarray | None = None
-    credit: tuple[str, ...] = ()
+    mechanism: str | None = None
+    covariate: str | None = None
+    shape: str = ""
+    scanned: bool = False
+    spanned: bool = False
+
+    @property
+    def family(self) -> str:
+        """Within which the error is controlled."""
+        return "generic" if self.mechanism is None else "mechanism"
 
 
 @dataclass
@@ -50,6 +64,14 @@ class Outcome:
     log_p: np.ndarray
     adjusted: np.ndarray
     family_p: dict[str, float]
+
+    def mechanism_inflation(self) -> dict[str, float]:
+        """Largest inflation of every mechanism's tests."""
+        result: dict[str, float] = {}
+        for test, value in zip(self.tests, self.inflation, strict=True):
+            if test.mechanism is not None:
+                result[test.mechanism] = max(result.get(test.mechanism, 1.0), float(value))
+        return result
 
     def strongest(self, family: str | None = None) -> int | None:
         """Index of the most significant test (of a family)."""

@@ -1,5 +1,5 @@
 """The verdict as a page for the experimenter."""
 
-from slipstitch.criticise.report.page import page
+from slipstitch.criticise.report.verdict_page import page
 
 __all__ = ["page"]

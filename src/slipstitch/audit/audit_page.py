@@ -1,0 +1,55 @@
+"""The outcome of an audit for people: text for a terminal, a page for a browser."""
+
+from pathlib import Path
+
+from slipstitch.audit.findings import MEANING, Audit, Kind, in_words
+from slipstitch.page.templates import render
+from slipstitch.page.wording import size
+from slipstitch.provenance import atomic_path
+
+_TEMPLATE = Path(__file__).with_name("audit.html.j2")
+
+_MOST_LINES = 12
+VERDICTS = {
+    "intact": "intact: every file, image, label and record is what the release says",
+    "stale": "intact, but stale: today's code or configuration would make something else",
+    "damaged": "DAMAGED: see below which clips are touched",
+}
+
+
+def as_text(audit: Audit) -> str:
+    """The outcome as lines."""
+    numbers = audit.numbers
+    lines = [
+        f"{audit.release}: {VERDICTS[audit.verdict]}",
+        f"{numbers['files']} files, {size(numbers['bytes'])}, {numbers['images']} images of "
+        f"{numbers['clips']} clips looked at in {numbers['wall_s']:.1f} s; "
+        f"{len(audit.damaged_clips())} clips damaged",
+        f"SHA-256 of SHA256SUMS: {audit.sums_sha256}",
+    ]
+    for kind in Kind:
+        found = audit.of_kind(kind)
+        if found:
+            lines += ["", f"{kind.value} ({len(found)}): {MEANING[kind]}"]
+        for finding in found[:_MOST_LINES]:
+            clips = in_words(finding.clips, len(audit.clips))
+            lines.append(f"  {finding.where}: {finding.what}" + (f" [{clips}]" if clips else ""))
+        if len(found) > _MOST_LINES:
+            lines.append(f"  ... and {len(found) - _MOST_LINES} more (--json or --page has all)")
+    if audit.notes:
+        lines += ["", *(f"note: {note}" for note in audit.notes)]
+    return "\n".join(lines)
+
+
+def write_page(audit: Audit, path: Path) -> None:
+    """Write the outcome as one self-contained HTML page."""
+    text = render(
+        _TEMPLATE,
+        audit=audit,
+        verdict=VERDICTS[audit.verdict],
+        groups=[(kind.value, MEANING[kind], audit.of_kind(kind)) for kind in Kind],
+        damaged=audit.damaged_clips(),
+        in_words=lambda clips: in_words(clips, len(audit.clips)),
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,356 @@
+"""Every clip followed to its origin: rendering, simulation, calibration, fabric, configuration.
+
+Two sorts of evidence. Records are compared with each other: what a file was made from must be the
+file that the next record is about. And what follows from configuration and seed alone (labels,
+seeds, perturbations, stage positions, splits) is computed anew; no edit of the release can make
+that agree, short of editing the configuration and every record with it.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipstitch.audit.contents import Contents
+from slipstitch.audit.files import Shard
+from slipstitch.audit.findings import Finding, Kind
+from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.config.grid import Simulation, simulations
+from slipstitch.errors import BadInput
+from slipstitch.material import fabric_digest
+from slipstitch.provenance import file_digest
+from slipstitch.release.assembly import RELEASE_RECORD
+from slipstitch.release.code import SOURCES
+from slipstitch.release.currency import (
+    catalogue_changes,
+    config_changes,
+    current_digest,
+    recorded_entries,
+)
+from slipstitch.release.manifest import MANIFEST, sampled_rows
+from slipstitch.release.records import (
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    is_carried,
+    is_ours,
+    record_file,
+)
+from slipstitch.release.splits import PREFIX, parts, split_columns
+from slipstitch.sample.dataset import manifest_sides
+from slipstitch.sample.manifest import dataset_digest
+
+_STAGE_TOLERANCE_M = 1e-9
+
+
+def check_lineage(
+    contents: Contents, shards: Mapping[str, Shard]
+) -> tuple[list[Finding], list[str]]:
+    """Follow every clip.
+
+    Parameters
+    ----------
+    contents : Contents
+    shards : mapping
+        What `slipstitch.audit.files.check_files` read.
+
+    Returns
+    -------
+    findings : list of Finding
+        All of kind BROKEN.
+    notes : list of str
+        Comparisons that could not be made, and why.
+    """
+    if not contents.rows:
+        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be followed without it")], []
+    lineage = Lineage(contents)
+    findings = [
+        *_links(lineage),
+        *_configuration(lineage),
+        *_sampled(lineage),
+        *_release_record(contents),
+    ]
+    notes = []
+    if contents.config is not None:
+        stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
+        if stale:
+            notes.append(
+                "seeds, perturbations, stage positions, labels and splits were computed with code "
+                f"that has changed since ({', '.join(stale)})"
+            )
+        findings += _recomputed(lineage, shards, stale)
+    return findings, notes
+
+
+def _ours(lineage: Lineage) -> Iterator[Artefact]:
+    return (
+        artefact
+        for path, artefact in lineage.artefacts.items()
+        if is_ours(path) and artefact.provenance
+    )
+
+
+def _is_stale(artefact: Artefact) -> bool:
+    made_by = artefact.provenance.get("code_digest")
+    return made_by != current_digest(artefact.stage) or bool(catalogue_changes(artefact))
+
+
+def _links(lineage: Lineage) -> Iterator[Finding]:
+    """Records that are missing, or about other files than what was made from them says."""
+    folder = lineage.contents.folder
+    starts = {path for row in lineage.contents.rows for path in lineage.behind(row)}
+    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(lineage.artefacts))
+    for path in sorted(starts):
+        artefact = lineage.artefacts.get(path)
+        where, clips = record_file(path), lineage.clips(path)
+        if artefact is None:
+            yield Finding(Kind.BROKEN, where, f"there is no readable record of {path}", clips)
+            continue
+        if is_ours(path) and artefact.provenance is None:
+            yield Finding(Kind.BROKEN, where, "does not say what made it", clips)
+        if is_carried(artefact):
+            carried = folder / carried_file(path)
+            if carried.is_file() and file_digest(carried) != artefact.sha256:
+                what = f"not the file that {record_file(path)} is about"
+                yield Finding(Kind.BROKEN, carried_file(path), what, clips)
+        for name, digest in artefact.inputs.items():
+            behind = lineage.artefacts.get(name)
+            if behind is not None and behind.sha256 != digest:
+                what = f"was made from another {name} than {record_file(name)} is about"
+                touched = clips if len(clips) < len(lineage.clips(name)) else lineage.clips(name)
+                yield Finding(Kind.BROKEN, where, what, touched)
+    listed = (
+        lineage.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in lineage.artefacts else {}
+    )
+    for row in lineage.contents.rows:
+        if f"results/sample/{row['sampled_file']}" not in listed:
+            what = f"the manifest was not made from {row['sampled_file']}"
+            yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
+    for path in sorted(set(lineage.artefacts) - starts):
+        yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
+
+
+def _configuration(lineage: Lineage) -> Iterator[Finding]:
+    """Records against the configuration and the sources that the release carries."""
+    contents = lineage.contents
+    sources = contents.folder / SOURCES
+    for artefact in _ours(lineage):
+        where, clips = record_file(artefact.path), lineage.clips(artefact.path)
+        changes = config_changes(artefact, contents.config) if contents.config else []
+        if changes:
+            what = f"made with another configuration than records/config.json: {changes[0]}"
+            yield Finding(Kind.BROKEN, where, what, clips)
+        digest = artefact.provenance.get("code_digest")
+        if sources.is_dir() and digest != current_digest(artefact.stage, sources):
+            what = f"its code digest is not that of {artefact.stage} in code/src"
+            yield Finding(Kind.BROKEN, where, what, clips)
+        for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
+            if sources.is_dir() and digest != _carried_fabric(sources, name):
+                what = f"was made with another fabric {name} than code/src holds"
+                yield Finding(Kind.BROKEN, where, what, clips)
+
+
+def _carried_fabric(sources: Path, name: str) -> str | None:
+    """Digest of a fabric as the release's own sources have it; None if they do not."""
+    try:
+        return fabric_digest(name, sources / "slipstitch/material/fabrics.json")
+    except BadInput:
+        return None
+
+
+def _sampled(lineage: Lineage) -> Iterator[Finding]:
+    """The manifest against the digest that the sampling stage noted of its rows."""
+    contents = lineage.contents
+    record = lineage.artefacts.get(SAMPLED_MANIFEST)
+    names = contents.notes.get("sampled_columns")
+    try:
+        digest = dataset_digest(sampled_rows(contents.rows, names))
+    except (KeyError, TypeError):
+        digest = None
+    if record is not None and digest != record.metadata.get("dataset_digest"):
+        what = "labels, splits or pixel digests are not those that were sampled"
+        yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
+    if dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
+        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not have the digest noted in it")
+
+
+def _release_record(contents: Contents) -> Iterator[Finding]:
+    """The release's own record against SHA256SUMS, configuration and carried sources."""
+    stated = contents.release.get("files", {})
+    if contents.release:
+        digest = contents.release["provenance"].get("code_digest")
+        sources = contents.folder / SOURCES
+        if sources.is_dir() and digest != current_digest("release", sources):
+            what = "its code digest is not that of release in code/src"
+            yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
+        for name in sorted(set(stated) - set(contents.sums)):
+            yield Finding(Kind.BROKEN, name, "records/release.json names it, SHA256SUMS does not")
+        for name in sorted(set(contents.sums) - set(stated) - {RELEASE_RECORD}):
+            yield Finding(Kind.BROKEN, name, "SHA256SUMS names it, records/release.json does not")
+
+
+def _recomputed(
+    lineage: Lineage, shards: Mapping[str, Shard], stale: Collection[str]
+) -> Iterator[Finding]:
+    """What follows from configuration and seed, computed anew by code that has not changed."""
+    contents, config = lineage.contents, lineage.contents.config
+    grid = {simulation.id: simulation for simulation in simulations(config)}
+    frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
+    times_s = frames / config.simulation.frame_rate_hz
+    stage_x: dict[str, np.ndarray | None] = {}
+    for row in contents.rows:
+        video, name = row["video"], row["simulation"]
+        simulation = grid.get(name)
+        if simulation is None:
+            yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not of the configured grid", (video,))
+            continue
+        problem = _row_problem(row, simulation)
+        if problem:
+            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {problem}", (video,))
+        if name not in stage_x:
+            stage_x[name] = None
+            for record in lineage.of_stage(row, "simulate"):
+                yield from _simulation(lineage, record, simulation)
+                stage_x[name] = _stage_x_m(record, times_s)
+        shard = shards.get(row["shard"])
+        columns = shard.columns.get(video) if shard else None
+        problem = _times(columns, frames, times_s, stage_x[name]) if columns else None
+        if problem:
+            yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
+        yield from _rendering(lineage, row)
+        if "render" not in stale:
+            yield from _drawn(lineage, row)
+    missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
+    if missing:
+        yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
+    if "sample" not in stale:
+        yield from _sides(contents)
+
+
+def _row_problem(row: Mapping[str, Any], simulation: Simulation) -> str | None:
+    for name in ("material", "friction", "material_id", "friction_id", "replicate_id"):
+        if name in row and row[name] != getattr(simulation, name):
+            return f"{name} is {row[name]!r}, the configuration says {getattr(simulation, name)!r}"
+    return None
+
+
+def _simulation(lineage: Lineage, record: Artefact, simulation: Simulation) -> Iterator[Finding]:
+    """What the record of a simulation says against what the grid makes of its id."""
+    from slipstitch.simulate.drop_and_drag import draw_perturbation
+
+    where, clips = record_file(record.path), lineage.clips(record.path)
+    for name in ("material", "friction", "seed"):
+        if record.metadata.get(name) != getattr(simulation, name):
+            what = (
+                f"{name} is {record.metadata.get(name)!r}, the configuration gives "
+                f"{getattr(simulation, name)!r}"
+            )
+            yield Finding(Kind.BROKEN, where, what, clips)
+    drawn = vars(draw_perturbation(lineage.contents.config.simulation, simulation.seed))
+    if record.metadata.get("perturbation") != drawn:
+        yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
+
+
+def _stage_x_m(record: Artefact, times_s: np.ndarray) -> np.ndarray | None:
+    """Stage positions at the sampled times; None if the record does not tell the path."""
+    from slipstitch.bench.stage_path import StagePath
+
+    try:
+        return StagePath(**record.metadata["stage_path"]).position_m(times_s)[0]
+    except (KeyError, TypeError):
+        return None
+
+
+def _times(
+    columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray | None
+) -> str | None:
+    """What is wrong with frame numbers, times and stage positions of a clip."""
+    if columns.get("frame") != frames.tolist():
+        return "its frames are not the sampled ones"
+    for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):
+        found = columns.get(name)
+        if expected is None or found is None:
+            continue
+        if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
+            return f"{name} is not what the protocol gives"
+    return None
+
+
+def _rendering(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """The record of the rendering against the clip's labels."""
+    for record in lineage.of_stage(row, "render"):
+        view = record.metadata.get("viewpoint")
+        if view != {"id": row["viewpoint_id"], "name": row["viewpoint"]}:
+            what = f"shows viewpoint {view!r}, not {row['viewpoint']!r}"
+            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
+        textures = record.metadata.get("textures")
+        texture = textures.get(row["texture_id"]) if isinstance(textures, dict) else None
+        if texture != row["texture"]:
+            what = f"{row['texture_id']} is {texture!r} there, {row['texture']!r} in the manifest"
+            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
+    if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
+        what = f"{row['video']}: no rendering or no simulation stands behind it"
+        yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+
+
+def _drawn(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """Floor, lamp and camera of a clip against what the seed draws."""
+    from slipstitch.render.augmentation import draw_augmentation
+    from slipstitch.render.surroundings import draw_surroundings
+
+    settings, seed = lineage.contents.config.render, lineage.contents.config.seed
+    drawn = draw_surroundings(settings, seed, row["simulation"])
+    labels = {
+        "floor": drawn.floor,
+        "floor_reflectance": drawn.reflectance,
+        "floor_roughness": drawn.roughness,
+    }
+    for name, value in labels.items():
+        if row.get(name) != value:
+            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+    words = (row["simulation"], row["texture"], row["viewpoint"])
+    camera = draw_augmentation(settings.augmentation, seed, *words).record()
+    bench = drawn.record() | {"lamp_position_m": list(drawn.lamp_position_m)}
+    for record in lineage.of_stage(row, "render"):
+        recorded = record.metadata.get("augmentation") or {}
+        found = {
+            "floor or lamp": (record.metadata.get("surroundings"), bench),
+            f"camera of {row['texture_id']}": (recorded.get(row["texture_id"]), camera),
+        }
+        for what, (stated, expected) in found.items():
+            if stated != expected:
+                what = f"the {what} is not what the seed draws"
+                yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
+
+
+def _sides(contents: Contents) -> Iterator[Finding]:
+    """Splits, drawn anew."""
+    config = contents.config
+    try:
+        expected = manifest_sides(config)
+    except BadInput as error:
+        yield Finding(Kind.BROKEN, "records/config.json", f"no split can be drawn: {error}")
+        return
+    try:
+        sampled = sampled_rows(contents.rows, contents.notes.get("sampled_columns") or [])
+    except (KeyError, TypeError):  # said above: its rows have another digest
+        return
+    for row in sampled:
+        found = row.get("split_by_video"), row.get("split_by_simulation")
+        if row["video"] in expected and found != expected[row["video"]]:
+            what = f"{row['video']}: its sides are {found}, drawn anew {expected[row['video']]}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+    splits = split_columns(sampled, config.release.unseen_share, config.seed)
+    for name, sides in splits.items():
+        yield from _differing(contents.rows, PREFIX + name, sides)
+    yield from _differing(contents.rows, "part", parts(splits))
+
+
+def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:
+    for row, value in zip(rows, expected, strict=True):
+        if row.get(column) != value:
+            what = f"{row['video']}: {column} is {row.get(column)!r}, drawn anew {value!r}"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))

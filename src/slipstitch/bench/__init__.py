@@ -1,0 +1,1 @@
+"""The bench that every stage shares: path of the stage, gravity, sampled frames, departures."""

@@ -1,0 +1,81 @@
+"""slipstitch ablate: one question with one seed, or the summary of all."""
+
+import argparse
+
+from slipstitch.cli.options import add_config, add_threads, check_at_least
+
+SUMMARY = "change one thing in the training at a time, at an equal budget: what it is worth"
+EXAMPLE = (
+    "slipstitch ablate --config results/config.json --dataset results/sample "
+    "--question diversity --seed 0 --out results/ablate/diversity/seed0.json\n  "
+    "slipstitch ablate --config results/config.json --summary results/ablate "
+    "--out results/ablate/ablate.json --page results/ablate/index.html"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    from slipstitch.config.ablate import QUESTIONS
+
+    add_config(parser)
+    parser.add_argument("--out", required=True, help="the answer, or the summary (JSON)")
+    one = parser.add_argument_group("one question, one seed")
+    one.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
+    one.add_argument("--question", choices=QUESTIONS)
+    one.add_argument("--seed", type=int)
+    add_threads(one)
+    every = parser.add_argument_group("all of them")
+    every.add_argument(
+        "--summary", metavar="FOLDER", help="of the answers: {question}/seed{seed}.json"
+    )
+    every.add_argument("--page", help="sentences, pictures, tables (HTML)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Answer a question, or sum the answers up; say what came out."""
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+
+    check_at_least(arguments, threads=1, seed=0)
+    given = (arguments.dataset, arguments.question, arguments.seed)
+    config = load_config(*arguments.config)
+    if arguments.summary:
+        if any(one is not None for one in given):
+            raise BadInput("--summary goes without --dataset, --question and --seed")
+        _summary(config, arguments)
+        return
+    if any(one is None for one in given) or arguments.page:
+        raise BadInput(
+            "--dataset, --question and --seed are needed, or --summary (to which --page belongs)"
+        )
+    from slipstitch.ablate.training import write_answer
+
+    found = write_answer(
+        config,
+        arguments.dataset,
+        arguments.question,
+        arguments.seed,
+        arguments.out,
+        arguments.threads,
+    )
+    if found["left_out"]:
+        print(f"left out: {found['left_out']}")
+    for one in found["variants"]:
+        said = "stayed at chance" if one["stayed_at_chance"] else one["failure"] or "learnt"
+        print(
+            f"{found['question']} seed {found['seed']}: {one['network']} {one['variant']}: "
+            f"{one['training_videos']} videos of {one['training_simulations']} simulations, "
+            f"{one['passes']:g} passes: {said}"
+        )
+
+
+def _summary(config, arguments: argparse.Namespace) -> None:
+    """Write summary and page; print the sentences."""
+    from slipstitch.ablate.collection import write_summary
+
+    summary = write_summary(config, arguments.summary, arguments.out, arguments.page)
+    for name, one in summary["questions"].items():
+        if one["left_out"]:
+            print(f"left out: {one['left_out']}")
+        for found in one["comparisons"]:
+            print(f"{name}: {found['sentence']}")

@@ -1,0 +1,108 @@
+"""slipstitch audit: what is a release worth, and where does a clip of it come from?"""
+
+import argparse
+import os
+from pathlib import Path
+
+from slipstitch.cli.options import add_config
+
+SUMMARY = "check a release to the last pixel, tell a clip's story, make a clip again"
+EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("release", type=Path, metavar="RELEASE_DIR", help="folder of a release")
+    add_config(
+        parser,
+        "today's configuration, to say what it would make otherwise",
+        required=False,
+        one_each=True,
+    )
+    parser.add_argument(
+        "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS that the publisher states"
+    )
+    parser.add_argument("--explain", metavar="CLIP", help="instead: the whole story of one clip")
+    parser.add_argument(
+        "--rebuild",
+        metavar="CLIP",
+        help="instead: simulate and render one clip from its record and compare the pixels",
+    )
+    parser.add_argument(
+        "--allow-stale",
+        action="store_true",
+        help="exit with 0 if nothing but code or configuration has changed since",
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the outcome as JSON; - for stdout")
+    parser.add_argument("--page", metavar="FILE", help="write the outcome as an HTML page")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=min(8, os.cpu_count() or 1),
+        help="threads (default: %(default)s)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 for an intact release or an equal clip, 1 for anything else that was found."""
+    from slipstitch.audit.contents import read_contents
+    from slipstitch.errors import BadInput
+
+    if arguments.explain and arguments.rebuild:
+        raise BadInput("either --explain or --rebuild")
+    if arguments.jobs < 1:
+        raise BadInput(f"--jobs {arguments.jobs}: must be at least 1")
+    for path in (arguments.json, arguments.page):
+        if path not in (None, "-") and _inside(Path(path), arguments.release):
+            raise BadInput(f"{path}: inside the release, where it would be an unexplained file")
+    if arguments.explain:
+        from slipstitch.audit.explain import explain
+
+        print(explain(read_contents(arguments.release), arguments.explain))
+        return 0
+    if arguments.rebuild:
+        return _rebuild(arguments)
+    return _audit(arguments)
+
+
+def _inside(path: Path, folder: Path) -> bool:
+    return path.resolve().is_relative_to(folder.resolve())
+
+
+def _write(text: str, path: str | None) -> None:
+    from slipstitch.provenance import atomic_path
+
+    if path == "-":
+        print(text)
+    elif path is not None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _rebuild(arguments: argparse.Namespace) -> int:
+    from slipstitch.audit.contents import read_contents
+    from slipstitch.audit.rebuild import as_json, in_words, rebuild
+
+    done = rebuild(read_contents(arguments.release), arguments.rebuild)
+    _write(as_json(done), arguments.json)
+    if arguments.json != "-":
+        print(in_words(done))
+    return 0 if done.same_pixels and done.same_motion else 1
+
+
+def _audit(arguments: argparse.Namespace) -> int:
+    import json
+
+    from slipstitch.audit.audit_page import as_text, write_page
+    from slipstitch.audit.auditing import audit_release
+    from slipstitch.config import load_config
+
+    config = load_config(*arguments.config) if arguments.config else None
+    audit = audit_release(arguments.release, config, arguments.expect, arguments.jobs)
+    _write(json.dumps(audit.as_json(), indent=1), arguments.json)
+    if arguments.page:
+        write_page(audit, Path(arguments.page))
+    if arguments.json != "-":
+        print(as_text(audit))
+    good = {"intact", "stale"} if arguments.allow_stale else {"intact"}
+    return 0 if audit.verdict in good else 1

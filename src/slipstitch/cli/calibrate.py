@@ -1,0 +1,83 @@
+"""slipstitch calibrate: the simulator against theory, before anything is simulated."""
+
+import argparse
+
+from slipstitch.cli.options import add_config, check_picture
+
+SUMMARY = "choose numerical settings by the pushed strip, and check them against theory"
+EXAMPLE = (
+    "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
+    "--picture results/calibrate/calibration.png"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(parser)
+    parser.add_argument(
+        "--out", required=True, help="JSON file of settings and checks (with --sweep: of its runs)"
+    )
+    parser.add_argument(
+        "--sweep",
+        metavar="KEY",
+        help="only try the settings of one key: base, time_step_s, vertices, "
+        "friction_tolerance, newton_iterations_max or damping_s",
+    )
+    parser.add_argument("--sweeps", nargs="+", help="files that --sweep wrote; else made now")
+    parser.add_argument("--picture", help="PNG or SVG: the checks, measured against theory")
+    parser.add_argument("--strip-picture", help="PNG or SVG: slip strain, and shapes of the strip")
+    parser.add_argument("--settings-picture", help="PNG or SVG: what goes wrong with which setting")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Sweep, choose and check; print one line a setting and a check."""
+    from slipstitch.calibrate.calibration import calibrate_to_file, sweep_to_file
+    from slipstitch.config import load_config
+    from slipstitch.config.calibrate import BASE, KEYS
+    from slipstitch.errors import BadInput
+
+    config = load_config(*arguments.config)
+    if arguments.sweep is not None:
+        if arguments.sweep not in (BASE, *KEYS):
+            raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
+        sweep_to_file(config, arguments.sweep, arguments.out)
+        return
+    pictures = _pictures(arguments)
+    calibration = calibrate_to_file(config, arguments.out, pictures, arguments.sweeps)
+    for trial in calibration["strip"]["trials"]:
+        print(_trial_line(trial, calibration["strip"]["chosen"]))
+    for check in calibration["checks"]:
+        where = " ".join(f"{key}={value:.6g}" for key, value in check["options"].items())
+        unit = "" if check["relative"] or not check["unit"] else f" {check['unit']}"
+        print(
+            f"{check['name']:<28} {where:<44} error {check['error']:.2e}{unit}, "
+            f"allowed {check['demand']:.2e}{unit}"
+        )
+    print(f"{len(calibration['checks'])} checks met")
+
+
+def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
+    given = {
+        "checks": arguments.picture,
+        "strip": arguments.strip_picture,
+        "settings": arguments.settings_picture,
+    }
+    for path in given.values():
+        check_picture(path)
+    return {name: path for name, path in given.items() if path}
+
+
+def _trial_line(trial: dict, chosen: dict) -> str:
+    from slipstitch.calibrate.choice import describe
+
+    error = trial["strain_error"]
+    strain = "no slip compared" if error is None else f"slip strain within {error:.2e}"
+    verdict = "meets the demand" if trial["meets"] else "does not meet the demand"
+    if trial["meets"] and not trial["may_be_chosen"]:
+        verdict += ", may not be chosen"
+    if trial["settings"] == chosen["settings"]:
+        verdict += ", CHOSEN"
+    return (
+        f"strip with {describe(trial):<32} {strain}, {trial['wrong_regimes']} of "
+        f"{len(trial['runs'])} regimes wrong, {trial['cpu_s']:.1f} CPU s: {verdict}"
+    )

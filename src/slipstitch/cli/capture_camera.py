@@ -1,0 +1,78 @@
+"""slipstitch capture camera: pictures of a board in, camera file out."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.cli.options import check_picture
+
+SUMMARY = "calibrate a camera from pictures or a video of a checkerboard or ChArUco board"
+EXAMPLE = (
+    "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
+    "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "views", nargs="+", type=Path, metavar="FILE", help="images of the board, or one video"
+    )
+    parser.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
+    parser.add_argument(
+        "--squares",
+        required=True,
+        metavar="MxN",
+        help="squares of the board along its width and its height",
+    )
+    parser.add_argument("--square-mm", required=True, type=float, help="side of a square")
+    parser.add_argument("--marker-mm", type=float, help="ChArUco: side of a marker")
+    parser.add_argument(
+        "--dictionary", default="DICT_5X5_100", help="ChArUco: OpenCV's name of its markers"
+    )
+    parser.add_argument(
+        "--stage-view",
+        type=Path,
+        metavar="IMAGE",
+        help="the board flat on the floor, seen by the camera in its place on the bench; without "
+        "it the file says nothing about where the camera stands and cannot be rendered from",
+    )
+    parser.add_argument(
+        "--place-mm",
+        nargs=2,
+        type=float,
+        default=(0.0, 0.0),
+        metavar=("X", "Y"),
+        help="where the board's first corner lies then, in the stage's coordinates",
+    )
+    parser.add_argument(
+        "--angle-deg",
+        type=float,
+        default=0.0,
+        help="from the stage's direction to the board's width, counter-clockwise from above",
+    )
+    parser.add_argument(
+        "--thickness-mm", type=float, default=0.0, help="height of the board's face above the floor"
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="camera file")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="the residuals (PNG or SVG)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Calibrate, write the camera file and the picture, print the result in one line."""
+    from slipstitch.capture.camera.board import Board
+    from slipstitch.capture.camera.calibration import FloorPlace
+    from slipstitch.capture.camera.writing import calibrate_to_file
+
+    check_picture(arguments.picture)
+    board = Board.named(
+        arguments.board,
+        arguments.squares,
+        arguments.square_mm,
+        arguments.marker_mm,
+        arguments.dictionary,
+    )
+    place = FloorPlace(*arguments.place_mm, arguments.angle_deg, arguments.thickness_mm)
+    said = calibrate_to_file(
+        board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
+    )
+    print(f"{arguments.out}: {said}")

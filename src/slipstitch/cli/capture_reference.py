@@ -1,0 +1,52 @@
+"""slipstitch capture reference: slip angles in, friction with its error out."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.cli.options import check_picture
+
+SUMMARY = "friction of each fabric and substrate from slip angles on an inclined plane"
+EXAMPLE = (
+    "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
+    "--json bench/reference.json --picture bench/reference.svg"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "table",
+        type=Path,
+        metavar="ANGLES.csv",
+        help="columns material, substrate, position, orientation, repeat, angle_deg, "
+        "bench_error_deg (the largest error of the bench's angle)",
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="CSV, a row a pair")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the same with all details")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="PNG or SVG")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Estimate, write, print one line a pair."""
+    from slipstitch.capture.reference.writing import reference_to_files
+
+    check_picture(arguments.picture)
+    for one in reference_to_files(
+        arguments.table, arguments.out, arguments.json, arguments.picture
+    ):
+        print(_line(one))
+
+
+def _line(one) -> str:
+    parts = [f"{one.material} on {one.substrate}: {one.mu:.3f} ± {one.error:.3f}"]
+    for kind, means, p in (
+        ("positions", one.by_position, one.position_p),
+        ("orientations", one.by_orientation, one.orientation_p),
+    ):
+        if p is None:
+            parts.append(f"{kind}: one only" if len(means) == 1 else f"{kind}: not comparable")
+        else:
+            differ = "differ" if p < 0.05 else "do not differ"
+            values = ", ".join(f"{name} {mean:.3f}" for name, (mean, _) in means.items())
+            parts.append(f"{len(means)} {kind} {differ} (p = {p:.2g}: {values})")
+    return "; ".join(parts)

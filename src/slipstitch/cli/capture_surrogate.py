@@ -1,0 +1,57 @@
+"""slipstitch capture surrogate: films of a bench that does not exist."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from slipstitch.cli.options import add_config
+
+SUMMARY = (
+    "make surrogate captures: films of simulations unlike the training data, never called real"
+)
+EXAMPLE = (
+    "slipstitch capture surrogate --config results/config.json --film c00_r01 "
+    "--out results/captures/bench/c00_r01.mp4"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(parser)
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--bench",
+        type=Path,
+        metavar="DIR",
+        help="write camera.json, slip_angles.csv and captures.csv there",
+    )
+    what.add_argument("--film", metavar="ID", help="simulate and film one capture: c00_r01 ...")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="with --film: the video (MP4)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the bench's tables, or one film."""
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+
+    config = load_config(*arguments.config)
+    if arguments.bench:
+        if arguments.out:
+            raise BadInput("--out goes with --film")
+        from slipstitch.capture.surrogate.bench import write_bench
+
+        write_bench(config, arguments.bench)
+        print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
+        return
+    from slipstitch.capture.surrogate.bench import find_film
+    from slipstitch.capture.surrogate.film import make_film
+    from slipstitch.progress import progress
+
+    if not arguments.out or arguments.out.suffix != ".mp4":
+        raise BadInput("--film needs --out FILE.mp4")
+    film = find_film(config, arguments.film)
+    count = make_film(config, film, arguments.out, partial(progress, unit="frame"))
+    print(
+        f"{arguments.out}: {count} frames, {film.pair.material} on {film.pair.substrate}, "
+        f"repeat {film.repeat} (surrogate)"
+    )

@@ -1,0 +1,78 @@
+"""slipstitch convergence: the study of time step and mesh, ``run | compare | publish``.
+
+``run`` simulates one case, ``compare`` compares them all, ``publish`` puts a finished study where
+it is kept, and its summary where simulations look it up for their own record.
+"""
+
+import argparse
+import sys
+
+from slipstitch.cli.options import add_calibration, add_config
+
+SUMMARY = "simulate cases of the convergence study, compare them, publish the comparison"
+EXAMPLE = (
+    "slipstitch convergence run --config config.yaml --case m05_f01_n41_h1 "
+    "--out results/convergence/runs/m05_f01_n41_h1.parquet"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare what can be done, each with its own options."""
+    verbs = parser.add_subparsers(metavar="WHAT", required=True)
+    run, compare = verbs.add_parser("run"), verbs.add_parser("compare")
+    for one, action in ((run, _run), (compare, _compare)):
+        add_config(one)
+        add_calibration(one)
+        one.set_defaults(action=action)
+    publish = verbs.add_parser("publish")
+    publish.add_argument("--study", default="results/convergence/convergence.json")
+    publish.add_argument("--out", default="results/published/convergence", help="folder")
+    publish.set_defaults(action=_publish)
+    run.add_argument("--case", required=True, help="id of the case, e.g. m05_f01_n41_h1")
+    run.add_argument("--out", required=True, help="Parquet file, one row a frame")
+    compare.add_argument("--runs", required=True, help="folder of the cases' files")
+    compare.add_argument("--out", required=True, help="JSON file")
+    compare.add_argument("--picture", help="PNG file")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run one case, compare those that were run, or publish the comparison."""
+    arguments.action(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from slipstitch.config import load_config
+    from slipstitch.convergence.writing import simulate_case
+
+    config = load_config(*arguments.config, calibration=arguments.calibration)
+    run, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
+    print(f"{arguments.out}: {cpu_s:.1f} CPU s, {run.metadata['solver']}")
+
+
+def _compare(arguments: argparse.Namespace) -> None:
+    from slipstitch.config import load_config
+    from slipstitch.convergence.writing import compare_cases
+
+    config = load_config(*arguments.config, calibration=arguments.calibration)
+    study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
+    if study["missing"]:
+        print(f"not run, and not compared: {', '.join(study['missing'])}", file=sys.stderr)
+    for row in study["summary"]:
+        for kind in ("time_step", "mesh"):
+            if row[kind] is not None:
+                print(
+                    f"{row['material']:<20} friction {row['friction']:<4g} {kind:<10} "
+                    f"mean {1e3 * row[kind]['mean_m']:7.3f} mm, "
+                    f"at the worst moment {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
+                    f"worst vertex {1e3 * row[kind]['worst_m']:7.2f} mm, "
+                    f"shifted mean {1e3 * row[kind]['shifted_mean_m']:7.3f} mm, "
+                    f"events up to {row[kind]['event_shift_s']:.2f} s apart"
+                )
+
+
+def _publish(arguments: argparse.Namespace) -> None:
+    from slipstitch.convergence.writing import publish
+    from slipstitch.simulate.convergence import MEASURED
+
+    count = publish(arguments.study, arguments.out)
+    print(f"{arguments.out}, {MEASURED.name}: {count} cases")

@@ -1,0 +1,55 @@
+"""slipstitch criticise: what the model gets wrong in measured data, and why."""
+
+import argparse
+import sys
+from pathlib import Path
+
+SUMMARY = "say what the model gets wrong in a measured case, and why"
+EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument(
+        "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
+    )
+    parser.add_argument("--out", required=True, metavar="FILE", help="verdict as JSON")
+    parser.add_argument("--report", metavar="FILE", help="the verdict as an HTML page")
+    parser.add_argument("--model", metavar="FILE", help="the extended model as YAML")
+    parser.add_argument(
+        "--resimulate",
+        metavar="FILE",
+        help="simulate the drop-and-drag runs again with null and extended law in the cloth "
+        "simulator (about a second a run); errors and gain as JSON, and on the page",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
+    parser.add_argument(
+        "--replicates",
+        type=int,
+        default=300,
+        help="simulated data sets behind each family-wise p (default 300)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Criticise one case; exit code 0 whatever the verdict."""
+    from slipstitch.criticise.case import read_case
+    from slipstitch.criticise.writing import criticise_to_files
+    from slipstitch.errors import BadInput
+
+    if arguments.replicates < 50:
+        raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+    case = read_case(arguments.case)
+    for name in case.ignored_files:
+        print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
+    said = criticise_to_files(
+        case,
+        arguments.seed,
+        arguments.replicates,
+        verdict_path=arguments.out,
+        page_path=arguments.report,
+        model_path=arguments.model,
+        resimulation_path=arguments.resimulate,
+    )
+    print(said)
+    return 0

@@ -1,0 +1,89 @@
+"""slipstitch evaluate: the tables."""
+
+import argparse
+
+from slipstitch.cli.options import add_config, add_threads, check_at_least
+
+SUMMARY = "test the trained networks: metrics, confusion, predictions"
+EXAMPLE = (
+    "slipstitch evaluate --config results/config.json --dataset results/sample "
+    "--models results/train --out results/evaluate/metrics.json "
+    "--predictions results/evaluate/predictions.parquet"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(parser)
+    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
+    parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
+    parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
+    parser.add_argument("--out", required=True, help="metrics.json")
+    parser.add_argument("--predictions", required=True, help="predictions.parquet")
+    parser.add_argument(
+        "--details", help="chance, seeds, viewpoints, confusion; details.json beside --out"
+    )
+    add_threads(parser)
+    captures = parser.add_argument_group("on captures, real or surrogate")
+    captures.add_argument(
+        "--captures",
+        action="store_true",
+        help="the dataset is what `slipstitch capture ingest` wrote",
+    )
+    captures.add_argument("--page", help="tables and plots (HTML)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Evaluate, write, print the table."""
+    from pathlib import Path
+
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+    from slipstitch.evaluate.evaluation import write_evaluation
+    from slipstitch.evaluate.text_table import test_set_lines
+
+    check_at_least(arguments, threads=1)
+    config = load_config(*arguments.config)
+    if arguments.captures:
+        _captures(config, arguments)
+        return
+    if not arguments.models:
+        raise BadInput("--models: needed, unless --captures comes with --instruments")
+    if arguments.page:
+        raise BadInput("--page goes with --captures")
+    metrics = write_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        arguments.models,
+        arguments.out,
+        arguments.predictions,
+        arguments.details or Path(arguments.out).with_name("details.json"),
+        train=config.train,
+        frames=config.sample.frames,
+        instruments_folder=arguments.instruments,
+        instrument_seeds=config.instrument.seeds,
+        calibrated=config.calibrated_view,
+        threads=arguments.threads,
+    )
+    print(*test_set_lines(metrics), sep="\n")
+
+
+def _captures(config, arguments: argparse.Namespace) -> None:
+    """Evaluate on captures; print a line a model and subset."""
+    from slipstitch.errors import BadInput
+    from slipstitch.evaluate.captures import write_captures_evaluation
+    from slipstitch.evaluate.text_table import capture_lines
+
+    if not (arguments.models or arguments.instruments):
+        raise BadInput("--captures needs --models or --instruments, or both")
+    metrics = write_captures_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        arguments.models,
+        arguments.instruments,
+        arguments.out,
+        arguments.predictions,
+        arguments.page,
+        arguments.threads,
+    )
+    print(*capture_lines(metrics), sep="\n")

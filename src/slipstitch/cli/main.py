@@ -1,0 +1,181 @@
+"""The command line: ``slipstitch VERB ...``; each verb is a module beside this one.
+
+A verb's module is imported only when that verb runs: ``slipstitch --help`` stays fast and works
+although bpy or torch may be missing. The summaries are read from the sources, not by importing.
+A verb has ``SUMMARY``, ``EXAMPLE``, ``configure(parser)`` and ``run(arguments)``, which may return
+an exit code.
+"""
+
+import argparse
+import ast
+import difflib
+import importlib
+import os
+import resource
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from slipstitch import __version__
+from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
+from slipstitch.threads import use_one_thread
+
+# In the order in which they are shown: that of the chain.
+VERBS = (
+    "doctor",
+    "calibrate",
+    "simulate",
+    "render",
+    "sample",
+    "train",
+    "instrument",
+    "evaluate",
+    "ablate",
+    "report",
+    "status",
+    "release",
+    "audit",
+    "capture",
+    "measure",
+    "criticise",
+    "predict",
+    "protocol",
+)
+# What only the workflow and the Makefile call; not shown.
+WORKFLOW_VERBS = ("grid", "convergence", "schema")
+
+# Bytes; libraries of Blender, Warp and PyTorch take most of it, used or not.
+LEAST_ADDRESS_SPACE = 2 * 2**30
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that answers bad usage with one line instead of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def summary(verb: str) -> str:
+    """The verb's ``SUMMARY``, read from its source without importing it."""
+    source = Path(__file__).with_name(f"{verb}.py").read_text(encoding="utf-8")
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.Assign) and any(
+            isinstance(target, ast.Name) and target.id == "SUMMARY" for target in node.targets
+        ):
+            return str(ast.literal_eval(node.value))
+    return ""
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    lines = [f"  {verb:<{width}}  {summary(verb)}" for verb in VERBS]
+    return "\n".join(
+        [
+            "usage: slipstitch VERB [options]",
+            "",
+            "Read the friction coefficient of cloth off video.",
+            "",
+            "verbs:",
+            *lines,
+            "",
+            "slipstitch VERB --help shows a verb's options and an example;",
+            "snakemake --cores 2 all runs the whole chain.",
+        ]
+    )
+
+
+def _parser(verb: str, module) -> argparse.ArgumentParser:
+    example = getattr(module, "EXAMPLE", "")
+    parser = _Parser(
+        prog=f"slipstitch {verb}",
+        description=getattr(module, "SUMMARY", ""),
+        epilog=f"example:\n  {example}" if example else None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.configure(parser)
+    return parser
+
+
+def _one_line(error: BaseException) -> str:
+    """What an error says, as one line that a terminal shows as it is."""
+    words = " ".join(str(error).split()) or type(error).__name__
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
+
+
+def _refuse_tight_memory() -> None:
+    """Refuse to work in less address space than the libraries ask for.
+
+    Not left to chance: OpenBLAS tries for ever to get memory that it is not given.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        raise SlipstitchError(
+            f"not enough memory: it is limited to {limit // 2**20} MiB (ulimit -v), at least "
+            f"{LEAST_ADDRESS_SPACE // 2**20} are needed"
+        )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one verb.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The words after ``slipstitch``; those of the process by default.
+
+    Returns
+    -------
+    int
+        0 success, 2 bad input, 1 anything else. Exceptions that are not the user's doing are
+        raised: their traceback is the report of a fault in the program. What the machine
+        refuses (disk, memory, permission) is one line, too.
+    """
+    for stream in (sys.stdout, sys.stderr):  # a file's name need not be text
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_overview(), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"slipstitch {__version__}")
+        return 0
+    verb = words[0]
+    if verb not in VERBS + WORKFLOW_VERBS:
+        close = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(VERBS)}"
+        print(f"slipstitch: error: there is no verb {verb!r}; {hint}", file=sys.stderr)
+        return 2
+    use_one_thread()
+    try:
+        module = importlib.import_module(f"slipstitch.cli.{verb}")
+        parsed = _parser(verb, module).parse_args(words[1:])
+        _refuse_tight_memory()
+        status = module.run(parsed)
+        sys.stdout.flush()
+        return int(status or 0)
+    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except BadInput as error:
+        print(f"slipstitch {verb}: error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    except SlipstitchError as error:
+        print(f"slipstitch {verb}: failed: {_one_line(error)}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # `slipstitch ... | head`: not an error, and nothing left to flush to
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print(f"slipstitch {verb}: interrupted", file=sys.stderr)
+        return 130
+    except Exception as error:
+        refused = refused_by_the_machine(error)
+        if refused is None:
+            raise
+        said = _one_line(SlipstitchError(refused))
+        print(f"slipstitch {verb}: failed: {said}; nothing half-written is left", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

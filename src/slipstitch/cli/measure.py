@@ -1,0 +1,76 @@
+"""slipstitch measure: a video in, friction with its error bar out."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.cli.options import add_threads, check_at_least
+
+SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
+EXAMPLE = (
+    "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json "
+    "--model results/instrument/by_simulation/seed0 --out glass_1.html"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("video", type=Path, metavar="VIDEO", help="the whole protocol, filmed")
+    parser.add_argument(
+        "--camera",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="camera file of slipstitch capture camera, with the camera's place at the stage",
+    )
+    parser.add_argument(
+        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration that the instrument was trained with (default: config.json in the "
+        "nearest folder above the model)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="page (HTML) to write")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers, to write")
+    parser.add_argument(
+        "--start-s",
+        type=float,
+        metavar="S",
+        help="time in the video at which the stage starts (default: found in the frames)",
+    )
+    parser.add_argument(
+        "--frame-rate-hz",
+        type=float,
+        metavar="HZ",
+        help="of the camera, if the file's own times are wrong",
+    )
+    add_threads(parser, default=2)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Measure, write the page, print the result."""
+    import math
+
+    from slipstitch.errors import BadInput
+    from slipstitch.measure.writing import measure_to_files
+
+    check_at_least(arguments, threads=1)
+    for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
+        value = getattr(arguments, name)
+        if value is not None and not (math.isfinite(value) and value >= lowest):
+            raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
+    result = measure_to_files(
+        arguments.video,
+        arguments.camera,
+        arguments.model,
+        arguments.config,
+        page_path=arguments.out,
+        numbers_path=arguments.json,
+        start_s=arguments.start_s,
+        frame_rate_hz=arguments.frame_rate_hz,
+        threads=arguments.threads,
+    )
+    for line in result.lines():
+        print(line)

@@ -1,0 +1,64 @@
+"""Options that several verbs have, declared once, and what they all refuse."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.errors import BadInput
+
+PICTURES = (".png", ".svg")
+
+
+def add_config(
+    parser: argparse.ArgumentParser,
+    description: str = "YAML or JSON configuration; later files override earlier ones key by key",
+    *,
+    required: bool = True,
+    one_each: bool = False,
+) -> None:
+    """``--config FILE ...``: ``arguments.config`` lists the files, none if it may be left out.
+
+    Parameters
+    ----------
+    one_each : bool
+        For verbs that take other files without an option: ``--config`` takes one, and is repeated.
+    """
+    several = {"action": "append"} if one_each else {"action": "extend", "nargs": "+"}
+    parser.add_argument(
+        "--config", required=required, default=[], metavar="FILE", help=description, **several
+    )
+
+
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """``--calibration FILE``."""
+    parser.add_argument("--calibration", help="take the numerical settings that were verified")
+
+
+def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
+    """``--threads COUNT``; `parser` may be a group."""
+    parser.add_argument("--threads", type=int, default=default, help="threads of the computation")
+
+
+def add_training(parser: argparse.ArgumentParser, out: str) -> None:
+    """Dataset, split, seed and folder of one training."""
+    from slipstitch.config.train import SPLITS
+
+    add_config(parser)
+    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
+    parser.add_argument("--split", required=True, choices=SPLITS)
+    parser.add_argument("--seed", required=True, type=int)
+    parser.add_argument("--out-dir", required=True, help=out)
+    add_threads(parser)
+
+
+def check_at_least(arguments: argparse.Namespace, **smallest: int) -> None:
+    """Refuse options, by their names in `arguments`, that are less than they may be."""
+    for name, least in smallest.items():
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise BadInput(f"--{name.replace('_', '-')} must be at least {least}")
+
+
+def check_picture(path: str | Path | None) -> None:
+    """Refuse a picture's name that says no format."""
+    if path and Path(path).suffix not in PICTURES:
+        raise BadInput(f"{path}: a picture's name must end in {' or '.join(PICTURES)}")

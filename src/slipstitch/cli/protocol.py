@@ -1,0 +1,61 @@
+"""slipstitch protocol: one known-answer experiment in the simulator, beside theory."""
+
+import argparse
+
+SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
+EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
+OPTIONS = (
+    "friction",
+    "slope_deg",
+    "gravity_length_m",
+    "gamma",
+    "strain",
+    "width_over_length",
+    "wrap_deg",
+    "vertices",
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
+    )
+    parser.add_argument("--out", required=True, help="JSON file of measured and theory's values")
+    parser.add_argument("--friction", type=float, help="friction coefficient")
+    parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
+    parser.add_argument(
+        "--gravity-length-m",
+        type=float,
+        help="strip-drag, landed-strip: (B/w)^(1/3), in m (default 0.02)",
+    )
+    parser.add_argument(
+        "--vertices", type=int, help="strip, landed-strip, strip-drag: vertices along it"
+    )
+    parser.add_argument(
+        "--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B"
+    )
+    parser.add_argument("--strain", type=float, help="strip: how far it is pushed, over its length")
+    parser.add_argument("--width-over-length", type=float, help="lateral-buckling: of the strip")
+    parser.add_argument("--wrap-deg", type=float, help="capstan: angle of contact in degrees")
+    parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run it, write the result, print it."""
+    import json
+
+    from slipstitch.config.load import resolve_config
+    from slipstitch.protocol.registry import run_protocol_to_file
+
+    options = {name: getattr(arguments, name) for name in OPTIONS}
+    options = {name: value for name, value in options.items() if value is not None}
+    given = {"time_step_s": arguments.time_step}
+    if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
+        given["vertices_per_side"] = options.pop("vertices", None)
+    overrides = {key: value for key, value in given.items() if value is not None}
+    settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
+    result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
+    # Curves and histories are in the file only.
+    numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
+    print(json.dumps(numbers, indent=1))

@@ -1,0 +1,38 @@
+"""slipstitch release: the dataset as a folder to hand out."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.cli.options import add_config
+
+SUMMARY = "write the dataset as a folder to hand out: shards, splits, card, metadata, records"
+EXAMPLE = (
+    "slipstitch release --config results/config.json --results results --out-dir results/release"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(parser, "YAML or JSON configuration that the results were made with")
+    parser.add_argument("--results", default="results", help="folder of the results")
+    parser.add_argument("--out-dir", required=True, help="the release; must not exist yet")
+    parser.add_argument(
+        "--project",
+        default=Path(__file__).resolve().parents[3],
+        help="checkout of Slipstitch (default: the one that runs)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the release and say what it holds and what its digest is."""
+    from slipstitch.config import load_config
+    from slipstitch.release.assembly import write_release
+
+    done = write_release(
+        load_config(*arguments.config), arguments.results, arguments.out_dir, arguments.project
+    )
+    print(
+        f"{arguments.out_dir}: {done.videos} videos, {done.images} images, {done.files} files, "
+        f"{done.size_bytes / 1e6:.1f} MB"
+    )
+    print(f"SHA-256 of SHA256SUMS, to publish elsewhere: {done.sums_sha256}")

@@ -1,0 +1,179 @@
+"""``slipstitch render``: images of simulations, their verification, and previews."""
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+from slipstitch.cli.options import add_config
+
+SUMMARY = "render a simulation from one viewpoint with every texture; verify; make previews"
+EXAMPLE = (
+    "slipstitch render --config config.yaml --trajectory results/simulate/m05_f01_r00.parquet "
+    "--viewpoint v00 --out results/render/m05_f01_r00_v00.parquet"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(
+        parser,
+        "YAML or JSON configuration, later files override earlier ones (default: built-in)",
+        required=False,
+        one_each=True,
+    )
+    parser.add_argument("--trajectory", type=Path, metavar="FILE", help="what simulate wrote")
+    parser.add_argument(
+        "--viewpoint",
+        metavar="ID",
+        help="id of the configuration (v00 ...) or name of the catalogue (calibrated ...)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="image shard to write (Parquet); with --verify the comparisons (JSON)",
+    )
+    halves = parser.add_argument_group("in two steps: the light in Blender, textures without it")
+    halves.add_argument(
+        "--shading", type=Path, metavar="FILE", help="shading pack to write, instead of images"
+    )
+    halves.add_argument(
+        "--from-shading",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="take the light from these packs of the trajectory, without Blender",
+    )
+    halves.add_argument(
+        "--out-dir", type=Path, metavar="DIR", help="folder of their image shards, named as they"
+    )
+    verification = parser.add_argument_group("verification, of finished shards")
+    verification.add_argument(
+        "--verify",
+        action="store_true",
+        help="render a random sample of the images in SHARDS directly and compare",
+    )
+    verification.add_argument(
+        "--trajectories", type=Path, metavar="DIR", help="folder of the simulations"
+    )
+    verification.add_argument(
+        "--packs", type=Path, metavar="DIR", help="folder of the shading packs"
+    )
+    previews = parser.add_argument_group("previews, from finished shards and without Blender")
+    previews.add_argument("--preview", action="store_true", help="make previews of SHARDS")
+    previews.add_argument("--out-sheet", type=Path, metavar="FILE", help="contact sheet (PNG)")
+    previews.add_argument("--out-video", type=Path, metavar="FILE", help="video (MP4)")
+    previews.add_argument("shards", type=Path, nargs="*", metavar="SHARDS", help="image shards")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Preview, verify, compose or render; print one line on each result."""
+    if arguments.preview:
+        _preview(arguments)
+    elif arguments.verify:
+        _verify(arguments)
+    elif arguments.from_shading:
+        _compose(arguments)
+    else:
+        _render(arguments)
+
+
+def _needed(arguments: argparse.Namespace, names: list[str], mode: str) -> None:
+    from slipstitch.errors import BadInput
+
+    for name in names:
+        if not getattr(arguments, name):
+            what = "at least one shard" if name == "shards" else f"--{name.replace('_', '-')}"
+            raise BadInput(f"{mode} needs {what}")
+
+
+def _preview(arguments: argparse.Namespace) -> None:
+    from slipstitch.errors import BadInput
+    from slipstitch.render.preview import preview
+
+    if not arguments.shards:
+        raise BadInput("--preview needs at least one shard")
+    if not (arguments.out_sheet or arguments.out_video):
+        raise BadInput("--preview needs --out-sheet or --out-video")
+    _refused(arguments, ["trajectory", "viewpoint", "out", "shading", "from_shading"], "--preview")
+    preview(arguments.shards, arguments.out_sheet, arguments.out_video)
+    for path in (arguments.out_sheet, arguments.out_video):
+        if path:
+            print(path)
+
+
+def _refused(arguments: argparse.Namespace, names: list[str], mode: str) -> None:
+    from slipstitch.errors import BadInput
+
+    for name in names:
+        if getattr(arguments, name):
+            raise BadInput(f"--{name.replace('_', '-')} does not go with {mode}")
+
+
+def _verify(arguments: argparse.Namespace) -> None:
+    from slipstitch.config import load_config
+    from slipstitch.progress import progress
+    from slipstitch.render.verification import verify
+
+    _needed(arguments, ["trajectories", "packs", "out", "shards"], "--verify")
+    _refused(arguments, ["trajectory", "viewpoint", "shading", "from_shading"], "--verify")
+    done = verify(
+        load_config(*arguments.config),
+        arguments.shards,
+        arguments.trajectories,
+        arguments.packs,
+        arguments.out,
+        partial(progress, unit="frame"),
+    )
+    for one in done:
+        print(f"{one.video} frame {one.frame}: {one.psnr_db:.1f} dB, SSIM {one.ssim:.3f}")
+
+
+def _compose(arguments: argparse.Namespace) -> None:
+    from slipstitch.config import load_config
+    from slipstitch.render.shards import render_shards_from_packs
+
+    _needed(arguments, ["trajectory", "out_dir"], "--from-shading")
+    _refused(arguments, ["viewpoint", "shading", "shards", "out"], "--from-shading")
+    config = load_config(*arguments.config)
+    packs, folder = arguments.from_shading, arguments.out_dir
+    for out, done in render_shards_from_packs(config, arguments.trajectory, packs, folder):
+        print(f"{out}: {done['images']} images of {done['frames']} frames, {done['viewpoint']}")
+
+
+def _render(arguments: argparse.Namespace) -> None:
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+    from slipstitch.progress import progress
+    from slipstitch.render.packing import Job, write_pack
+
+    _needed(arguments, ["trajectory", "viewpoint"], "rendering")
+    if arguments.shards or arguments.out_sheet or arguments.out_video:
+        raise BadInput("shards, --out-sheet and --out-video go with --preview only")
+    if not arguments.shading:
+        _needed(arguments, ["out"], "rendering")
+    elif arguments.out:
+        raise BadInput("--out and --shading: one of them; images from a pack: --from-shading")
+    config = load_config(*arguments.config)
+    bar = partial(progress, unit="frame")
+    job = Job.of(config, arguments.trajectory, arguments.viewpoint)
+    if arguments.shading:
+        pack = write_pack(job, arguments.shading, bar)
+        _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
+        print(f"{arguments.shading}: light of {len(pack.shots)} frames, {job.viewpoint}")
+        return
+    from slipstitch.render.shards import render_shard
+
+    done = render_shard(job, arguments.out, progress=bar)
+    _warn(arguments.out, done["smallest_share_of_cloth_in_image"])
+    print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {job.viewpoint}")
+
+
+def _warn(path: Path, share_inside: float) -> None:
+    if share_inside < 1:
+        print(
+            f"{path}: part of the cloth lies outside an image: at least {share_inside:.1%} of its "
+            "vertices are inside",
+            file=sys.stderr,
+        )

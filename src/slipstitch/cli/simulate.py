@@ -1,0 +1,101 @@
+"""slipstitch simulate: a drop-and-drag run by hand, or simulations of the grid."""
+
+import argparse
+
+from slipstitch.cli.options import add_calibration, add_config
+
+SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
+EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--out", required=True, nargs="+", help="Parquet file, one row a frame; one a simulation"
+    )
+    add_config(parser, required=False)
+    add_calibration(parser)
+    parser.add_argument(
+        "--simulation",
+        nargs="+",
+        metavar="ID",
+        help="in the configured grid, e.g. m05_f01_r00; several are simulated at once",
+    )
+    parser.add_argument(
+        "--device",
+        help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; "
+        "if not given, compute.device of the configuration",
+    )
+    parser.add_argument("--material", help="a fabric of the catalogue")
+    parser.add_argument("--friction", type=float, help="friction coefficient of cloth and floor")
+    parser.add_argument("--seed", type=int, default=0, help="of the bench's perturbation")
+    parser.add_argument(
+        "--model", metavar="FILE", help="extended model that slipstitch criticise --model wrote"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="any simulation setting, e.g. time_step_s=0.01; may be repeated",
+    )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Simulate and write; prints one line on each result."""
+    from slipstitch.errors import BadInput
+    from slipstitch.simulate.drop_and_drag import DropAndDrag
+    from slipstitch.simulate.writing import runs_of_the_grid, simulate_to_files
+
+    by_hand = arguments.material is not None and arguments.friction is not None
+    if by_hand == (arguments.simulation is not None):
+        raise BadInput("either --material and --friction, or --simulation with --config")
+    config = _configuration(arguments, by_hand)
+    if by_hand:
+        if arguments.seed < 0:
+            raise BadInput(f"--seed {arguments.seed}: must be at least 0")
+        runs = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
+    elif arguments.config:
+        runs = runs_of_the_grid(config, arguments.simulation)
+    else:
+        raise BadInput("--simulation needs --config")
+    if len(runs) != len(arguments.out):
+        raise BadInput(f"{len(arguments.out)} files --out for {len(runs)} simulations: one each")
+    count = len(runs)
+    for one in simulate_to_files(
+        config, runs, arguments.out, device=arguments.device, calibration=arguments.calibration
+    ):
+        run, solver = one.run, one.trajectory.metadata["solver"]
+        print(
+            f"{one.path}: {run.material}, friction {run.friction:g}, "
+            f"{len(one.trajectory.frame)} frames, "
+            f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
+            f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
+            f"{one.cpu_s:.1f} CPU s" + (f" for all {count}" if count > 1 else "")
+        )
+
+
+def _configuration(arguments: argparse.Namespace, by_hand: bool):
+    """The configuration, then the calibration's settings, then ``--set``."""
+    from slipstitch.config import load_config
+    from slipstitch.errors import BadInput
+    from slipstitch.provenance import load_yaml
+
+    changes = {}
+    for text in arguments.overrides:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise BadInput(f"--set {text}: must be KEY=VALUE, e.g. time_step_s=0.01")
+        try:
+            changes[key.strip()] = load_yaml(value, f"--set {text}")
+        except BadInput:
+            raise BadInput(f"--set {text}: the value cannot be read") from None
+    if arguments.model:
+        changes["model"] = arguments.model
+    # By hand nothing is sampled from it: the least that is allowed.
+    overrides = {"sample": {"sample": {"frames": 2}}} if by_hand else {}
+    overrides["--set"] = {"simulation": changes}
+    return load_config(
+        *arguments.config, calibration=arguments.calibration, overrides=overrides, words=True
+    )

@@ -1,0 +1,82 @@
+"""Settings of the ablate stage. Pydantic and the standard library only."""
+
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, Field, ValidationError, field_validator
+
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.section import Section, Seeds
+from slipstitch.config.train import TrainSettings
+
+Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
+QUESTIONS: tuple[Question, ...] = get_args(Question)
+# What a variant sets itself.
+_OWN_TRAIN = ("seeds", "splits", "view_order", "epochs_per_cycle", "plateau_epochs")
+_OWN_INSTRUMENT = ("seeds", "epochs")
+
+
+class AblateSettings(Section):
+    """Which questions are asked, of which networks, at what budget."""
+
+    questions: list[Question] | None = Field(
+        None, min_length=1, description="null: all that the dataset can answer"
+    )
+    seeds: Seeds = Field([0, 1, 2], description="one training of every variant")
+    networks: list[Literal["lrcn", "instrument"]] = Field(
+        ["lrcn", "instrument"],
+        min_length=1,
+        description="the instrument answers diversity and floors only: the rest is not in it",
+    )
+    passes: int = Field(
+        30, ge=1, description="times through its training videos, for every variant of an LRCN"
+    )
+    instrument_passes: int = Field(50, ge=1, description="the same for an instrument")
+    textures_per_simulation: int | None = Field(
+        1,
+        ge=1,
+        description="training videos of a simulation and viewpoint, in textures dealt evenly, "
+        "where the question does not say; null: all textures",
+    )
+    train: dict[str, Any] = Field(
+        default_factory=dict,
+        description="keys of the section `train` that are different here, e.g. width, pixels",
+    )
+    instrument: dict[str, Any] = Field(
+        default_factory=dict, description="keys of the section `instrument` that are different here"
+    )
+
+    @property
+    def asked(self) -> tuple[Question, ...]:
+        """The questions by name, whether stated or all."""
+        return tuple(self.questions or QUESTIONS)
+
+    @field_validator("questions", "networks")
+    @classmethod
+    def _named_once(cls, names: list[str] | None) -> list[str] | None:
+        if names and len(set(names)) != len(names):
+            raise ValueError(f"named twice: {', '.join(names)}")
+        return names
+
+    @field_validator("train")
+    @classmethod
+    def _train_keys(cls, changes: dict[str, Any]) -> dict[str, Any]:
+        return _checked(changes, TrainSettings, _OWN_TRAIN)
+
+    @field_validator("instrument")
+    @classmethod
+    def _instrument_keys(cls, changes: dict[str, Any]) -> dict[str, Any]:
+        return _checked(changes, InstrumentSettings, _OWN_INSTRUMENT)
+
+
+def _checked(changes: dict[str, Any], model: type[BaseModel], own: tuple[str, ...]):
+    """The changes, if they fit the section that they change."""
+    for key in own:
+        if key in changes:
+            raise ValueError(f"{key} is set by the ablation itself")
+    try:
+        model.model_validate(changes)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{where}: {first['msg']}") from None
+    return changes

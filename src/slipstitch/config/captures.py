@@ -1,0 +1,114 @@
+"""Settings of the captures: real ones, or surrogates. Pydantic and the standard library only."""
+
+from pydantic import Field, field_validator, model_validator
+
+from slipstitch.catalogue import FLOORS, TEXTURES
+from slipstitch.config.section import Fabric, Section
+
+
+class PairSettings(Section):
+    """One pair of fabric and substrate that stands for a real one."""
+
+    material: Fabric = Field(description="a fabric of the catalogue")
+    substrate: str = Field(description="a floor of the catalogue")
+    friction: float = Field(gt=0, le=3, description="the pair's own, off the grid of training")
+    texture: str = Field("chevron", description="what the fabric wears")
+
+    @field_validator("substrate")
+    @classmethod
+    def _floor_exists(cls, name: str) -> str:
+        if name not in FLOORS:
+            raise ValueError(f"no floor {name!r}; there are: {', '.join(FLOORS)}")
+        return name
+
+    @field_validator("texture")
+    @classmethod
+    def _texture_exists(cls, name: str) -> str:
+        if name not in TEXTURES:
+            raise ValueError(f"no texture {name!r}; there are: {', '.join(TEXTURES)}")
+        return name
+
+
+# Two fabrics of the demo's grid on three floors, one that is no class of it.
+_PAIRS = [
+    ("gray-interlock", "matte", 0.23, "chevron"),
+    ("royal-target", "aluminium", 0.46, "linen"),
+    ("gray-interlock", "ceramic", 0.78, "checks"),
+    ("ivory-rib-knit", "smooth-glass", 0.37, "denim"),
+]
+
+
+class CaptureSettings(Section):
+    """Which captures the target `captures` ingests, and how surrogates are made."""
+
+    table: str | None = Field(
+        None, description="captures table of a real bench; null: surrogates are made"
+    )
+    angles: str | None = Field(
+        None, description="slip angles of a real bench, for rows of the table without mu_ref"
+    )
+    pairs: list[PairSettings] = Field(
+        [PairSettings(**dict(zip(PairSettings.model_fields, one, strict=True))) for one in _PAIRS],
+        min_length=1,
+        max_length=100,
+        description="surrogates: the pairs",
+    )
+    repeats: int = Field(5, ge=1, le=99, description="surrogates: films of each pair")
+    vertices_per_side: int = Field(
+        51, ge=5, le=401, description="surrogates: of the mesh; finer than in training"
+    )
+    time_step_s: float = Field(
+        0.042, gt=0, le=0.1, description="surrogates: largest time step; shorter than in training"
+    )
+    bench_variation: float = Field(
+        1.5,
+        ge=0,
+        le=10,
+        description="surrogates: spread of clamps and fabric from film to film, in units of that "
+        "of the training replicates",
+    )
+    friction_sd_rel: float = Field(
+        0.03, ge=0, le=0.3, description="surrogates: friction from place to place of a substrate"
+    )
+    width_px: int = Field(
+        256, ge=64, le=1920, description="surrogates: of the film; its height is three quarters"
+    )
+    frame_rate_hz: float = Field(
+        12.0, ge=6, le=60, description="surrogates: of the film while the stage starts"
+    )
+    later_every: int = Field(
+        4, ge=1, le=6, description="surrogates: afterwards every so many-th frame is filmed"
+    )
+    camera_turn_deg: float = Field(
+        2.0, ge=0, le=15, description="surrogates: the camera stands this far off the viewpoint"
+    )
+    lens_k1: float = Field(-0.12, ge=-0.4, le=0.4, description="surrogates: the lens's k1")
+    camera_error_m: float = Field(
+        0.001, ge=0, le=0.05, description="surrogates: error of the camera file's place, each axis"
+    )
+    exposure_drift_stops: float = Field(
+        0.25, ge=0, le=2, description="surrogates: by which the exposure drifts over a film"
+    )
+    colour_cast: float = Field(0.06, ge=0, le=0.5, description="surrogates: of red and blue")
+    noise: float = Field(0.02, ge=0, le=0.2, description="surrogates: as render.augmentation.noise")
+    quality_crf: int = Field(
+        26, ge=0, le=51, description="surrogates: H.264's constant rate factor; more is worse"
+    )
+    incline_error_deg: float = Field(
+        0.3, ge=0, le=5, description="surrogates: largest error of the inclined plane's angle"
+    )
+
+    @model_validator(mode="after")
+    def _pairs_differ(self) -> "CaptureSettings":
+        names = [(one.material, one.substrate) for one in self.pairs]
+        if len(set(names)) != len(names):
+            raise ValueError("pairs: a fabric is named twice on the same substrate")
+        return self
+
+    def surrogate_ids(self) -> list[str]:
+        """Ids of the films, c00_r01 ... as in a captures table."""
+        return [
+            f"c{pair:02d}_r{repeat:02d}"
+            for pair in range(len(self.pairs))
+            for repeat in range(1, self.repeats + 1)
+        ]

@@ -1,0 +1,23 @@
+"""Settings of where simulations run. Pydantic and the standard library only."""
+
+from pydantic import Field
+
+from slipstitch.config.section import Section
+
+
+class ComputeSettings(Section):
+    """Where simulations run, and how many at once: to rounding, they are the same."""
+
+    device: str = Field(
+        "cpu",
+        pattern=r"^(cpu|cuda(:\d+)?)$",
+        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; the linear "
+        "systems are solved on the CPU in any case",
+    )
+    batch: int = Field(
+        1,
+        ge=1,
+        le=256,
+        description="simulations in one job, evaluated at once: for cuda; on the cpu a job each "
+        "is faster, as jobs run side by side",
+    )

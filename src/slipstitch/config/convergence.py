@@ -1,0 +1,58 @@
+"""Settings of the convergence study. Pydantic and the standard library only."""
+
+import math
+from itertools import pairwise
+
+from pydantic import Field, field_validator
+
+from slipstitch.config.section import Fabrics, Friction, Section
+
+
+class ConvergenceSettings(Section):
+    """Which runs of drop-and-drag are compared, and what counts as converged.
+
+    At the first mesh the time step of the section ``simulation`` is halved; at that time step the
+    meshes are refined. Everything else is as in ``simulation``.
+    """
+
+    materials: Fabrics = Field(
+        ("gray-interlock", "navy-sparkle-sweat", "royal-target"),
+        min_length=1,
+        description="fabrics of the catalogue: a soft, a middle and a stiff one",
+    )
+    frictions: tuple[Friction, ...] = Field(
+        (0.1, 0.5, 1.0), min_length=1, description="friction coefficients, increasing"
+    )
+    finest_frictions: tuple[Friction, ...] = Field(
+        (0.1, 0.5, 1.0),
+        description="those of them at which the time step is halved as often as told and the "
+        "mesh refined, which costs most; at the others the time step is halved once",
+    )
+    vertices_per_side: tuple[int, ...] = Field(
+        (41, 61, 81),
+        min_length=1,
+        description="meshes, increasing, with vertices at common places of the cloth",
+    )
+    halvings: int = Field(2, ge=0, le=6, description="how often the time step is halved")
+    window_s: float = Field(
+        38.0, gt=0, le=131, description="of the protocol; 38 s are the drop and the first stroke"
+    )
+    frame_rate_hz: float = Field(12.0, gt=0, le=100, description="compared moments per second")
+    seed: int = Field(0, ge=0, description="of the bench's perturbation, the same for all runs")
+    mean_distance_m: float = Field(
+        1.0e-3,
+        gt=0,
+        description="converged: the mean distance of the vertices is within this at every moment",
+    )
+
+    @field_validator("vertices_per_side")
+    @classmethod
+    def _share_places(cls, sides: tuple[int, ...]) -> tuple[int, ...]:
+        if any(after <= before for before, after in pairwise(sides)) or sides[0] < 5:
+            raise ValueError("meshes must increase along the list, from 5 vertices a side")
+        if math.gcd(*(side - 1 for side in sides)) < 4:
+            raise ValueError(
+                f"meshes of {', '.join(map(str, sides))} vertices a side have too few places in "
+                "common: one less than each must be a multiple of 4 or more, e.g. 41, 61, 81"
+            )
+        return sides

@@ -1,0 +1,166 @@
+"""Settings of the render stage. Pydantic and the standard library only."""
+
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from slipstitch.catalogue import (
+    FLOORS,
+    TEST_ONLY_TEXTURES,
+    TEXTURES,
+    VIEWPOINTS,
+    is_texture_file,
+)
+from slipstitch.config.section import Section
+
+
+class AugmentationSettings(Section):
+    """How far images differ from one another in what no network should read: all 0 means not."""
+
+    lamp_m: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.4,
+        description="the lamp of each simulation is moved by up to this, along each axis",
+    )
+    exposure_stops: float = Field(
+        0.0, ge=0.0, le=3.0, description="each video's exposure, up to this many stops either way"
+    )
+    colour_cast: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.5,
+        description="each video's red and blue are scaled by up to this share, either way",
+    )
+    noise: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.2,
+        description="largest standard deviation of a video's camera noise at full white "
+        "(linear light; shot noise, and a read noise a tenth of it)",
+    )
+    jpeg_quality: int = Field(
+        100,
+        ge=10,
+        le=100,
+        description="lowest JPEG quality of a video's compression; 100: not compressed",
+    )
+
+
+class RenderSettings(Section):
+    """What is rendered of each simulation, and how."""
+
+    pixels: int = Field(64, ge=16, le=1024, description="side of the square images")
+    samples: int = Field(
+        1,
+        ge=1,
+        le=4096,
+        description="paths per pixel of the shading render, which has twice the resolution "
+        "(4 times this per pixel of the final image)",
+    )
+    viewpoints: list[str] = Field(
+        ["calibrated", "frontal", "side"],
+        min_length=1,
+        description="viewpoints of the training data, by name; ids v00.. in this order",
+    )
+    textures: list[str] = Field(
+        ["stripes", "tartan", "floral"],
+        min_length=1,
+        description="cloth textures of the training data, by name, or image files; ids t00.. in "
+        "this order",
+    )
+    test_textures: list[str] = Field(
+        [], description="textures kept for testing; their ids follow those of `textures`"
+    )
+    test_viewpoints: list[str] = Field(
+        [], description="viewpoints kept for testing; their ids follow those of `viewpoints`"
+    )
+    frames: Literal["sampled", "all"] = Field(
+        "sampled",
+        description="render only the frames that the sample stage uses, or every frame",
+    )
+    crop: Literal["follow", "fixed"] = Field(
+        "follow",
+        description="the image is a crop of a fixed camera's: it follows the known stage path, "
+        "or covers the whole path",
+    )
+    floors: list[str] = Field(
+        ["matte"],
+        min_length=1,
+        description="floors by name; each simulation draws one, and its roughness and reflectance",
+    )
+    augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
+    camera: str | None = Field(
+        None,
+        min_length=1,
+        description="camera file of `slipstitch capture camera`: the calibrated viewpoint, and "
+        "those turned from it, stand where that camera stands; null: the catalogue's own",
+    )
+    verified_images: int = Field(
+        6,
+        ge=0,
+        le=100000,
+        description="images of the dataset, drawn at random, that are also rendered directly",
+    )
+    threads: int = Field(1, ge=1, le=256, description="threads of Blender")
+
+    @field_validator("textures", "test_textures")
+    @classmethod
+    def _textures_exist(cls, names: list[str]) -> list[str]:
+        drawn = [name for name in names if not is_texture_file(name)]
+        _known(drawn, TEXTURES, "texture")
+        return _once(names, "texture")
+
+    @field_validator("floors")
+    @classmethod
+    def _floors_exist(cls, names: list[str]) -> list[str]:
+        return _known(names, FLOORS, "floor")
+
+    @field_validator("viewpoints", "test_viewpoints")
+    @classmethod
+    def _viewpoints_exist(cls, names: list[str]) -> list[str]:
+        return _known(names, VIEWPOINTS, "viewpoint")
+
+    @model_validator(mode="after")
+    def _train_and_test_are_apart(self) -> "RenderSettings":
+        for kind in ("textures", "viewpoints"):
+            train, test = getattr(self, kind), getattr(self, f"test_{kind}")
+            both = sorted(set(train) & set(test))
+            if both:
+                raise ValueError(f"{kind} and test_{kind} share {', '.join(both)}")
+        test_only = sorted(set(self.textures) & TEST_ONLY_TEXTURES) + sorted(
+            name for name in self.viewpoints if VIEWPOINTS[name].test_only
+        )
+        if test_only:
+            raise ValueError(f"{', '.join(test_only)}: for testing only, not for training")
+        return self
+
+    def texture_ids(self) -> dict[str, str]:
+        """Ids t00, t01, ... -> names, training textures first."""
+        return {f"t{i:02d}": name for i, name in enumerate(self.textures + self.test_textures)}
+
+    def camera_of(self, viewpoint: str) -> str | None:
+        """The camera file that a viewpoint's camera stands by, None if it is the catalogue's."""
+        return self.camera if viewpoint.startswith("calibrated") else None
+
+    def texture_files(self) -> list[str]:
+        """Textures that are read from image files."""
+        return [name for name in self.texture_ids().values() if is_texture_file(name)]
+
+    def viewpoint_ids(self) -> dict[str, str]:
+        """Ids v00, v01, ... -> names, training viewpoints first."""
+        names = self.viewpoints + self.test_viewpoints
+        return {f"v{i:02d}": name for i, name in enumerate(names)}
+
+
+def _known(names: list[str], catalogue: dict, kind: str) -> list[str]:
+    for name in names:
+        if name not in catalogue:
+            raise ValueError(f"no {kind} {name!r}; there are: {', '.join(catalogue)}")
+    return _once(names, kind)
+
+
+def _once(names: list[str], kind: str) -> list[str]:
+    if len(set(names)) != len(names):
+        raise ValueError(f"a {kind} is named twice: {', '.join(names)}")
+    return names

@@ -1,0 +1,42 @@
+"""Settings of the sample stage. Pydantic and the standard library only."""
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from slipstitch.config.section import Section
+
+
+class SampleSettings(Section):
+    """How many frames of a video the networks see, and which videos test them."""
+
+    frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
+    phases: int = Field(
+        1,
+        ge=1,
+        le=100,
+        description="so many times the frames are kept, evenly between them: the instrument draws "
+        "its frames at any of these phases in training; all else uses the first",
+    )
+    validation_fraction: float = Field(
+        0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
+    )
+    test_fraction: float = Field(
+        0.1, gt=0.0, lt=1.0, description="share of the videos (or replicates) for testing"
+    )
+    hold_out: Literal["auto", "replicate", "pair"] = Field(
+        "auto",
+        description="what by_simulation keeps from training: the last replicates of every "
+        "(material, friction) pair, or whole pairs; auto: replicates where there are at least two",
+    )
+
+    @property
+    def frames_kept(self) -> int:
+        """Frames of a video in the dataset."""
+        return self.frames * self.phases
+
+    @model_validator(mode="after")
+    def _something_is_left_to_train_on(self) -> "SampleSettings":
+        if self.validation_fraction + self.test_fraction >= 1.0:
+            raise ValueError("validation_fraction + test_fraction must be below 1")
+        return self

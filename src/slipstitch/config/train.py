@@ -1,0 +1,109 @@
+"""Settings of the train stage. Pydantic and the standard library only.
+
+Every choice that the paper leaves open, or that its text does not give us, is a switch here; the
+defaults are argued in docs/learning.md.
+"""
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from slipstitch.config.section import Section, Seeds
+
+NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
+SPLITS = ("by_video", "by_simulation")
+
+
+class TrainSettings(Section):
+    """The paper's recurrent convolutional network and its training."""
+
+    seeds: Seeds = Field([0], description="one training of every network a seed")
+    splits: list[Literal["by_video", "by_simulation"]] = Field(
+        list(SPLITS), min_length=1, description="the paper's split, and whole simulations held out"
+    )
+
+    architecture: Literal["lrcn"] = Field("lrcn", description="the paper's network")
+    pixels: int | None = Field(
+        None, ge=16, le=1024, description="side of the input image; null: as rendered"
+    )
+    input_scaling: Literal["standardised", "unit"] = Field(
+        "standardised",
+        description="pixel values minus the training set's mean over its deviation, or in 0 ... 1",
+    )
+    width: float = Field(
+        0.25, gt=0.0, le=4.0, description="multiplies all layer sizes below; the paper's net is 1"
+    )
+    channels: list[int] = Field(
+        [64, 128, 256, 512], min_length=1, description="output channels of the blocks conv1 ..."
+    )
+    convolutions: list[int] = Field(
+        [1, 2, 2, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
+    )
+    padding: Literal["same", "valid"] = "same"
+    pool_last_block: bool = Field(True, description="max pooling after the last block too")
+    readout: Literal["flatten", "pool"] = Field(
+        "pool", description="the last block's map flattened, or averaged over the image"
+    )
+    batch_norm: bool = Field(
+        True, description="batch normalisation after every convolution, before its rectifier"
+    )
+    lstm_units: int = Field(256, ge=1)
+    fc_units: int = Field(
+        0, ge=0, description="hidden fully connected layer before the softmax; 0: none"
+    )
+    dropout: float = Field(
+        0.2, ge=0.0, lt=1.0, description="of the frames' features and of the recurrent output"
+    )
+    outputs: Literal["last", "all"] = Field(
+        "last", description="the class is read after the last frame, or after every frame"
+    )
+    initialisation: Literal["he", "glorot", "pytorch"] = "he"
+
+    view_order: list[str] | None = Field(
+        None,
+        description="viewpoints by name, one more each cycle; the first is the calibrated one; "
+        "null: as in render.viewpoints",
+    )
+    epochs_per_cycle: int = Field(6, ge=1, description="epochs with the same set of viewpoints")
+    fine_tuning_epochs: int = Field(4, ge=0, description="last epochs, calibrated viewpoint only")
+    batch_size: int = Field(2, ge=1, description="videos in a batch")
+    learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")
+    annealed_share: float = Field(
+        0.05,
+        gt=0.0,
+        le=1.0,
+        description="share of the learning rate to which it falls, as a cosine, within the last "
+        "cycle, and at which fine-tuning goes on; 1: constant",
+    )
+    rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
+    epsilon: float = Field(1e-6, gt=0.0, description="Adadelta's")
+    gradient_norm_max: float | None = Field(None, gt=0.0, description="clipping; null: none")
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
+    )
+    plateau_margin: float | None = Field(
+        0.05,
+        ge=0.0,
+        lt=1.0,
+        description="a run fails whose training loss stays above (1 - margin) times chance; "
+        "null: never, for runs that are too short to learn",
+    )
+    plateau_epochs: int = Field(
+        40, ge=1, description="epochs after which a run that is still at chance is given up"
+    )
+    checkpoint_interval_s: float = Field(
+        60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
+    )
+
+    @model_validator(mode="after")
+    def _blocks_agree(self) -> "TrainSettings":
+        if len(self.channels) != len(self.convolutions):
+            raise ValueError(
+                f"channels names {len(self.channels)} blocks, convolutions "
+                f"{len(self.convolutions)}: one number a block in both"
+            )
+        if min(self.channels) < 1 or min(self.convolutions) < 1:
+            raise ValueError("channels and convolutions must be positive")
+        if self.view_order is not None and len(set(self.view_order)) != len(self.view_order):
+            raise ValueError("view_order names a viewpoint twice")
+        return self

@@ -1,0 +1,74 @@
+"""Distance of the runs from the finest over time."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from slipstitch.page.palette import FAINT, SOFT
+
+LEAST_MM = 1e-3
+
+
+def convergence_figure(study: Mapping[str, Any]) -> Figure:
+    """Draw a study: a row a kind of refinement, a column a fabric, a colour a friction.
+
+    Parameters
+    ----------
+    study : mapping
+        What `slipstitch.convergence.study.describe` returned.
+    """
+    compared = study["comparisons"]
+    materials = list(dict.fromkeys(one["material"] for one in compared))
+    kinds = list(dict.fromkeys(one["kind"] for one in compared))
+    frictions = sorted({one["friction"] for one in compared})
+    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(frictions)))
+    figure = Figure(
+        figsize=(3.1 * len(materials) + 0.6, 2.3 * len(kinds) + 0.9), layout="constrained"
+    )
+    panels = figure.subplots(len(kinds), len(materials), sharex=True, sharey=True, squeeze=False)
+    for row, kind in zip(panels, kinds, strict=True):
+        for axes, material in zip(row, materials, strict=True):
+            shown = [one for one in compared if (one["kind"], one["material"]) == (kind, material)]
+            for one in shown:
+                chosen = one is next(o for o in shown if o["friction"] == one["friction"])
+                _draw(axes, one, colours[frictions.index(one["friction"])], chosen)
+            axes.set_yscale("log")
+            axes.axhline(
+                1e3 * study["settings"]["convergence"]["mean_distance_m"],
+                color=FAINT, lw=0.8, ls=":",
+            )  # fmt: skip
+            if not shown:
+                axes.text(0.5, 0.5, "not run", transform=axes.transAxes, ha="center")
+    for axes, material in zip(panels[0], materials, strict=True):
+        axes.set_title(material)
+    for row, kind in zip(panels, kinds, strict=True):
+        row[0].set_ylabel(f"{kind}\nmean distance, mm", fontsize=8)
+    figure.supxlabel("time, s", fontsize=8)
+    handles = [
+        Line2D([], [], color=colour, label=f"µ = {friction:g}")
+        for colour, friction in zip(colours, frictions, strict=True)
+    ]
+    for style, width, name in (
+        ("-", 1.6, "chosen settings"),
+        ("-", 0.7, "one refinement"),
+        ("--", 0.9, "chosen, time shift allowed"),
+        (":", 0.8, "counts as converged"),
+    ):
+        handles.append(Line2D([], [], color=SOFT, ls=style, lw=width, label=name))
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7.5)
+    return figure
+
+
+def _draw(axes, one: Mapping[str, Any], colour, chosen: bool) -> None:
+    curve = one["curve"]
+    in_mm = {
+        name: np.maximum(1e3 * np.array(curve[name]), LEAST_MM)
+        for name in ("mean_m", "shifted_mean_m")
+    }
+    axes.plot(curve["time_s"], in_mm["mean_m"], color=colour, lw=1.6 if chosen else 0.7)
+    if chosen:
+        axes.plot(curve["time_s"], in_mm["shifted_mean_m"], color=colour, lw=0.9, ls="--")

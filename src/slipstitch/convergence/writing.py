@@ -1,0 +1,125 @@
+"""The study's files: one a case, the comparison of all, and what is published of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from slipstitch.config import Config
+from slipstitch.convergence.cases import case_settings, cases
+from slipstitch.convergence.study import describe
+from slipstitch.errors import BadInput
+from slipstitch.provenance import (
+    atomic_path,
+    provenance_record,
+    read_sidecar,
+    start_clock,
+    write_sidecar,
+)
+from slipstitch.simulate.convergence import MEASURED
+from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
+
+
+def simulate_case(
+    config: Config, name: str, out: str | os.PathLike, calibration: str | os.PathLike | None
+) -> tuple[Trajectory, float]:
+    """Simulate one case and write it; the run, and its CPU time in s.
+
+    Parameters
+    ----------
+    config : Config
+    name : str
+        The case's id.
+    out : path
+        Parquet file, one row a frame.
+    calibration : path, optional
+        The file that settings were taken from, for the record.
+
+    Raises
+    ------
+    BadInput
+        If the study has no such case.
+    NotConverged
+        If it cannot be solved.
+    """
+    started = start_clock()
+    case = {one.id: one for one in cases(config)}.get(name)
+    if case is None:
+        raise BadInput(f"the study has no case {name!r}: its ids are like {cases(config)[0].id}")
+    settings = case_settings(case, config, config.simulation)
+    trajectory, columns = simulate_drop_and_drag(
+        case.material, case.friction, config.convergence.seed, settings
+    )
+    trajectory.metadata["case"] = case.id
+    record = provenance_record(
+        "convergence",
+        inputs=[calibration] if calibration else [],
+        config={"simulation": settings},
+        seed=config.convergence.seed,
+        started=started,
+    )
+    write_trajectory(out, trajectory, record, **columns)
+    return trajectory, record["cpu_s"]
+
+
+def compare_cases(
+    config: Config,
+    folder: str | os.PathLike,
+    out: str | os.PathLike,
+    picture: str | os.PathLike | None,
+) -> dict[str, Any]:
+    """Compare the cases that a folder holds; write and return what `describe` finds."""
+    started = start_clock()
+    files = {case.id: Path(folder) / f"{case.id}.parquet" for case in cases(config)}
+    files = {name: file for name, file in files.items() if file.is_file()}
+    study = describe(config, {name: read_trajectory(file) for name, file in files.items()})
+    record = provenance_record(
+        "convergence",
+        inputs=files.values(),
+        config={"convergence": config.convergence, "simulation": config.simulation},
+        started=started,
+    )
+    with atomic_path(out) as temporary:
+        temporary.write_text(json.dumps(study, allow_nan=False) + "\n", encoding="utf-8")
+    write_sidecar(out, record)
+    if picture:
+        from slipstitch.convergence.distance_figure import convergence_figure
+
+        with atomic_path(picture) as temporary:
+            convergence_figure(study).savefig(temporary, dpi=110)
+        write_sidecar(picture, record)
+    return study
+
+
+def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
+    """Copy a finished study to where it is kept, its summary to where simulations look it up.
+
+    Returns
+    -------
+    int
+        Cases of the summary.
+    """
+    source = Path(study_path)
+    study = json.loads(source.read_text(encoding="utf-8"))
+    for name in (source, source.with_suffix(".png")):
+        read_sidecar(name)  # nothing without a record of its origin is published
+        for file in (name, name.with_name(f"{name.name}.provenance.json")):
+            with atomic_path(Path(folder) / file.name) as temporary:
+                temporary.write_bytes(file.read_bytes())
+    own = study["settings"]["convergence"]
+    table = {
+        "studied": {
+            "time_step_s": study["settings"]["time_step_s"],
+            "vertices_per_side": own["vertices_per_side"][0],
+            "window_s": own["window_s"],
+            "converged_mean_m": own["mean_distance_m"],
+            "self_contact": study["settings"]["self_contact"],
+        },
+        "cases": study["summary"],
+    }
+    with atomic_path(MEASURED) as temporary:
+        temporary.write_text(json.dumps(table, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return len(study["summary"])

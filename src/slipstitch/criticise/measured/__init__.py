@@ -1,1 +1,0 @@
-"""Adapters of published measurements, and what they say of plain Coulomb friction."""

@@ -1,0 +1,182 @@
+"""All features of a case in one place, and the model of a set of causes over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from slipstitch.criticise.case import Case
+from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS, Bench
+from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
+from slipstitch.criticise.protocols.block import Block
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw, Parameter
+
+REMEMBERED = 64  # predictions of a block
+# The friction coefficients of the null, of the cloth's face and of a strip's edge.
+COEFFICIENTS = (
+    Parameter(
+        "mu_face",
+        "1",
+        np.log(0.3),
+        0.05,
+        np.log(0.005),
+        np.log(8.0),
+        prior_sd=3.0,
+        coefficient=True,
+    ),
+    Parameter(
+        "mu_edge",
+        "1",
+        np.log(0.25),
+        0.05,
+        np.log(0.01),
+        np.log(3.0),
+        prior_sd=3.0,
+        coefficient=True,
+    ),
+)
+UNKNOWN_LOG_COEFFICIENT = -1.2
+LOG_STEP = 0.01
+
+
+@dataclass
+class Measurements:
+    """Features of every protocol, in one order.
+
+    Attributes
+    ----------
+    rows : one line a feature (see :class:`Block`), with ``protocol``.
+    y, u : (n,) measured values and instrument uncertainties.
+    run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
+    """
+
+    blocks: list[Block]
+    rows: pd.DataFrame
+    y: np.ndarray
+    u: np.ndarray
+    run: np.ndarray
+    specimen: np.ndarray
+    protocol: np.ndarray
+    lower_bound: np.ndarray
+    remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @property
+    def null_parameters(self) -> tuple[Parameter, ...]:
+        """Logarithms of the friction coefficients that the case's protocols have."""
+        names = {block.COEFFICIENT for block in self.blocks}
+        return tuple(parameter for parameter in COEFFICIENTS if parameter.name in names)
+
+    def predict(self, values: dict[str, float], causes: tuple[str, ...]) -> np.ndarray:
+        """What the instruments would read, (n,).
+
+        ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters.
+        """
+        mechanisms, changes = {}, {}
+        for cause in causes:
+            mechanism = MECHANISMS[cause]
+            own = {p.name: values[p.name] for p in mechanism.parameters}
+            if cause in CONTACT_MECHANISMS:
+                mechanisms[cause] = own
+            else:
+                changes |= BENCH_MECHANISMS[cause].changes(own)
+        bench = Bench(**changes)
+        laws = {
+            p.name: FrictionLaw(
+                float(np.exp(values.get(p.name, UNKNOWN_LOG_COEFFICIENT))), mechanisms
+            )
+            for p in COEFFICIENTS
+        }
+        return np.concatenate([self._block(i, laws, bench) for i in range(len(self.blocks))])
+
+    def _block(self, i: int, laws: dict[str, FrictionLaw], bench: Bench) -> np.ndarray:
+        """One block's prediction; derivatives ask for the same one again and again."""
+        block = self.blocks[i]
+        law = laws[block.COEFFICIENT]
+        mechanisms = tuple((name, *values.values()) for name, values in law.mechanisms.items())
+        key = (i, law.coefficient, mechanisms, *(getattr(bench, name) for name in block.READS))
+        if key not in self.remembered:
+            if len(self.remembered) >= REMEMBERED:
+                self.remembered.pop(next(iter(self.remembered)))
+            self.remembered[key] = block.predict(law, bench)
+        return self.remembered[key]
+
+    def sensitivity(self, values: dict[str, float]) -> np.ndarray:
+        """d(feature)/d(ln mu) of the null at logarithms of coefficients, (n,)."""
+        base = self.predict(values, ())
+        moved = self.predict({name: value + LOG_STEP for name, value in values.items()}, ())
+        return (moved - base) / LOG_STEP
+
+    @property
+    def of_friction(self) -> np.ndarray:
+        """(n,) True where friction acts on the feature, not the instrument alone."""
+        return ~self.rows["quantity"].isin(INSTRUMENT_QUANTITIES).to_numpy()
+
+    def _acts(self, cause: str) -> np.ndarray:
+        """(n,) True for features that the mechanism can change."""
+        mechanism = MECHANISMS[cause]
+        acts = self.of_friction
+        static = self.rows["static"].to_numpy(bool)
+        acts &= np.where(static, mechanism.acts(True), mechanism.acts(False))
+        if cause in BENCH_MECHANISMS:
+            reads = [
+                np.full(len(block.rows), mechanism.is_read_by(block.READS)) for block in self.blocks
+            ]
+            acts &= np.concatenate(reads)
+        return acts
+
+    def unrecorded(self, cause: str) -> np.ndarray:
+        """(n,) True where the cause may act but what drives it was not recorded."""
+        column = MECHANISMS[cause].covariate
+        if column is None:
+            return np.zeros(len(self.y), bool)
+        return self.rows[column].isna().to_numpy() & self._acts(cause)
+
+    def unrecorded_alias(self, cause: str) -> str | None:
+        """The mechanism that would do the same, if what drives it was not recorded.
+
+        A single recorded value (the rest at a reversal) tells as little as none.
+        """
+        alias = MECHANISMS[cause].aliased_if_unrecorded
+        if alias is None or not self.unrecorded(alias).any():
+            return None
+        driving = self.rows[MECHANISMS[alias].covariate]
+        return None if driving[self._acts(alias)].nunique() > 1 else alias
+
+
+def assemble(case: Case, measured: bool = True) -> Measurements:
+    """Features of a case; ``measured=False`` gives the quantities to predict for a design.
+
+    Raises
+    ------
+    BadInput
+        If no run of any protocol gives a feature.
+    """
+    blocks = [
+        protocol.features(case.tables, case.nominal, measured)
+        for protocol in PROTOCOLS.values()
+        if protocol.runs_table in case.tables
+    ]
+    kept = [block for block in blocks if block is not None]
+    if not kept:
+        raise BadInput(f"{case.name}: no run has a usable trace; at least one slip is needed")
+    for block in kept:
+        block.rows.insert(0, "protocol", block.protocol)
+    return measurements_of(kept)
+
+
+def measurements_of(blocks: list[Block]) -> Measurements:
+    """Measurements from blocks whose rows say their ``protocol``."""
+    rows = pd.concat([block.rows for block in blocks], ignore_index=True)
+    return Measurements(
+        blocks,
+        rows,
+        rows["y"].to_numpy(float),
+        rows["u"].to_numpy(float),
+        pd.factorize(rows["protocol"] + "/" + rows["run_id"])[0],
+        pd.factorize(rows["protocol"] + "/" + rows["specimen_id"])[0],
+        rows["protocol"].to_numpy(str),
+        rows["lower_bound"].to_numpy(bool),
+    )

@@ -1,0 +1,151 @@
+"""Every mechanism that a verdict can name: those of the contact, then those of bench and fabric.
+
+A further mechanism of bench or fabric is one entry of the table below; a protocol that reads a new
+field of :class:`Bench` lists it in its ``READS``. One of the contact goes into the table of
+:mod:`slipstitch.friction_law.mechanisms`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from slipstitch.friction_law import CONTACT_MECHANISMS, Mechanism, Parameter
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Departures of the instrument and of the fabric; the defaults are the nominal ones.
+
+    ``tilt_along_rad`` and ``tilt_across_rad`` are the components of the floor's slope towards lab
+    azimuth 0 and 90 degrees (positive: it falls that way). ``backlash_m`` is motion lost after the
+    reversal; the frame at time t shows the cloth as it was ``time_lag_s`` before; a camera reads
+    the true length times ``camera_scale``, a force cell (1 + ``force_gain``) times the force, and
+    ``force_offset_N`` more.
+    """
+
+    mass_error: float = 0.0
+    bending_error: float = 0.0
+    tilt_along_rad: float = 0.0
+    tilt_across_rad: float = 0.0
+    backlash_m: float = 0.0
+    camera_scale: float = 1.0
+    force_offset_N: float = 0.0
+    force_gain: float = 0.0
+    time_lag_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class BenchParameter(Parameter):
+    """A parameter that sets a field of :class:`Bench`: ``to_si`` times its value."""
+
+    sets: str = field(kw_only=True)
+    to_si: float = field(default=1.0, kw_only=True)
+
+
+class BenchMechanism(Mechanism):
+    """A mechanism that changes the bench or the fabric, not the contact."""
+
+    def changes(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Fields of :class:`Bench` that the parameter values set."""
+        return {p.sets: p.to_si * values[p.name] for p in self.parameters}
+
+    def is_read_by(self, reads: tuple[str, ...]) -> bool:
+        """Does it set any of these fields of :class:`Bench`?"""
+        return any(parameter.sets in reads for parameter in self.parameters)
+
+
+_ENTRIES = (
+    BenchMechanism(
+        "tilt",
+        "the floor is tilted",
+        # Two components, so that no tilt is a regular point.
+        (
+            BenchParameter(
+                "tilt_along", "deg", 0.0, 0.3, -20.0, 20.0, sets="tilt_along_rad", to_si=np.pi / 180
+            ),
+            BenchParameter(
+                "tilt_across",
+                "deg",
+                0.0,
+                0.3,
+                -20.0,
+                20.0,
+                sets="tilt_across_rad",
+                to_si=np.pi / 180,
+            ),
+        ),
+        covariate="azimuth_deg",
+        components=("tilt", "tilt_azimuth"),
+        direct_check=(
+            "a level on the floor along azimuths 0 and 90",
+            {"tilt_along": 0.05, "tilt_across": 0.05},
+        ),
+    ),
+    BenchMechanism(
+        "mass_error",
+        "the cloth is heavier (or lighter) than its nominal mass",
+        (
+            BenchParameter(
+                "mass_error", "1", 0.0, 0.05, -0.6, 2.0, relative=True, sets="mass_error"
+            ),
+        ),
+        direct_check=("weigh a cut of known area", {"mass_error": 0.01}),
+    ),
+    BenchMechanism(
+        "bending_error",  # of the sheet and of the strip
+        "the cloth is stiffer (or softer) than its nominal bending stiffness",
+        (
+            BenchParameter(
+                "bending_error", "1", 0.0, 0.1, -0.9, 8.0, relative=True, sets="bending_error"
+            ),
+        ),
+        direct_check=("cantilever test of the fabric's stiffness", {"bending_error": 0.05}),
+    ),
+    BenchMechanism(
+        "backlash",
+        "the stage loses motion at the reversal",
+        (BenchParameter("backlash", "mm", 0.0, 0.2, -2.0, 20.0, sets="backlash_m", to_si=1e-3),),
+        direct_check=("a dial gauge on the stage at the reversal", {"backlash": 0.02}),
+    ),
+    BenchMechanism(
+        "camera_scale",
+        "the camera's scale is off",
+        (BenchParameter("camera_scale", "1", 1.0, 0.02, 0.5, 2.0, sets="camera_scale"),),
+        direct_check=("a ruler in the camera's view", {"camera_scale": 0.002}),
+    ),
+    BenchMechanism(
+        "force_offset",
+        "the force cell has an offset",
+        (
+            BenchParameter(
+                "force_offset", "mN", 0.0, 0.5, -500.0, 500.0, sets="force_offset_N", to_si=1e-3
+            ),
+        ),
+        direct_check=("known weights on the force cell", {"force_offset": 0.1}),
+    ),
+    BenchMechanism(
+        "force_gain",
+        "the force cell has a wrong gain",
+        (
+            BenchParameter(
+                "force_gain", "1", 0.0, 0.03, -0.6, 2.0, relative=True, sets="force_gain"
+            ),
+        ),
+        direct_check=("known weights on the force cell", {"force_gain": 0.005}),
+    ),
+    BenchMechanism(
+        "time_lag",
+        "the camera lags behind the stage's clock",
+        (BenchParameter("time_lag", "s", 0.0, 0.1, -2.0, 10.0, sets="time_lag_s"),),
+        covariate="speed_mm_s",
+        direct_check=("a flash seen by camera and stage clock", {"time_lag": 0.02}),
+    ),
+)
+BENCH_MECHANISMS: Mapping[str, BenchMechanism] = MappingProxyType(
+    {mechanism.identifier: mechanism for mechanism in _ENTRIES}
+)
+MECHANISMS: Mapping[str, Mechanism] = MappingProxyType({**CONTACT_MECHANISMS, **BENCH_MECHANISMS})

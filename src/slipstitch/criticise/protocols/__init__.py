@@ -1,0 +1,23 @@
+"""The protocols of measurement: for each, its files, its features and their forward model.
+
+A further protocol is one file like ``incline.py`` and its entry below: case reader, features,
+inference, prediction and report take everything from there.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from slipstitch.criticise.protocols.drag import DRAG
+from slipstitch.criticise.protocols.drop_drag import DROP_DRAG
+from slipstitch.criticise.protocols.incline import INCLINE
+from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.spring_slider import SPRING_SLIDER
+from slipstitch.criticise.protocols.strip import STRIP
+
+PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
+    {protocol.name: protocol for protocol in (INCLINE, STRIP, DRAG, DROP_DRAG, SPRING_SLIDER)}
+)
+QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
+    {quantity.name: quantity for protocol in PROTOCOLS.values() for quantity in protocol.quantities}
+)
+INSTRUMENT_QUANTITIES = tuple(name for name, q in QUANTITIES.items() if q.instrument)

@@ -1,0 +1,220 @@
+"""(c) Flat drag: what a force cell reads while a spring pulls a loaded piece of cloth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.criticise.mechanisms import Bench
+from slipstitch.criticise.protocols.block import (
+    Block,
+    conditions_of,
+    covariates_of,
+    downhill_rad,
+    feature_rows,
+    sampled,
+)
+from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
+from slipstitch.criticise.protocols.drag_trace import (
+    DEPARTURE_NOISES,
+    Feature,
+    pooled_texture,
+    trace_features,
+)
+from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.friction_law import Contact, FrictionLaw
+
+PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
+SLIPS = ("force_first_slip_mN", "force_reversal_slip_mN")
+# Features of the stroke back, and those of them whose force is the other way round.
+RETURNING = ("lost_motion_mm", "force_reversal_slip_mN", "force_back_plateau_mN")
+BACK = ("force_reversal_slip_mN", "force_back_plateau_mN")
+DESIGN_QUANTITIES = ("force_plateau_mN", "force_first_slip_mN")
+
+
+def cell_reading(
+    law: FrictionLaw,
+    contact: Contact,
+    static: bool,
+    direction: float,
+    tilt_downhill_rad: np.ndarray | float,
+    bench: Bench,
+) -> np.ndarray:
+    """Cell reading while sliding (or at the point of slip), ``direction`` +1 or -1.
+
+    ``(1 + gain)(direction F - N sin tilt) + offset``, tilt positive where stage +x runs downhill.
+    """
+    friction = law.force_limit(contact, static)
+    along = direction * friction - np.asarray(contact.normal_force_N) * np.sin(tilt_downhill_rad)
+    return (1.0 + bench.force_gain) * along + bench.force_offset_N
+
+
+@dataclass
+class DragBlock(Block):
+    """Drag features; contacts at rest and in motion per row."""
+
+    READS = (
+        "mass_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "backlash_m",
+        "force_offset_N",
+        "force_gain",
+    )
+
+    at_rest: Contact
+    in_motion: Contact
+    areal_mass_kg_m2: float
+    area_m2: np.ndarray
+    added_mass_kg: np.ndarray
+    threshold_N: np.ndarray
+    grid_step: np.ndarray
+    grid_point: np.ndarray
+    ramp_mN: np.ndarray
+
+    def predict(self, law, bench):
+        quantity = self.rows["quantity"].to_numpy()
+        mass = self.areal_mass_kg_m2 * (1 + bench.mass_error) * self.area_m2 + self.added_mass_kg
+        load = mass * GRAVITY_M_S2
+        tilt = downhill_rad(bench, self.rows["stage_azimuth_deg"].to_numpy(float))
+        rest, motion = self.at_rest.with_load(load), self.in_motion.with_load(load)
+        direction = np.where(np.isin(quantity, BACK), -1.0, 1.0)
+        moving = 1e3 * cell_reading(law, motion, False, direction, tilt, bench)
+        slipping = 1e3 * cell_reading(law, rest, True, direction, tilt, bench)
+        # A slider that starts below its kinetic friction is pulled on to it; a departure is seen
+        # once the trace is the threshold below the line.
+        slipping = direction * np.maximum(direction * slipping, direction * moving)
+        drop = direction * (slipping - moving)
+        seen = slipping + direction * np.maximum(1e3 * self.threshold_N - drop, 0)
+        seen = sampled(seen, self.grid_step, self.grid_point)
+        result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
+        relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
+        result = np.where(quantity == "relaxed_mN", relaxed, result)
+        result = np.where(quantity == "stiffness", 1.0 + bench.force_gain, result)
+        return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m, result)
+
+
+def features(tables, nominal, measured) -> DragBlock | None:
+    """Features of every run; without traces, the quantities of the design."""
+    runs, traces = tables["drag_runs"], tables.get("drag") if measured else None
+    common = covariates_of(runs, "stage_azimuth_deg")
+    common["stage_azimuth_deg"] = runs["stage_azimuth_deg"].to_numpy(float)
+    common["speed_mm_s"] = runs["speed_mm_s"].to_numpy(float)
+    common["area_m2"] = runs["area_cm2"].to_numpy(float) * 1e-4
+    common["added_kg"] = runs["added_mass_g"].to_numpy(float) * 1e-3
+    common["u_mN"] = runs["u_force_mN"].to_numpy(float)
+    lines = []
+    if traces is None:
+        for i in range(len(runs)):
+            for quantity in DESIGN_QUANTITIES:
+                lines.append((i, quantity, Feature(np.nan, common["u_mN"].iloc[i])))
+    else:
+        spring = nominal["k_tether_N_m"]
+        strokes = {
+            (run, int(stroke)): part
+            for (run, stroke), part in traces.groupby(["run_id", "stroke"], sort=False)
+        }
+        none = traces.iloc[:0]
+        pairs = [
+            (strokes.get((run, 0), none), strokes.get((run, 1), none)) for run in runs["run_id"]
+        ]
+        plateaus, steps = [], []
+        for (out, _), u in zip(pairs, common["u_mN"], strict=True):
+            force = out["force_mN"].to_numpy()[len(out) // 3 :]
+            if len(force):
+                plateaus.append((force, u, float(np.median(force))))
+                steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
+        texture = pooled_texture(plateaus, float(np.median(steps)) if steps else 1.0)
+        for i, (out, back) in enumerate(pairs):
+            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture)
+            lines += [(i, quantity, feature) for quantity, feature in own.items()]
+    if not lines:
+        return None
+    found = [feature for _, _, feature in lines]
+    lines = [(run, quantity, f.value, f.uncertainty) for run, quantity, f in lines]
+    _, rows = feature_rows(common, lines)
+    returning = rows["quantity"].isin(RETURNING).to_numpy()
+    slipping = rows["quantity"].isin(SLIPS).to_numpy()
+    rows["static"] = slipping
+    rows["orientation_deg"] = rows["orientation_deg"] + np.where(returning, 180.0, 0.0)
+    rows["azimuth_deg"] = rows["azimuth_deg"] + np.where(returning, 180.0, 0.0)
+    reversal_dwell = nominal.get("reversal_dwell_s", np.nan)
+    dwell = np.where(returning, reversal_dwell, rows["dwell_s"])
+    rows["dwell_s"] = np.where(slipping, dwell, np.nan)
+    speed = rows["speed_mm_s"].to_numpy(float)
+    rows["speed_mm_s"] = np.where(slipping, np.nan, speed)
+    load = nominal["rho_kg_m2"] * rows["area_m2"] + rows["added_kg"]
+    contact = {
+        "normal_force_N": load.to_numpy(float) * GRAVITY_M_S2,
+        "area_m2": rows["area_m2"].to_numpy(float),
+        **conditions_of(rows),
+    }
+    at_rest = Contact(dwell_s=dwell.astype(float), **contact)
+    in_motion = Contact(speed_m_s=speed * 1e-3, **contact)
+    rows["load_ratio"] = at_rest.load_ratio()
+    return DragBlock(
+        "drag",
+        rows,
+        at_rest,
+        in_motion,
+        nominal["rho_kg_m2"],
+        rows["area_m2"].to_numpy(float),
+        rows["added_kg"].to_numpy(float),
+        DEPARTURE_NOISES * 1e-3 * rows["u_mN"].to_numpy(float) * (0.0 if traces is None else 1.0),
+        np.array([feature.grid_step for feature in found]),
+        np.array([feature.grid_point for feature in found]),
+        np.array([feature.ramp_mN for feature in found]),
+    )
+
+
+DRAG = Protocol(
+    "drag",
+    "c",
+    {
+        "drag_runs": (
+            *RUN_COLUMNS,
+            number("stage_azimuth_deg", *ANGLE_DEG, True),
+            number("area_cm2", 1e-3, 1e5),
+            number("added_mass_g", 0, 1e5),
+            number("speed_mm_s", 1e-6, 1e4, True),
+            number("u_force_mN", 1e-6, 1e5),
+        ),
+        "drag": (
+            text("run_id", may_be_empty=False),
+            number("stroke", 0, 1),
+            number("t_s", -1e7, 1e7, True),
+            number("x_stage_mm", -1e5, 1e5),
+            number("v_mm_s", -1e4, 1e4, True),
+            number("force_mN", -1e7, 1e7),
+        ),
+    },
+    nominal=("rho_kg_m2", "k_tether_N_m"),
+    quantities=(
+        Quantity("relaxed_mN", "relaxed reading", instrument=True),
+        Quantity("stiffness", "loading slope", instrument=True),
+        Quantity("force_first_slip_mN", "first slip"),
+        Quantity("force_plateau_mN", "plateau"),
+        Quantity("lost_motion_mm", "lost motion", instrument=True),
+        Quantity("force_reversal_slip_mN", "slip at reversal"),
+        Quantity("force_back_plateau_mN", "plateau back"),
+    ),
+    features=features,
+    usual_settings={
+        "stage_azimuth_deg": 0.0,
+        "area_cm2": 100.0,
+        "added_mass_g": 20.0,
+        "speed_mm_s": 10.0,
+        "u_force_mN": 0.3,
+    },
+    varied=(
+        ("speed_mm_s", (1, 3, 10, 30)),
+        ("added_mass_g", (0, 10, 30, 100)),
+        ("area_cm2", (25, 50, 100, 200)),
+        ("dwell_s", (1, 10, 100, 1000)),
+        ("orientation_deg", (0, 45, 90, 135, 180)),
+        ("stage_azimuth_deg", (0, 90, 180, 270)),
+        ("repeat_index", (0, 1, 2, 4, 8, 16)),
+    ),
+)

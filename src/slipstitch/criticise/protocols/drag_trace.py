@@ -1,0 +1,200 @@
+"""Features of one drag trace: offset, stiffness, slips, plateaus and lost motion.
+
+Slips are read where the trace leaves the line of the loading spring, not as a maximum: the maximum
+of a noisy, textured trace is biased, the departure is not (its small threshold is modelled).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+DEPARTURE_NOISES = 4.0
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Pooled autocovariance of the plateaus, relative to the force: sd^2 rho^|distance|."""
+
+    relative_sd: float
+    length_mm: float
+
+    def mean_sd(self, force_mN: float, span_mm: float) -> float:
+        """Standard deviation of a plateau's mean over a span."""
+        if self.relative_sd == 0:
+            return 0.0
+        r = max(span_mm / self.length_mm, 1e-6)
+        reduction = 2.0 * (r - 1.0 + np.exp(-r)) / r**2
+        return abs(force_mN) * self.relative_sd * np.sqrt(reduction)
+
+
+def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: float) -> Texture:
+    """Texture from all runs' plateaus: (readings, uncertainty, level) of each.
+
+    Raw autocovariances are summed and divided by the summed squares of the levels, so that weak
+    runs, all noise, do not count. The white part (instrument noise) is left out: the lags from 1
+    on are fitted by an exponential. The mean's own variance is given back.
+    """
+    longest = max((len(readings) for readings, _, _ in plateaus), default=0)
+    lags = int(min(max(longest // 3, 2), 80))
+    total, weight, span = np.zeros(lags), np.zeros(lags), 0.0
+    white = 0.0
+    for readings, u, level in plateaus:
+        count = len(readings)
+        if count < 3 * 4:
+            continue
+        residual = readings - readings.mean()
+        for lag in range(min(lags, count // 2)):
+            total[lag] += residual[: count - lag] @ residual[lag:]
+            weight[lag] += (count - lag) * level**2
+        white += count * (1.5 * u) ** 4
+        span = max(span, count * step_mm)
+    if weight[0] == 0 or lags < 3:
+        return Texture(0.0, 1.0)
+    covariance = np.divide(total, weight, out=np.zeros(lags), where=weight > 0)
+    doubt = 3.0 * np.sqrt(white) / weight[0]
+    if covariance[1] <= doubt:
+        return Texture(0.0, 1.0)
+    below = np.flatnonzero(covariance[1:] < max(0.25 * covariance[1], doubt))
+    last = int(below[0]) + 1 if len(below) else lags
+    used = np.arange(1, max(last, 3))
+    used = used[covariance[used] > 0]
+    if len(used) >= 2:
+        slope, intercept = np.polyfit(used, np.log(covariance[used]), 1)
+        slope = min(slope, -1e-3)
+    else:  # gone within two samples
+        slope, intercept = -1.5, np.log(covariance[1]) + 1.5
+    length = float(-step_mm / slope)
+    variance = np.exp(intercept) * (1.0 + 2.0 * length / max(span, length))
+    return Texture(float(np.sqrt(min(variance, 2.0 * covariance[0]))), length)
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A value with its uncertainty, and the grid that sampling laid under it (0: none)."""
+
+    value: float
+    uncertainty: float
+    grid_step: float = 0.0
+    grid_point: float = 0.0
+    ramp_mN: float = 0.0
+
+
+def trace_features(
+    out: pd.DataFrame, back: pd.DataFrame, spring_mN_mm: float, u: float, texture: Texture
+) -> dict[str, Feature]:
+    """Features of one run by quantity.
+
+    Parameters
+    ----------
+    out, back
+        Strokes 0 and 1, in order of time: x_stage_mm, force_mN.
+    """
+    features: dict[str, Feature] = {}
+    x, force = out["x_stage_mm"].to_numpy(), out["force_mN"].to_numpy()
+    if len(x) < 8:
+        return features
+    x = np.abs(x - x[0])
+    step = float(np.median(np.abs(np.diff(x)))) or 1e-6
+    threshold = DEPARTURE_NOISES * u
+    level = float(np.median(force[len(force) // 2 :]))
+    slope, offset = spring_mN_mm, 0.0
+    ramp = x < 0.6 * max(level, 2 * threshold) / spring_mN_mm
+    ramp &= np.arange(len(x)) < max(2 * ramp.sum(), 2)
+    excess = force[ramp] - spring_mN_mm * x[ramp]
+    centre = x[ramp].mean()
+    spread = float(((x[ramp] - centre) ** 2).sum())
+    offset = float(excess.mean())
+    # At the middle of the ramp the offset is independent of the slope.
+    features["relaxed_mN"] = Feature(
+        offset, u / np.sqrt(len(excess)), ramp_mN=spring_mN_mm * centre
+    )
+    if len(excess) >= 4:
+        gain = float(((x[ramp] - centre) * excess).sum() / spread)
+        if gain > -0.8 * spring_mN_mm:
+            error = np.hypot(u / np.sqrt(spread) / spring_mN_mm, 1e-3)
+            features["stiffness"] = Feature(1 + gain / spring_mN_mm, float(error))
+            slope, offset = spring_mN_mm + gain, offset - gain * centre
+    first = _first_lasting(offset + slope * x - force > threshold)
+    if first is None or first == 0:
+        return features
+    if first > 6:  # once more, with all of the line: a long line needs a good slope
+        line = np.flatnonzero(np.abs(offset + slope * x - force)[: first - 1] < threshold)
+        if len(line) > 4:
+            slope, offset = np.polyfit(x[line], force[line], 1)
+        first = _first_lasting(offset + slope * x - force > threshold)
+        if first is None or first == 0:
+            return features
+    grid = slope * (x[first] - x[first - 1])
+    error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * level) ** 2)
+    features["force_first_slip_mN"] = Feature(
+        float(force[first - 1] + 0.5 * grid),
+        float(error),
+        float(grid),
+        float(offset + slope * x[first]),
+    )
+    reach = x[-1] - x[first]
+    settled = x > x[first] + max(2 * texture.length_mm, 3 * step, 0.1 * reach)
+    if settled.sum() >= 5:
+        features["force_plateau_mN"] = _plateau(x[settled], force[settled], u, texture)
+    if len(back) >= 8 and "force_plateau_mN" in features:
+        features |= _reversal(out, back, slope, u, texture, level)
+    return features
+
+
+def _plateau(x, force, u, texture) -> Feature:
+    level = float(force.mean())
+    error = np.hypot(u / np.sqrt(len(force)), texture.mean_sd(level, float(np.ptp(x))))
+    return Feature(level, float(error))
+
+
+def _first_lasting(flags: np.ndarray) -> int | None:
+    lasting = flags[:-1] & flags[1:]
+    return int(np.argmax(lasting)) if lasting.any() else None
+
+
+def _reversal(out, back, slope, u, texture, level) -> dict[str, Feature]:
+    features: dict[str, Feature] = {}
+    turn = max(float(out["x_stage_mm"].max()), float(back["x_stage_mm"].max()))
+    travel = turn - back["x_stage_mm"].to_numpy()
+    force = back["force_mN"].to_numpy()
+    step = float(np.median(np.abs(np.diff(travel)))) or 1e-6
+    tail = out["force_mN"].to_numpy()[-2:]
+    start = float(tail.mean())
+    start_error = np.hypot(u, texture.relative_sd * level * np.sqrt(step / texture.length_mm))
+    late = float(np.median(force[len(force) // 2 :]))
+    middle, half = 0.5 * (start + late), 0.5 * (start - late)
+    crossing = _first_lasting(force < middle)
+    if crossing is None or half <= 0:
+        return features
+    reach = travel[-1] - travel[crossing]
+    settled = travel > travel[crossing] + 2 * half / slope + max(
+        2 * texture.length_mm, 3 * step, 0.1 * reach
+    )
+    if settled.sum() >= 5:
+        features["force_back_plateau_mN"] = _plateau(travel[settled], force[settled], u, texture)
+    samples = 2 * half / (slope * step)
+    falling = np.abs(force - middle) < 0.75 * half
+    falling &= np.abs(np.arange(len(force)) - crossing) <= samples
+    if samples < 5 or falling.sum() < 3:
+        return features
+    along, drop = travel[falling], force[falling]
+    centre, spread = along.mean(), float(((along - along.mean()) ** 2).sum())
+    if len(along) >= 5:  # the fall's own slope: over its length a small error of it adds up
+        slope = -float(((along - centre) * drop).sum() / spread)
+    lost = float(centre + (drop.mean() - start) / slope)
+    own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if len(along) >= 5 else 0.0)
+    error = np.sqrt(u**2 * own + start_error**2) / slope
+    features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
+    line = start - slope * (travel - lost)
+    away = (force - line > DEPARTURE_NOISES * u) & (np.arange(len(force)) > crossing)
+    first = _first_lasting(away)
+    if first is not None and first > 0:
+        grid = slope * (travel[first] - travel[first - 1])
+        error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * late) ** 2)
+        features["force_reversal_slip_mN"] = Feature(
+            float(force[first - 1] - 0.5 * grid), float(error), float(grid), float(line[first])
+        )
+    return features

@@ -1,0 +1,283 @@
+"""(d) Drop-and-drag: lag, scale, contact lengths, first motion and turn of a tracked cloth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.criticise.protocols.block import (
+    Block,
+    conditions_of,
+    covariates_of,
+    downhill_rad,
+    feature_rows,
+    sampled,
+)
+from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
+from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
+from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.friction_law import Contact
+
+MOTION_NOISES = 5.0
+USUAL_STEADY_STAGE_MM = 200.0
+DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
+
+
+@dataclass
+class DropDragBlock(Block):
+    """Drop-and-drag features; the geometry is per run, ``run`` maps a feature to its run."""
+
+    READS = (
+        "mass_error",
+        "bending_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "camera_scale",
+        "time_lag_s",
+    )
+
+    run: np.ndarray
+    at_rest: Contact
+    in_motion: Contact
+    areal_mass_kg_m2: float
+    bending_Nm: float
+    cloth_length_m: float
+    height_m: np.ndarray
+    azimuth_deg: np.ndarray
+    speed_mm_s: np.ndarray
+    stage_mm: np.ndarray
+    turn_mm: np.ndarray
+    threshold_mm: np.ndarray
+    stuck_mm: list[np.ndarray]
+    grid_mm: np.ndarray
+    path: tuple | None = None  # the last sticking path and the fabric it belongs to
+
+    def predict(self, law, bench):
+        n = len(self.height_m)
+        weight = np.full(n, self.areal_mass_kg_m2 * (1 + bench.mass_error) * GRAVITY_M_S2)
+        bending = np.full(n, self.bending_Nm * (1 + bench.bending_error))
+        length = np.full(n, self.cloth_length_m)
+        tilt = downhill_rad(bench, self.azimuth_deg)
+        fabric = (weight, bending, length, self.height_m)
+        rest_distance, _ = rest_state(*fabric, tilt)
+        distance, contact = sliding_state(law, *fabric, self.in_motion, False, tilt)
+        slip_distance = distance
+        if law.differs_at_rest:
+            slip_distance, _ = sliding_state(law, *fabric, self.at_rest, True, tilt)
+        lag = 1e3 * (distance - rest_distance)
+        slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
+        scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
+        late = np.where(np.isnan(late), 0.0, late)
+        edge_mm = scale * (self.stage_mm - lag - late)
+        jump = (slip - lag) * scale
+        values = {
+            "lag_mm": self.stage_mm - edge_mm,
+            "edge_slope": np.full(n, scale),
+            "contact_len_mm": 1e3 * contact * scale,
+            "first_motion_mm": sampled(
+                slip + late + np.maximum(self.threshold_mm - jump, 0.0) / scale,
+                self.grid_mm[:, 0],
+                self.grid_mm[:, 1],
+            ),
+            "edge_at_turn_mm": scale * (self.turn_mm - lag),
+        }
+        result = np.empty(len(self.rows))
+        quantity = self.rows["quantity"].to_numpy()
+        for name, value in values.items():
+            here = quantity == name
+            result[here] = value[self.run[here]]
+        here = np.flatnonzero(quantity == "stuck_contact_mm")
+        if len(here):
+            set_up, which = np.unique(
+                np.column_stack([self.height_m, tilt.round(12)]), axis=0, return_inverse=True
+            )
+            key = (
+                bench.mass_error,
+                bench.bending_error,
+                bench.tilt_along_rad,
+                bench.tilt_across_rad,
+            )
+            if self.path is None or self.path[0] != key:
+                path = sticking_path(weight[0], bending[0], self.cloth_length_m, *set_up.T)
+                self.path = (key, path)
+            advance, flat = self.path[1]
+            for i in here:
+                r = self.run[i]
+                since = 1e-3 * np.maximum(self.stuck_mm[r] - late[r], 0.0)
+                stuck = np.interp(since, advance[which[r]], flat[which[r]])
+                result[i] = 1e3 * scale * (stuck.sum() / len(stuck))
+        return result
+
+
+def _frames(frames: pd.DataFrame, u: float) -> tuple[dict, dict]:
+    """Features of one run and the numbers that their forward model needs."""
+    features: dict[str, tuple[float, float]] = {}
+    setting = {
+        "stage": USUAL_STEADY_STAGE_MM,
+        "turn": np.nan,
+        "threshold": MOTION_NOISES * u,
+        "stuck": np.zeros(0),
+        "grid": (0.0, 0.0),
+    }
+    forward = frames[frames["phase"] == "fwd"].sort_values("x_stage_mm", kind="stable")
+    x, te = forward["x_stage_mm"].to_numpy(), forward["te_x_mm"].to_numpy()
+    contact = forward["contact_len_mm"].to_numpy()
+    if len(x) < 6:
+        return features, setting
+    moved = te > MOTION_NOISES * u
+    later = np.append(moved[1:], moved[-1])
+    if not (moved & later).any():
+        return features, setting
+    first = int(np.argmax(moved & later))
+    if first > 0:
+        features["first_motion_mm"] = (
+            0.5 * (x[first - 1] + x[first]),
+            float(np.hypot((x[first] - x[first - 1]) / np.sqrt(12), u)),
+        )
+        stuck = np.arange(len(x)) < first - 1
+        stuck &= x < 0.8 * x[first]
+        setting["grid"] = (x[first] - x[first - 1], x[first])
+        if stuck.any():
+            setting["stuck"] = x[stuck]
+            features["stuck_contact_mm"] = (contact[stuck].mean(), u / np.sqrt(stuck.sum()))
+    steady = x > x[first] + 0.15 * (x[-1] - x[first])
+    if steady.sum() >= 4:
+        xs, ts = x[steady], te[steady]
+        centre = xs.mean()
+        spread = float(((xs - centre) ** 2).sum())
+        slope = float(((xs - centre) * (ts - ts.mean())).sum() / spread)
+        setting["stage"] = float(centre)
+        features["lag_mm"] = (float(centre - ts.mean()), u / np.sqrt(len(xs)))
+        features["edge_slope"] = (slope, u / np.sqrt(spread))
+        features["contact_len_mm"] = (float(contact[steady].mean()), u / np.sqrt(len(xs)))
+        lag = centre - ts.mean()
+        back = frames[frames["phase"] == "rev"].sort_values("x_stage_mm", kind="stable")[::-1]
+        xb, tb = back["x_stage_mm"].to_numpy(), back["te_x_mm"].to_numpy()
+        turn, turn_error = _turn(forward, back)
+        early = (turn - xb > 4.0) & (turn - xb < 0.6 * lag)
+        if early.any() and np.isfinite(turn_error):
+            setting["turn"] = turn
+            features["edge_at_turn_mm"] = (
+                float(tb[early].mean()),
+                float(np.hypot(u / np.sqrt(early.sum()), turn_error)),
+            )
+    return features, setting
+
+
+def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
+    """Where the stage turned and how well that is known: frames need not show the turn itself."""
+    seen = float(forward["x_stage_mm"].max())
+    if not len(back):
+        return seen, np.inf
+    seen = max(seen, float(back["x_stage_mm"].max()))
+    every = np.concatenate([forward["x_stage_mm"], back["x_stage_mm"]])
+    if np.sum(seen - every < 1e-6) > 2:  # it waited there, in view
+        return seen, 0.0
+    last, first = forward.iloc[-1], back.iloc[0]
+    step = float(np.median(np.diff(forward["x_stage_mm"])))
+    time = float(np.median(np.diff(forward["t_s"])))
+    elapsed = first["t_s"] - last["t_s"]
+    if not time > 0 or not elapsed < 1.6 * time:
+        return seen, np.inf
+    crossing = 0.5 * (last["x_stage_mm"] + first["x_stage_mm"] + step / time * elapsed)
+    return float(max(crossing, seen)), 0.05 * step
+
+
+def features(tables, nominal, measured) -> DropDragBlock | None:
+    """Features of every run; without frames, the quantities of the design."""
+    runs, frames = tables["drop_drag_runs"], tables.get("drop_drag") if measured else None
+    common = covariates_of(runs, "stage_azimuth_deg")
+    common["speed_mm_s"] = runs["speed_mm_s"].to_numpy(float)
+    common["height_mm"] = runs["height_mm"].to_numpy(float)
+    u_pos = runs["u_pos_mm"].to_numpy(float)
+    lines, settings = [], []
+    parts = dict(list(frames.groupby("run_id", sort=False))) if frames is not None else {}
+    for i, run in enumerate(runs["run_id"]):
+        if frames is None:
+            found = dict.fromkeys(DESIGN_QUANTITIES, (np.nan, u_pos[i] / 4))
+            setting = {
+                "stage": USUAL_STEADY_STAGE_MM,
+                "turn": np.nan,
+                "threshold": 0.0,
+                "stuck": np.zeros(0),
+                "grid": (0.0, 0.0),
+            }
+        else:
+            found, setting = _frames(parts[run], u_pos[i])
+        settings.append(setting)
+        lines += [(i, quantity, *value) for quantity, value in found.items()]
+    if not lines:
+        return None
+    index, rows = feature_rows(common, lines)
+    static = rows["quantity"].to_numpy() == "first_motion_mm"
+    rows["static"] = static
+    rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
+    rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
+    contact = {
+        "normal_force_N": np.nan,
+        **conditions_of(common),
+    }
+    weight = nominal["rho_kg_m2"] * GRAVITY_M_S2
+    rows["load_ratio"] = weight / 50.0
+    return DropDragBlock(
+        "drop_drag",
+        rows,
+        index,
+        Contact(dwell_s=common["dwell_s"].to_numpy(float), **contact),
+        Contact(speed_m_s=common["speed_mm_s"].to_numpy(float) * 1e-3, **contact),
+        nominal["rho_kg_m2"],
+        nominal["B_Nm"],
+        nominal["cloth_length_m"],
+        common["height_mm"].to_numpy(float) * 1e-3,
+        common["azimuth_deg"].to_numpy(float),
+        common["speed_mm_s"].to_numpy(float),
+        np.array([setting["stage"] for setting in settings]),
+        np.array([setting["turn"] for setting in settings]),
+        np.array([setting["threshold"] for setting in settings]),
+        [setting["stuck"] for setting in settings],
+        np.array([setting["grid"] for setting in settings], dtype=float),
+    )
+
+
+DROP_DRAG = Protocol(
+    "drop_drag",
+    "d",
+    {
+        "drop_drag_runs": (
+            *RUN_COLUMNS,
+            number("stage_azimuth_deg", *ANGLE_DEG, True),
+            number("height_mm", 1, 1e4),
+            number("speed_mm_s", 1e-6, 1e4, True),
+            number("u_pos_mm", 1e-6, 1e3),
+        ),
+        "drop_drag": (
+            text("run_id", may_be_empty=False),
+            number("frame", 0, 1e9, True),
+            text("phase", may_be_empty=False, choices=("fwd", "rev")),
+            number("t_s", -1e7, 1e7, True),
+            number("x_stage_mm", -1e5, 1e5),
+            number("te_x_mm", -1e5, 1e5),
+            number("contact_len_mm", -1e5, 1e5),
+        ),
+    },
+    nominal=("rho_kg_m2", "B_Nm", "cloth_length_m"),
+    quantities=(
+        Quantity("lag_mm", "lag of the edge"),
+        Quantity("edge_slope", "edge per stage", instrument=True),
+        Quantity("contact_len_mm", "contact length"),
+        Quantity("first_motion_mm", "first motion"),
+        Quantity("stuck_contact_mm", "contact, stuck"),
+        Quantity("edge_at_turn_mm", "edge at the turn"),
+    ),
+    features=features,
+    usual_settings={
+        "stage_azimuth_deg": 0.0,
+        "height_mm": 100.0,
+        "speed_mm_s": 10.0,
+        "u_pos_mm": 0.3,
+    },
+    varied=(("height_mm", (70, 100, 130)), ("speed_mm_s", (3, 10, 30))),
+)

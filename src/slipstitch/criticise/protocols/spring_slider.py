@@ -1,0 +1,310 @@
+"""(e) A slider pulled by a spring: level, half drop of the slips and of the first one.
+
+Level and half drop are the middle and half the range of the force's swing from stick to slip.
+What extraction does to the half drop (noise raises peaks, smoothing lowers them) is found by
+putting steady stick-slip of the same size, sampling and noise through the same extraction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.signal import find_peaks
+
+from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.criticise.protocols.block import (
+    USUAL_AREA_M2,
+    Block,
+    conditions_of,
+    covariates_of,
+    downhill_rad,
+    feature_rows,
+)
+from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
+from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
+from slipstitch.friction_law import Contact
+
+LEVEL, SWING, FIRST_SWING = "slider_level_mN", "slider_swing_mN", "slider_first_swing_mN"
+DESIGN_QUANTITIES = (LEVEL, SWING)
+DROP_NOISES = 6.0
+# A slider that sticks loads its spring at k V; one that follows an uneven track, far slower.
+STICKING_FRACTION = 0.5
+SPIKE_SAMPLES = 5
+SMOOTHINGS_A_PERIOD = 8
+MOST_BLOCKS = 10
+SYNTHETIC_TRACES = 4
+USUAL_EXCESS = 0.1
+# Scatter of a single slip and of a block's mean where too few slips tell.
+USUAL_SINGLE, USUAL_BLOCK = 0.1, 0.03
+# Of the swing that inertia makes: damping, which the model has not, takes some of it.
+INERTIAL_ERROR = 0.3
+
+
+@dataclass
+class SpringSliderBlock(Block):
+    """Spring-slider features; contacts at rest and in motion per row."""
+
+    READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "force_offset_N", "force_gain")
+
+    at_rest: Contact
+    in_motion: Contact
+    cloth_mass_kg: np.ndarray
+    added_mass_kg: np.ndarray
+    spring_N_m: np.ndarray
+    speed_m_s: np.ndarray
+
+    def predict(self, law, bench):
+        quantity = self.rows["quantity"].to_numpy()
+        mass = self.cloth_mass_kg * (1 + bench.mass_error) + self.added_mass_kg
+        load = mass * GRAVITY_M_S2
+        tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
+        slider = Slider(mass, self.spring_N_m, self.speed_m_s)
+        cycle = steady_cycle(
+            slider, law, self.at_rest.with_load(load), self.in_motion.with_load(load)
+        )
+        level = cycle.level_N - load * np.sin(tilt)
+        gain = 1e3 * (1 + bench.force_gain)
+        result = np.where(quantity == SWING, gain * cycle.swing_N, gain * cycle.first_swing_N)
+        return np.where(quantity == LEVEL, gain * level + 1e3 * bench.force_offset_N, result)
+
+
+@dataclass(frozen=True)
+class Slips:
+    """Slips of a trace in order: middle and half of each drop (mN), time of its peak (s)."""
+
+    time_s: np.ndarray
+    middle_mN: np.ndarray
+    half_mN: np.ndarray
+
+
+def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: float) -> Slips:
+    """Drops after the slider stuck; what only follows an uneven track is left out."""
+    step = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    period = 2 * np.pi * np.sqrt(slider.mass_kg / slider.spring_N_m)
+    width = int(period / SMOOTHINGS_A_PERIOD / step)
+    if width > SPIKE_SAMPLES:
+        force_mN = median_filter(force_mN, SPIKE_SAMPLES)
+    if width > 1:
+        force_mN = uniform_filter1d(force_mN, width)
+    peaks, _ = find_peaks(force_mN, prominence=DROP_NOISES * u_mN)
+    troughs, _ = find_peaks(-force_mN, prominence=DROP_NOISES * u_mN)
+    loading = 1e3 * slider.spring_N_m * slider.speed_m_s
+    found = []
+    for peak in peaks:
+        after = troughs[troughs > peak]
+        before = troughs[troughs < peak]
+        start = before[-1] if len(before) else 0
+        rise = (force_mN[peak] - force_mN[start]) / max(time_s[peak] - time_s[start], 1e-12)
+        if len(after) and rise > STICKING_FRACTION * loading:
+            high, low = force_mN[peak], force_mN[after[0]]
+            found.append((time_s[peak], 0.5 * (high + low), 0.5 * (high - low)))
+    return Slips(*np.array(found).reshape(-1, 3).T)
+
+
+def half_drop_bias(
+    time_s: np.ndarray, slider: Slider, level_mN: float, half_mN: float, u_mN: float
+) -> float:
+    """What extraction adds to the half drop, from synthetic traces of steady stick-slip."""
+    random = np.random.default_rng(1)
+    clean = 1e3 * steady_force(slider, 1e-3 * level_mN, 1e-3 * half_mN, time_s - time_s[0])
+    found = []
+    for _ in range(SYNTHETIC_TRACES):
+        noisy = clean + u_mN * random.standard_normal(len(clean))
+        found.append(slips_of(time_s, noisy, slider, u_mN).half_mN[1:])
+    found = np.concatenate(found)
+    return float(found.mean() - half_mN) if len(found) else 0.0
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A run's slips after the first, its steady force, and the first slip if it began relaxed."""
+
+    slips: Slips
+    steady_mN: np.ndarray
+    first_half_mN: float | None
+    began_relaxed: bool
+    bias_mN: float
+
+
+def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
+    trace = trace.sort_values("t_s", kind="stable")
+    time, force = trace["t_s"].to_numpy(float), trace["force_mN"].to_numpy(float)
+    if len(time) < 20 or time[-1] <= time[0]:
+        return None
+    slips = slips_of(time, force, slider, u_mN)
+    late = float(np.median(force[len(force) // 2 :]))
+    relaxed = bool(np.mean(force[:3]) < 0.5 * late)
+    loading = 1e3 * slider.spring_N_m * slider.speed_m_s
+    settled = time > time[0] + (2 * late / loading if relaxed else 0.0)
+    first = None
+    if relaxed and len(slips.time_s) and not settled[np.searchsorted(time, slips.time_s[0])]:
+        first = float(slips.half_mN[0])
+    keep = settled[np.minimum(np.searchsorted(time, slips.time_s), len(time) - 1)]
+    kept = Slips(slips.time_s[keep], slips.middle_mN[keep], slips.half_mN[keep])
+    if settled.sum() < 10:
+        return None
+    bias = 0.0
+    if len(kept.half_mN) >= 3:
+        half = float(kept.half_mN.mean())
+        short = time <= time[0] + 30 * (np.diff(kept.time_s).mean())
+        bias = half_drop_bias(time[short], slider, late, half, u_mN)
+    return _Reading(kept, force[settled], first, relaxed, bias)
+
+
+def _block_means(values: np.ndarray) -> np.ndarray:
+    blocks = min(MOST_BLOCKS, len(values) // 2)
+    return np.array([part.mean() for part in np.array_split(values, max(blocks, 1))])
+
+
+def _pooled(series: list[np.ndarray], otherwise: float) -> float:
+    """Relative sd within a run, pooled over runs."""
+    total = degrees = 0.0
+    for values in series:
+        if len(values) >= 2:
+            total += float(np.sum((values / values.mean() - 1) ** 2))
+            degrees += len(values) - 1
+    return float(np.sqrt(total / degrees)) if degrees >= 3 else otherwise
+
+
+def _features(
+    readings: list[_Reading | None], u_mN: np.ndarray, inertial_mN: np.ndarray
+) -> list[tuple]:
+    """(run, quantity, value, uncertainty) of every run; uncertainties are pooled over runs.
+
+    The less a slider sticks between its slips, the more an uneven track and damping change its
+    swing.
+    """
+    good = [r for r in readings if r is not None]
+    slipping = [r for r in good if len(r.slips.half_mN) >= 3]
+    middles = {id(r): _block_means(r.slips.middle_mN) for r in slipping}
+    middles |= {id(r): _block_means(r.steady_mN) for r in good if id(r) not in middles}
+    halves = {id(r): _block_means(r.slips.half_mN) for r in slipping}
+    level_sd = _pooled(list(middles.values()), USUAL_BLOCK)
+    half_sd = _pooled(list(halves.values()), USUAL_BLOCK)
+    uneven = _pooled([r.slips.middle_mN for r in slipping], USUAL_BLOCK)
+    single_sd = _pooled([r.slips.half_mN for r in slipping], USUAL_SINGLE)
+    lines = []
+    for i, reading in enumerate(readings):
+        if reading is None:
+            continue
+        u, blocks = u_mN[i], middles[id(reading)]
+        level = float(blocks.mean())
+        doubt = np.hypot(INERTIAL_ERROR * inertial_mN[i], uneven * level)
+        error = np.hypot(level * level_sd, u) / np.sqrt(len(blocks))
+        lines.append((i, LEVEL, level, float(error)))
+        # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
+        unseen = (0.25 * DROP_NOISES * u, float(np.hypot(0.25 * DROP_NOISES * u, doubt)))
+        if id(reading) in halves:
+            half = float(reading.slips.half_mN.mean() - reading.bias_mN)
+            of_mean = 1.0 / np.sqrt(len(halves[id(reading)]))
+            error = np.hypot(
+                half * half_sd * of_mean, 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
+            )
+            error = np.hypot(error, doubt * min(inertial_mN[i] / max(half, 1e-9), 1.0))
+            lines.append((i, SWING, half, float(error)))
+        elif not len(reading.slips.half_mN):
+            lines.append((i, SWING, *unseen))
+        if reading.first_half_mN is not None:
+            first = reading.first_half_mN - reading.bias_mN
+            error = np.hypot(single_sd * first, u)
+            error = np.hypot(error, doubt * min(inertial_mN[i] / max(first, 1e-9), 1.0))
+            lines.append((i, FIRST_SWING, float(first), float(error)))
+        elif reading.began_relaxed and not len(reading.slips.half_mN):
+            lines.append((i, FIRST_SWING, *unseen))
+    return lines
+
+
+def features(tables, nominal, measured) -> SpringSliderBlock | None:
+    """Features of every run; without traces, the quantities of the design."""
+    runs = tables["spring_slider_runs"]
+    traces = tables.get("spring_slider") if measured else None
+    common = covariates_of(runs, "stage_azimuth_deg")
+    area = runs["area_cm2"].to_numpy(float) * 1e-4
+    known = ~np.isnan(area)
+    added = runs["added_mass_g"].to_numpy(float) * 1e-3
+    # Where the area was not recorded, the mass given is that of the whole slider.
+    cloth = nominal.get("rho_kg_m2", 0.0) * np.where(known, area, 0.0)
+    area = np.where(known, area, USUAL_AREA_M2)
+    mass = cloth + added
+    spring = runs["spring_N_m"].to_numpy(float)
+    speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
+    u = runs["u_force_mN"].to_numpy(float)
+    if traces is None:
+        lines = [(i, q, np.nan, u[i]) for i in range(len(runs)) for q in DESIGN_QUANTITIES]
+    else:
+        parts = dict(list(traces.groupby("run_id", sort=False)))
+        readings = [
+            _read(parts[run], Slider(mass[i], spring[i], speed[i]), u[i])
+            for i, run in enumerate(runs["run_id"])
+        ]
+        lines = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
+    if not lines:
+        return None
+    index, rows = feature_rows(common, lines)
+    static = (rows["quantity"] != LEVEL).to_numpy()
+    first = (rows["quantity"] == FIRST_SWING).to_numpy()
+    rows["static"] = static
+    contact = {
+        "normal_force_N": mass[index] * GRAVITY_M_S2,
+        "area_m2": area[index],
+        **conditions_of(rows),
+    }
+    at_rest = Contact(dwell_s=rows["dwell_s"].to_numpy(float), **contact)
+    in_motion = Contact(speed_m_s=speed[index], **contact)
+    # The stick that a usual excess would make: the measured one grows with the drop itself.
+    stick = 2 * USUAL_EXCESS * contact["normal_force_N"] / (spring * speed)[index]
+    rows["dwell_s"] = np.where(first, rows["dwell_s"], np.where(static, stick, np.nan))
+    rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
+    rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)
+    return SpringSliderBlock(
+        "spring_slider",
+        rows,
+        at_rest,
+        in_motion,
+        cloth[index],
+        added[index],
+        spring[index],
+        speed[index],
+    )
+
+
+SPRING_SLIDER = Protocol(
+    "spring_slider",
+    "e",
+    {
+        "spring_slider_runs": (
+            *RUN_COLUMNS,
+            number("stage_azimuth_deg", *ANGLE_DEG, True),
+            number("area_cm2", 1e-3, 1e5, True),
+            number("added_mass_g", 0, 1e5),
+            number("spring_N_m", 1e-3, 1e7),
+            number("speed_mm_s", 1e-6, 1e4),
+            number("u_force_mN", 1e-6, 1e5),
+        ),
+        "spring_slider": (
+            text("run_id", may_be_empty=False),
+            number("t_s", -1e7, 1e7),
+            number("force_mN", -1e7, 1e7),
+        ),
+    },
+    nominal=(),
+    quantities=(
+        Quantity(LEVEL, "level"),
+        Quantity(SWING, "half drop"),
+        Quantity(FIRST_SWING, "half of the first drop"),
+    ),
+    features=features,
+    usual_settings={
+        "stage_azimuth_deg": 0.0,
+        "area_cm2": 50.0,
+        "added_mass_g": 50.0,
+        "spring_N_m": 200.0,
+        "speed_mm_s": 1.0,
+        "u_force_mN": 0.5,
+    },
+    varied=(("speed_mm_s", (0.03, 0.3, 3)), ("added_mass_g", (20, 50, 150))),
+)

@@ -1,0 +1,226 @@
+"""The three pictures of a verdict's page."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from slipstitch.criticise.covariates import COVARIATES
+from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.protocols import QUANTITIES
+from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.palette import BLUE, FAINT, INK, PALE, VERMILION
+
+NULL_COLOUR, EXTENDED_COLOUR = VERMILION, BLUE
+QUANTITY = "quantity"
+
+
+def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
+    figure = new_figure(width, height)
+    return figure, figure.add_subplot()
+
+
+def telling_covariate(analysis: Analysis) -> str:
+    """The covariate along which the model's failure is seen best."""
+    chosen = analysis.chosen
+    if analysis.verdict in ("cause", "confounded") and chosen is not None:
+        return MECHANISMS[chosen.causes[0]].covariate or QUANTITY
+    outcome = analysis.left_over or analysis.null_outcome
+    strongest = outcome.strongest("generic")
+    return outcome.tests[strongest].covariate if strongest is not None else QUANTITY
+
+
+def drawn(analysis: Analysis, name: str) -> np.ndarray:
+    """A covariate as it is drawn, (n,); NaN where it was not recorded."""
+    covariate, column = COVARIATES[name], analysis.measurements.rows[name]
+    if covariate.text:
+        labels = sorted({label for label in column if label})
+        codes = pd.Categorical(column, labels).codes.astype(float)
+        return codes + np.where(column == "", np.nan, 0)
+    values = column.to_numpy(float)
+    if covariate.logarithmic:
+        return np.log10(np.where(values > 0, values, np.nan))
+    return np.mod(values, 360.0) if covariate.periodic else values
+
+
+def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals in percent of friction, and the features for which that has a meaning."""
+    m = analysis.measurements
+    d = analysis.state.sensitivity
+    good = analysis.state.keep & ~m.lower_bound & (np.abs(d) > 2.0 * m.u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(good, 100 * (m.y - fitted.prediction) / d, np.nan), good
+
+
+def standardised_residuals(analysis: Analysis, fitted: Fit) -> np.ndarray:
+    """Residuals over their own total standard deviation."""
+    m, state = analysis.measurements, analysis.state
+    scatter = np.array(
+        [
+            (s.specimen, s.run, s.kappa)
+            if (s := state.scatters.get(p)) is not None
+            else (0.05, 0.03, 1.2)
+            for p in m.protocol
+        ]
+    )
+    variance = (scatter[:, 2] * m.u) ** 2 + state.sensitivity**2 * (
+        scatter[:, 0] ** 2 + scatter[:, 1] ** 2
+    )
+    return (m.y - fitted.prediction) / np.sqrt(variance)
+
+
+def series(axes, x, y, colour, label, seed=0):
+    """Points, with means and their standard errors over levels or eighths of a covariate."""
+    jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, len(x))
+    span = np.ptp(x) or 1.0
+    axes.plot(x + jitter * span, y, "o", ms=3, color=colour, alpha=0.35, mew=0)
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, 9)))
+    levels, level = np.unique(np.round(x, 6), return_inverse=True)
+    if len(levels) <= 12:
+        groups = [(v, y[level == i]) for i, v in enumerate(levels)]
+    else:
+        which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+        groups = [(x[which == i].mean(), y[which == i]) for i in np.unique(which)]
+    centre = np.array([g[0] for g in groups])
+    mean = np.array([g[1].mean() for g in groups])
+    error = np.array(
+        [g[1].std(ddof=1) / np.sqrt(len(g[1])) if len(g[1]) > 1 else 0 for g in groups]
+    )
+    axes.errorbar(
+        centre, mean, error, color=colour, lw=1.8, marker="o", ms=5, label=label, capsize=2
+    )
+
+
+def _by_quantity(axes, analysis, fits):
+    rows = analysis.measurements.rows
+    names = [q for q in QUANTITIES if (rows["quantity"] == q).any()]
+    for k, (fitted, colour, label) in enumerate(fits):
+        z = standardised_residuals(analysis, fitted)
+        for i, name in enumerate(names):
+            mine = (rows["quantity"] == name).to_numpy() & analysis.state.keep
+            place = i + (k - 0.5 * (len(fits) - 1)) * 0.28
+            shown = np.clip(z[mine], -8, 8)
+            axes.plot(np.full(mine.sum(), place), shown, "_", color=colour, alpha=0.5, ms=9)
+            axes.plot(
+                [place],
+                [np.clip(z[mine].mean(), -8, 8)],
+                "o",
+                color=colour,
+                ms=6,
+                label=label if i == 0 else None,
+            )
+    axes.set_xticks(
+        range(len(names)), [QUANTITIES[n].title for n in names], rotation=35, ha="right"
+    )
+    axes.set_ylabel("measured − model, in standard deviations")
+
+
+@styled
+def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
+    """Residuals of the null (and of the extended model) against the telling covariate."""
+    covariate = telling_covariate(analysis)
+    figure, axes = _figure()
+    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
+    if extended is not None:
+        fits.append((extended, EXTENDED_COLOUR, "extended"))
+    if covariate == QUANTITY or COVARIATES[covariate].text:
+        _by_quantity(axes, analysis, fits)
+    else:
+        values = drawn(analysis, covariate)
+        for fitted, colour, label in fits:
+            residual, good = relative_residuals(analysis, fitted)
+            good &= np.isfinite(values)
+            if good.any():
+                series(axes, values[good], residual[good], colour, label)
+        if extended is None and analysis.verdict == "unknown":
+            pattern(axes, analysis, covariate, analysis.left_over or analysis.null_outcome)
+        axes.set_xlabel(COVARIATES[covariate].axis_label)
+        axes.set_ylabel("measured − model (% of friction)")
+    axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
+    axes.legend(frameon=False)
+    return figure
+
+
+def pattern(axes, analysis, covariate, outcome):
+    """The shape that the strongest test along a covariate found, drawn through the residuals."""
+    best = max(
+        (
+            i
+            for i, t in enumerate(outcome.tests)
+            if t.covariate == covariate and t.family == "generic"
+        ),
+        key=lambda i: outcome.log_p[i],
+        default=None,
+    )
+    if best is None:
+        return
+    d = analysis.state.sensitivity
+    residual, good = relative_residuals(analysis, analysis.null)
+    values = drawn(analysis, covariate)
+    good &= np.isfinite(values) & np.isfinite(residual)
+    shape = outcome.tests[best].columns[good] / d[good][:, None]
+    size, *_ = np.linalg.lstsq(
+        np.column_stack([np.ones(good.sum()), shape]), residual[good], rcond=None
+    )
+    x = values[good]
+    curve = size[0] + shape @ size[1:]
+    order = np.argsort(x)
+    axes.plot(x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].shape)
+
+
+@styled
+def ranking_picture(verdict: dict, most: int = 10) -> Figure:
+    """How far each rival lies behind the best."""
+    entries = verdict["ranking"]
+    shown = entries[:most]
+    if not any(entry["model"] == [] for entry in shown):
+        shown = shown[: most - 1] + [entry for entry in entries if entry["model"] == []]
+    figure, axes = _figure(height=0.34 * len(shown) + 0.9)
+    labels = [" + ".join(e["model"]) or "plain Coulomb" for e in shown]
+    values = np.array([e["delta_bic"] for e in shown])
+    places = np.arange(len(shown))[::-1]
+    tied = [sorted(causes) for causes in verdict["alternatives"]]
+    colours = [
+        NULL_COLOUR if not e["model"] else EXTENDED_COLOUR if sorted(e["model"]) in tied else PALE
+        for e in shown
+    ]
+    axes.barh(places, np.maximum(values, 0.15), color=colours, height=0.65)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.set_yticks(places, labels)
+    axes.axvline(6, color=INK, lw=0.8, ls=":")
+    axes.set_xlabel("BIC behind the best (dotted: 6)")
+    return figure
+
+
+@styled
+def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
+    """Standardised residuals of all features, null and extended, against a standard normal."""
+    figure, axes = _figure()
+    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
+    if extended is not None:
+        fits.append((extended, EXTENDED_COLOUR, "extended"))
+    edges = np.linspace(-6, 6, 41)
+    for fitted, colour, label in fits:
+        z = standardised_residuals(analysis, fitted)
+        z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
+        axes.hist(
+            np.clip(z, -5.99, 5.99),
+            edges,
+            density=True,
+            histtype="stepfilled",
+            alpha=0.35,
+            color=colour,
+            label=label,
+        )
+    x = np.linspace(-6, 6, 200)
+    axes.plot(
+        x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, lw=1.2, label="if all is well"
+    )
+    axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
+    axes.set_yticks([])
+    axes.legend(frameon=False)
+    return figure

@@ -1,0 +1,61 @@
+"""The criticism of one case as files: verdict, page, extended model, runs simulated again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from slipstitch import __version__
+from slipstitch.criticise.case import Case
+from slipstitch.criticise.extended_model import write_extended_model
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.verdict import sentence, verdict_of
+from slipstitch.provenance import atomic_path
+
+
+def criticise_to_files(
+    case: Case,
+    seed: int,
+    replicates: int,
+    *,
+    verdict_path: str,
+    page_path: str | None,
+    model_path: str | None,
+    resimulation_path: str | None,
+) -> str:
+    """Criticise a case, write what is asked for, and say in a sentence what was found.
+
+    Parameters
+    ----------
+    case : Case
+    seed, replicates : int
+        Of the simulated maxima; simulated data sets behind each family-wise p.
+    verdict_path, page_path, model_path, resimulation_path : path
+        JSON, HTML, YAML, JSON; all but the verdict may be None.
+    """
+    analysis = analyse(assemble(case), seed, replicates)
+    verdict = verdict_of(case, analysis, seed, __version__)
+    _write_json(verdict, verdict_path)
+    again = None
+    if resimulation_path:
+        from slipstitch.criticise.resimulation import resimulate
+
+        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
+        if "drop_drag" in case.protocols:
+            again = resimulate(case, verdict)
+            summary = again.summary
+        _write_json(summary, resimulation_path)
+    if page_path:
+        from slipstitch.criticise.report import page
+
+        with atomic_path(Path(page_path)) as temporary:
+            temporary.write_text(page(verdict, analysis, again), encoding="utf-8")
+    if model_path:
+        write_extended_model(verdict, Path(model_path))
+    return sentence(verdict)
+
+
+def _write_json(content: dict, path: str) -> None:
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,427 @@
+"""What a configuration costs: jobs, CPU time, disk; from costs per item that were measured.
+
+The table `COSTS` is the only place with measured numbers; the rest scales them.
+"""
+
+import math
+from dataclasses import dataclass
+
+from slipstitch.catalogue import FLOORS
+from slipstitch.config.calibrate import KEYS
+from slipstitch.config.grid import batches, simulations, textures, viewpoints
+from slipstitch.config.model import Config
+from slipstitch.config.train import NETWORKS
+from slipstitch.page.wording import size
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A measured cost of one item and where the number comes from."""
+
+    value: float
+    unit: str
+    source: str
+
+
+# One core of a 2-core x86-64 virtual machine unless the source says otherwise.
+COSTS = {
+    "calibrate_s": Cost(
+        20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
+    ),
+    "strip_s": Cost(
+        1.2, "CPU s a push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
+    ),
+    "simulate_step_s": Cost(
+        0.022,
+        "CPU s a time step of 41 x 41 vertices, no self-contact",
+        "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
+    ),
+    "self_contact_step_s": Cost(
+        0.055,
+        "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
+        "131 s, 1575 steps, busy machine: 20 CPU s at friction 0, 92 to 159 at 0.5 to 1.5",
+    ),
+    # Sparse Cholesky alone, of the order of V^1.5 operations for V vertices, would make it 3.
+    "simulate_size": Cost(
+        2.3,
+        "power of the vertices per side",
+        "166 simulations of 38 s at 21 x 21, 5.3 CPU s in the mean, beside 8 of 131 s at 41 x 41",
+    ),
+    "trajectory_bytes": Cost(
+        12.0, "bytes a vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
+    ),
+    "render_start_s": Cost(
+        1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
+    ),
+    "render_frame_s": Cost(
+        0.14,
+        "CPU s a frame at 112 px, 1 sample: traced, separated, smoothed, packed",
+        "busy machine: 0.145, 0.222, 0.075 by view",
+    ),
+    "mirror_factor": Cost(2.0, "of render_frame_s on a floor that mirrors", "two paths for one"),
+    "pack_bytes": Cost(8.0, "bytes a pixel", "112 px, matte"),
+    "compose_start_s": Cost(0.6, "CPU s a simulation", "imports, textures drawn"),
+    "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
+    "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
+    "direct_pixel_s": Cost(
+        2.5e-4,
+        "CPU s a pixel at 256 samples; four times as many where the floor mirrors",
+        "about 1 M camera samples a second and core",
+    ),
+    "image_bytes": Cost(
+        1.15,
+        "bytes a pixel of PNG",
+        "64 px, 810 images of one simulation in nine textures: calibrated 1.16, frontal 1.47, side "
+        "0.68; the paper's nine viewpoints have seven like the first; 1.7 at 32 px",
+    ),
+    "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
+    "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
+    "sample_s": Cost(0.0003, "CPU s an image", "demo: 2.1 s for 6480 images"),
+    "train_frame_s": Cost(
+        0.0020,
+        "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
+        "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
+    ),
+    "instrument_frame_s": Cost(
+        0.0008, "CPU s a frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
+    ),
+    "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
+    "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
+    "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
+    "release_s": Cost(
+        0.0003, "CPU s an image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
+    ),
+    "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
+    "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
+    "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
+    "ingest_film_s": Cost(1.5, "CPU s a film", "97 frames of 160 px: 1.3 s, 1 s of it start"),
+    "film_bytes": Cost(0.1, "bytes a pixel", "H.264 at quality 26, noise 0.02; an allowance"),
+    "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
+}
+
+# Resident memory of the largest job, from benchmark files or measured by hand.
+MEMORY_MIB = {
+    "calibrate": Cost(312, "MiB", "smoke chain"),
+    "simulate": Cost(349, "MiB", "smoke chain: 281 to 349; 302 at 41 x 41 vertices over 131 s"),
+    "render": Cost(486, "MiB", "112 px, 30 frames of the paper's scale; 406 at 32 px"),
+    "compose": Cost(389, "MiB", "112 px, nine textures; 214 at 32 px"),
+    "verify": Cost(438, "MiB", "smoke chain"),
+    "preview": Cost(167, "MiB", "smoke chain; 141 at 112 px"),
+    "sample": Cost(149, "MiB", "smoke chain"),
+    "instrument": Cost(560, "MiB", "60 simulations at 64 px: 672 MiB, 110 of it the videos"),
+    "train": Cost(407, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
+    "evaluate": Cost(423, "MiB", "smoke chain; the videos come on top"),
+    "criticise": Cost(343, "MiB", "a case of 24 runs"),
+    "report": Cost(254, "MiB", "smoke chain"),
+    "release": Cost(230, "MiB", "smoke chain"),
+}
+MEMORY_MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class StageEstimate:
+    """Jobs, CPU seconds and disk bytes of one stage."""
+
+    stage: str
+    jobs: int
+    cpu_s: float
+    disk_bytes: float
+
+
+def _cost(name: str) -> float:
+    return COSTS[name].value
+
+
+def _frames_rendered(config: Config) -> int:
+    return (
+        config.sample.frames_kept if config.render.frames == "sampled" else config.simulation.frames
+    )
+
+
+def _simulation_cpu_s(config: Config) -> float:
+    settings = config.simulation
+    steps = settings.frames / settings.frame_rate_hz / settings.time_step_s
+    size = (settings.vertices_per_side / 41) ** _cost("simulate_size")
+    step = "self_contact_step_s" if settings.self_contact else "simulate_step_s"
+    return _cost(step) * steps * size
+
+
+def _strip_cpu_s(config: Config) -> float:
+    """The pushes of the calibration: every setting, fabric and friction coefficient."""
+    calibrate, step_s = config.calibrate, config.simulation.time_step_s
+    pushes = len(calibrate.strip_frictions) * len(calibrate.strip_young_moduli_Pa)
+    of_one_value = [len(getattr(calibrate, f"sweep_{key}")) for key in KEYS if key != "time_step_s"]
+    steps = [step_s] * (1 + sum(of_one_value)) + list(calibrate.sweep_time_step_s)
+    return _cost("strip_s") * pushes * sum(max(1.0, 0.02 / step) for step in steps)
+
+
+def _mirrors(config: Config) -> float:
+    """Share of the floors that mirror."""
+    floors = config.render.floors
+    return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
+
+
+def _render_cpu_s(config: Config) -> float:
+    images = _frames_rendered(config)
+    # Half of it does not depend on the image's size: 0.07 s at 64 px.
+    size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
+    size *= 1 + _mirrors(config) * (_cost("mirror_factor") - 1)
+    return _cost("render_start_s") + images * _cost("render_frame_s") * size
+
+
+def _compose_cpu_s(config: Config) -> float:
+    """One simulation's images from all viewpoints in all textures."""
+    images = _frames_rendered(config) * len(viewpoints(config))
+    each = _cost("look_frame_s") + _cost("texture_s") * len(textures(config))
+    return _cost("compose_start_s") + images * each
+
+
+def verification_cpu_s(config: Config) -> float:
+    """The images that are rendered directly."""
+    pixel = _cost("direct_pixel_s") * (1 + 3 * _mirrors(config))
+    one = _cost("render_start_s") + pixel * config.render.pixels**2
+    return config.render.verified_images * one
+
+
+def _image_bytes(config: Config) -> float:
+    return _cost("image_bytes") * config.render.pixels**2
+
+
+def _pack_bytes(config: Config) -> float:
+    return _cost("pack_bytes") * config.render.pixels**2
+
+
+def _frame_factor(config: Config) -> float:
+    """Work of the network on one frame, in units of 64 px at a quarter of the width."""
+    pixels = config.train.pixels or config.render.pixels
+    return (pixels / 64) ** 2 * (config.train.width / 0.25) ** 2
+
+
+def _training_cpu_s(config: Config) -> float:
+    """One training: cycles over 1, 2, ... viewpoints, then the calibrated one alone."""
+    train = config.train
+    views = len(config.render.viewpoints)
+    passes = train.epochs_per_cycle * views * (views + 1) / 2 + train.fine_tuning_epochs
+    share = 1.0 - config.sample.test_fraction
+    videos = len(simulations(config)) * len(config.render.textures) * share
+    return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
+
+
+def _instrument_cpu_s(config: Config) -> float:
+    """One instrument: all epochs on the training videos of one viewpoint."""
+    share = 1.0 - config.sample.test_fraction
+    videos = len(simulations(config)) * len(config.render.textures) * share
+    pixels = config.instrument.pixels or config.render.pixels
+    frames = config.instrument.epochs * videos * config.sample.frames
+    return frames * _cost("instrument_frame_s") * (pixels / 64) ** 2
+
+
+def estimate(config: Config) -> list[StageEstimate]:
+    """Cost of each stage of the chain, in its order.
+
+    The jobs are those that Snakemake counts, without its ``all``.
+    """
+    runs, views = len(simulations(config)), len(viewpoints(config))
+    images = runs * views * len(textures(config))
+    sampled = images * config.sample.frames_kept
+    networks = len(config.train.splits) * len(NETWORKS) * len(config.train.seeds)
+    instruments = len(config.train.splits) * len(config.instrument.seeds)
+    vertices = config.simulation.vertices_per_side**2
+    trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
+    evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
+    return [
+        # A job a swept setting, one for the configured settings, one that chooses and checks.
+        StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
+        StageEstimate(
+            "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
+        ),
+        StageEstimate(
+            "render",
+            runs * (views + 2) + 1,
+            runs * (views * _render_cpu_s(config) + _compose_cpu_s(config) + _cost("preview_s"))
+            + verification_cpu_s(config),
+            images * _frames_rendered(config) * _image_bytes(config)
+            + runs * views * _frames_rendered(config) * _pack_bytes(config)
+            + runs * _cost("preview_bytes"),
+        ),
+        # The table of ids counts here.
+        StageEstimate("sample", 2, sampled * _cost("sample_s"), sampled * _image_bytes(config)),
+        StageEstimate(
+            "train", networks, networks * _training_cpu_s(config), networks * 4e6 * _width2(config)
+        ),
+        StageEstimate(
+            "instrument", instruments, instruments * _instrument_cpu_s(config), instruments * 2e6
+        ),
+        StageEstimate(
+            "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
+        ),
+        StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
+    ]
+
+
+def estimate_release(config: Config) -> StageEstimate:
+    """Cost of a release of the finished dataset; it is not part of the chain."""
+    runs, views = len(simulations(config)), len(viewpoints(config))
+    images = runs * views * len(textures(config)) * config.sample.frames_kept
+    shards = runs * (views + 2)
+    return StageEstimate(
+        "release",
+        1,
+        _cost("release_start_s") + images * _cost("release_s"),
+        _cost("release_bytes") + images * _image_bytes(config) + shards * _cost("record_bytes"),
+    )
+
+
+def _training_simulations(config: Config) -> float:
+    """Those that neither test nor watch."""
+    held = config.sample.validation_fraction + config.sample.test_fraction
+    grid = config.grid
+    return len(grid.materials) * len(grid.frictions) * grid.replicates * (1.0 - held)
+
+
+def estimate_ablate(config: Config) -> StageEstimate:
+    """Cost of the ablations, were all answered; they are not part of the chain.
+
+    In units of one network passing once through one video of each training simulation: three ways
+    to condition and a material network, two schedules of all viewpoints, three initialisations,
+    twice two variants of about as many videos with either network.
+    """
+    ablate = config.ablate
+    trained = config.train.model_copy(update=ablate.train)
+    looked = config.instrument.model_copy(update=ablate.instrument)
+    textures_each = ablate.textures_per_simulation or len(config.render.textures)
+    frames = _training_simulations(config) * textures_each * config.sample.frames
+    factor = _frame_factor(config.model_copy(update={"train": trained}))
+    lrcn = frames * ablate.passes * _cost("train_frame_s") * factor
+    side = (looked.pixels or config.render.pixels) / 64
+    instrument = frames * ablate.instrument_passes * _cost("instrument_frame_s") * side**2
+    trainings = {
+        "diversity": (2, 2),
+        "conditioning": (4, 0),
+        "schedule": (2 * len(config.render.viewpoints), 0),
+        "initialisation": (3, 0),
+        "floors": (2, 2),
+    }
+    asked = [trainings[name] for name in ablate.asked]
+    of_kind = [sum(column) for column in zip(*asked, strict=True)]
+    cpu_s = sum(
+        count * cost
+        for count, cost, name in zip(
+            of_kind, (lrcn, instrument), ("lrcn", "instrument"), strict=True
+        )
+        if name in ablate.networks
+    )
+    seeds = len(ablate.seeds)
+    return StageEstimate("ablate", len(asked) * seeds + 1, seeds * cpu_s, seeds * 16 * 4e6)
+
+
+def estimate_captures(config: Config) -> StageEstimate:
+    """Cost of surrogate captures and what is made of them; they are not part of the chain."""
+    settings, training = config.captures, config.simulation
+    duration_s = training.frames / training.frame_rate_hz
+    made = training.model_copy(
+        update={
+            "vertices_per_side": settings.vertices_per_side,
+            "time_step_s": settings.time_step_s,
+        }
+    )
+    films = 0 if settings.table else len(settings.pairs) * settings.repeats
+    # The start at the full rate, then every so many-th frame; the image is a square with a margin.
+    frames = settings.frame_rate_hz * (3 + duration_s / settings.later_every)
+    size = 0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
+    mirrors = sum(FLOORS[one.substrate].reflectance[1] > 0 for one in settings.pairs)
+    size *= 1 + mirrors / len(settings.pairs) * (_cost("mirror_factor") - 1)
+    each = _simulation_cpu_s(config.model_copy(update={"simulation": made}))
+    each += _cost("render_start_s") + frames * size * _cost("render_frame_s")
+    return StageEstimate(
+        "captures",
+        2 + bool(settings.angles) if settings.table else films + 4,
+        films * (each + _cost("ingest_film_s")),
+        films * (frames * _cost("film_bytes") * settings.width_px**2 * 0.75 + 1e6),
+    )
+
+
+def _width2(config: Config) -> float:
+    return (config.train.width / 0.25) ** 2
+
+
+JOB_KINDS = tuple(MEMORY_MIB)
+
+
+def _video_bytes(config: Config) -> float:
+    """The decoded videos, which training and evaluation hold as a whole."""
+    side = config.train.pixels or config.render.pixels
+    videos = len(simulations(config)) * len(viewpoints(config)) * len(textures(config))
+    return 3.0 * videos * config.sample.frames_kept * side**2
+
+
+def job_memory_mb(kind: str, config: Config | None = None) -> int:
+    """Memory (MB) for a scheduler to set aside for one job: twice what was measured.
+
+    Parameters
+    ----------
+    kind : str
+        One of `JOB_KINDS`.
+    config : Config, optional
+        For kinds whose memory grows with the dataset.
+    """
+    needed = MEMORY_MARGIN * MEMORY_MIB[kind].value * 2**20
+    if config is not None and kind in ("train", "instrument", "evaluate"):
+        needed += 1.2 * _video_bytes(config)
+    return 256 * math.ceil(needed / 256e6)
+
+
+def job_cpu_s(kind: str, config: Config) -> float:
+    """CPU seconds of one job of a kind, the mean where a stage's jobs differ.
+
+    Parameters
+    ----------
+    kind : str
+        One of `JOB_KINDS`: a stage, or ``compose``, ``verify``, ``preview`` of rendering.
+    config : Config
+    """
+    if kind in ("preview", "criticise"):
+        return _cost(f"{kind}_s")
+    if kind == "render":
+        return _render_cpu_s(config)
+    if kind == "compose":
+        return _compose_cpu_s(config)
+    if kind == "verify":
+        return verification_cpu_s(config)
+    stages = [*estimate(config), estimate_release(config), estimate_ablate(config)]
+    whole = next(one for one in stages if one.stage == kind)
+    return whole.cpu_s / whole.jobs
+
+
+def job_runtime_min(kind: str, config: Config) -> int:
+    """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
+    return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
+
+
+def _time(cpu_s: float) -> str:
+    if cpu_s >= 3600:
+        return f"{cpu_s / 3600:.3g} CPU h"
+    return f"{cpu_s / 60:.2g} CPU min" if cpu_s >= 60 else f"{cpu_s:.2g} CPU s"
+
+
+def estimate_line(config: Config) -> str:
+    """The whole chain from nothing, in one line."""
+    stages = estimate(config)
+    jobs, cpu_s = sum(one.jobs for one in stages), sum(one.cpu_s for one in stages)
+    disk = sum(one.disk_bytes for one in stages)
+    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
+
+
+def estimate_table(config: Config) -> str:
+    """`estimate` as aligned text; release, captures and the line of the whole chain last."""
+    apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
+    rows = [("stage", "jobs", "time", "disk")] + [
+        (one.stage, str(one.jobs), _time(one.cpu_s), size(one.disk_bytes))
+        for one in [*estimate(config), *apart]
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = [
+        f"{row[0]:<{widths[0]}}" + "".join(f"  {row[i]:>{widths[i]}}" for i in (1, 2, 3))
+        for row in rows
+    ]
+    return "\n".join([*lines, estimate_line(config)])

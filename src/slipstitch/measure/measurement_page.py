@@ -1,0 +1,116 @@
+"""The page of one measurement: the frames, the moments that decided, the distribution."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slipstitch.measure.measuring import MeasuredVideo
+from slipstitch.page.figures import png_uri
+from slipstitch.page.templates import render
+from slipstitch.page.wording import number, percent, span
+from slipstitch.render.encoding import encode_png
+
+_TEMPLATE = Path(__file__).with_name("measurement.html.j2")
+_SIDE = 112  # pixels of a frame on the page
+_DECISIVE = 5
+_WIDTH, _HEIGHT = 920, 190
+
+
+def page(result: MeasuredVideo) -> str:
+    """The page as HTML; it needs no other file."""
+    measured, video = result.measurement, result.video
+    weights = np.asarray(measured.attention_weights, dtype=float)
+    ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
+    frames = [
+        {
+            "image": _enlarged(image),
+            "time": f"{max(time_s, 0):.1f} s",
+            "weight": percent(weight),
+            "bar": f"{100 * weight / max(weights.max(), 1e-9):.1f}",
+            "decisive": k in ranks,
+        }
+        for k, (image, time_s, weight) in enumerate(
+            zip(video.frames, video.time_s, weights, strict=True)
+        )
+    ]
+    materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
+    return render(
+        _TEMPLATE,
+        name=result.name,
+        mu=number(measured.friction_coefficient),
+        uncertainty=number(result.uncertainty),
+        interval=span(measured.interval_90),
+        materials=materials,
+        alarm=measured.alarm_reason if measured.alarm else None,
+        frames=frames,
+        decisive=[f"{max(video.time_s[k], 0):.1f} s" for k in sorted(ranks)],
+        distribution=_distribution(result),
+        timeline=_timeline(result, weights),
+        start=video.start,
+        video=video,
+        instrument=result.instrument[:12],
+    )
+
+
+def _enlarged(image: np.ndarray) -> str:
+    side = max(_SIDE, len(image))
+    large = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+    return png_uri(encode_png(large))
+
+
+def _points(x: np.ndarray, y: np.ndarray) -> str:
+    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+
+
+def _distribution(result: MeasuredVideo) -> dict:
+    """The distribution over friction as the corners of a shape, in a box of 920 x 190."""
+    grid, probability = map(np.asarray, result.measurement.distribution)
+    lowest, highest = float(grid[0]), float(grid[-1])
+
+    def across(mu):
+        return 20 + (np.asarray(mu) - lowest) / (highest - lowest) * (_WIDTH - 40)
+
+    height = _HEIGHT - 30 - probability / probability.max() * (_HEIGHT - 55)
+    x = across(grid)
+    shape = _points(
+        np.concatenate([x[:1], x, x[-1:]]),
+        np.concatenate([[_HEIGHT - 30], height, [_HEIGHT - 30]]),
+    )
+    ticks = [t for t in np.arange(0, highest + 1e-9, 0.1 if highest < 1.2 else 0.2) if t >= lowest]
+    low, high = across(result.measurement.interval_90)
+    return {
+        "shape": shape,
+        "median": f"{across(result.measurement.friction_coefficient):.1f}",
+        "low": f"{low:.1f}",
+        "width": f"{max(high - low, 1.0):.1f}",
+        "ticks": [(f"{across(tick):.1f}", f"{tick:.1f}") for tick in ticks],
+    }
+
+
+def _timeline(result: MeasuredVideo, weights: np.ndarray) -> dict:
+    """The stage's path over time, and a disc a frame as large as its weight."""
+    path, video = result.stage_path, result.video
+    end_s = float(video.time_s[-1]) or 1.0
+
+    def across(time_s):
+        return 20 + np.asarray(time_s) / end_s * (_WIDTH - 40)
+
+    time_s = np.linspace(0, end_s, 400)
+    x_m, z_m = path.position_m(time_s)
+    at_m, _ = path.position_m(np.maximum(video.time_s, 0))
+
+    def up(place_m):
+        return _HEIGHT - 35 - np.asarray(place_m) / path.stroke_m * (_HEIGHT - 60)
+
+    radius = 14 * np.sqrt(weights / max(weights.max(), 1e-9))
+    step = 10 if end_s > 60 else 5
+    return {
+        "x": _points(across(time_s), up(x_m)),
+        "z": _points(across(time_s), up(z_m)),
+        "discs": [
+            (f"{a:.1f}", f"{b:.1f}", f"{max(r, 1.0):.1f}")
+            for a, b, r in zip(across(np.maximum(video.time_s, 0)), up(at_m), radius, strict=True)
+        ],
+        "ticks": [(f"{across(t):.1f}", f"{t:g}") for t in np.arange(0, end_s + 1e-9, step)],
+    }

@@ -1,0 +1,104 @@
+"""From a matplotlib figure to a page or a file: one look, and equal bytes of equal figures."""
+
+import base64
+import functools
+import io
+import os
+import re
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+from slipstitch.page.palette import FRAME, INK, SOFT
+
+# Ids that do not differ from run to run.
+FIXED_IDS = {"svg.hashsalt": "slipstitch"}
+
+STYLE = {
+    **FIXED_IDS,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "axes.edgecolor": FRAME,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "path.simplify": True,
+}
+
+
+def styled(function):
+    """Apply the pages' style while a figure is drawn, not only while it is saved."""
+
+    @functools.wraps(function)
+    def draw(*arguments, **options):
+        with matplotlib.rc_context(STYLE):
+            return function(*arguments, **options)
+
+    return draw
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def svg(figure: Figure) -> str:
+    """A figure in the pages' style as the text of an SVG."""
+    buffer = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def svg_element(figure: Figure) -> str:
+    """A figure as an element that stands in a page's own HTML."""
+    text = svg(figure)
+    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.S)
+
+
+def save_figure(
+    figure: Figure, path: str | os.PathLike, kind: str = "png", dots_per_inch: int = 150
+) -> None:
+    """Write a figure to a file, without date and with fixed ids.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : path
+    kind : {"png", "svg"}
+    dots_per_inch : int
+        Of a PNG.
+    """
+    with matplotlib.rc_context(FIXED_IDS):
+        figure.savefig(
+            path, format=kind, dpi=dots_per_inch, metadata={"Date": None} if kind == "svg" else None
+        )
+
+
+def data_uri(content: bytes | str, kind: str) -> str:
+    """A picture as a ``data:`` address, so that a page needs no other file."""
+    raw = content.encode() if isinstance(content, str) else content
+    return f"data:{kind};base64,{base64.b64encode(raw).decode()}"
+
+
+def svg_uri(content: Figure | str | None) -> str | None:
+    """A figure, or the text of an SVG, as a ``data:`` address; None where there is none."""
+    if content is None:
+        return None
+    return data_uri(svg(content) if isinstance(content, Figure) else content, "image/svg+xml")
+
+
+def png_uri(content: bytes) -> str:
+    """The bytes of a PNG as a ``data:`` address."""
+    return data_uri(content, "image/png")

@@ -1,0 +1,30 @@
+"""The colours of all pages and pictures."""
+
+# Okabe & Ito 2008: told apart by colour-blind readers.
+BLUE, ORANGE, GREEN, PINK = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
+SKY, VERMILION, BLACK = "#56B4E9", "#D55E00", "#000000"
+# For curves that have no colour of their own, in this order.
+SERIES = (BLUE, ORANGE, GREEN, PINK, SKY, VERMILION, BLACK)
+
+# Theory is black, what was measured is vermilion, on every picture.
+THEORY, MEASURED = "#1a1a1a", VERMILION
+
+INK, SOFT, FAINT, PALE = "#23262b", "#5b5e63", "#8c8c8c", "#b9bcc0"
+FRAME, LINE = "#b8b6b0", "#e4e1d9"
+GOOD, BAD, DOUBT = "#00694d", "#a63d00", "#c9a227"
+INTERVAL = "#dce9f2"  # band of an interval
+PALE_BLUE = "#b9d3e6"
+
+# Variables of the style sheet.
+STYLE_SHEET = {
+    "paper": "#fbfaf7",
+    "card": "#ffffff",
+    "ink": INK,
+    "soft": SOFT,
+    "line": LINE,
+    "accent": "#0b5f8a",
+    "good": GOOD,
+    "bad": BAD,
+    "doubt": DOUBT,
+    "wash": "#f1efe8",
+}

@@ -1,0 +1,40 @@
+"""Seeds of the hidden effects: fixed, so that a red run can be repeated, or fresh on demand."""
+
+import secrets
+import zlib
+
+import numpy as np
+import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--fresh-seeds", action="store_true", help="draw the hidden effects anew")
+    parser.addoption(
+        "--seeds-from", type=int, metavar="NUMBER", help="those that a run with --fresh-seeds drew"
+    )
+
+
+def pytest_configure(config):
+    # Before xdist's processes start: they all get one number.
+    if config.option.fresh_seeds and config.option.seeds_from is None:
+        config.option.seeds_from = secrets.randbelow(10**9)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.option.seeds_from is not None:
+        number = config.option.seeds_from
+        terminalreporter.write_line(f"hidden effects: --seeds-from {number} repeats them")
+
+
+@pytest.fixture
+def hidden_seed(request):
+    """A function of the fixed seed: it, or a fresh one below ``limit``."""
+
+    def seed(fixed: int, limit: int = 10**6) -> int:
+        number = request.config.option.seeds_from
+        if number is None:
+            return fixed
+        test = zlib.crc32(request.node.nodeid.encode())
+        return int(np.random.default_rng([number, test]).integers(limit))
+
+    return seed

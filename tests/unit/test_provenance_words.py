@@ -1,0 +1,152 @@
+"""What an edit of the project's own sources reruns: nothing if it only words, else what uses it."""
+
+import ast
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from support.workflow_copy import source_with
+
+from slipstitch.provenance import code_digest, code_sources
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ROOT / "src"
+# What the rules compare.
+STAGES = sorted(
+    {
+        stage
+        for rules in (ROOT / "rules").glob("*.smk")
+        for stage in re.findall(r'code_of\("([\w.]+)"\)', rules.read_text(encoding="utf-8"))
+    }
+)
+OF_SHADING = {"render", "render.packing", "capture"}
+OF_CLOTH = {"simulate", "calibrate", "convergence", "capture", "criticise"}
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sources") / "src"
+    shutil.copytree(SOURCES, folder, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    return folder
+
+
+def digests(tree):
+    code_digest.cache_clear()
+    return {stage: code_digest(stage, tree) for stage in STAGES}
+
+
+@pytest.fixture(scope="module")
+def before(tree):
+    return digests(tree)
+
+
+@pytest.fixture
+def changed(tree, before):
+    """Stages whose digest another text in the place of one that is there changes."""
+    files = {}
+
+    def change(old: str, new: str) -> set[str]:
+        file, content = source_with(tree, old)
+        files[file] = content
+        file.write_text(content.replace(old, new, 1), encoding="utf-8")
+        after = digests(tree)
+        return {stage for stage in STAGES if after[stage] != before[stage]}
+
+    yield change
+    for file, content in files.items():
+        file.write_text(content, encoding="utf-8")
+
+
+def test_the_rules_name_their_stages():
+    assert {"simulate", "render", "train", "report"} <= set(STAGES)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("vertices along a side of the 20 cm square", "vertices along one side"),
+        ("41, ge=5, le=401,", "41, ge=6, le=500,"),
+        (
+            "    frame_rate_hz: float = Field(2.4",
+            "    more: int = 1\n    frame_rate_hz: float = Field(2.4",
+        ),
+        ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
+        ("must be a finite number, at least 0", "must be finite and at least 0"),
+        ("\n# The cloth hangs still for this long", "\n# For so long the cloth hangs still"),
+        ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
+        ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
+        ('    "chevron": 109,', '    "chevron": 109,\n    "new": 110,'),
+        ("train.view_order: {name!r} is not", "train.view_order: {name!r} is none"),
+    ],
+)
+def test_other_words_settings_and_entries_change_no_digest(changed, old, new):
+    assert changed(old, new) == set()
+
+
+def test_one_more_fabric_changes_no_digest(tree, before):
+    path = tree / "slipstitch/material/fabrics.json"
+    text = path.read_text(encoding="utf-8")
+    content = json.loads(text)
+    content["fabrics"]["eleventh"] = content["fabrics"]["gray-interlock"]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    try:
+        assert digests(tree) == before
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
+    for source in SOURCES.rglob("*.py"):
+        bare = ast.unparse(ast.parse(source.read_text(encoding="utf-8")))
+        target = tmp_path / source.relative_to(SOURCES)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(bare, encoding="utf-8")
+    for file in SOURCES.rglob("*"):
+        if file.is_file() and not (tmp_path / file.relative_to(SOURCES)).exists():
+            (tmp_path / file.relative_to(SOURCES)).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, tmp_path / file.relative_to(SOURCES))
+    assert digests(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "using", "others"),
+    [
+        ("wp.max(tangent, wp.float64(0.1) * ke)", "wp.max(tangent, ke)", OF_CLOTH, ...),
+        ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
+        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"sample", "capture"}, {"render", "calibrate"}),
+        ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
+        (
+            "def load_fabric(name: str)",
+            "def load_fabric(name: str = None)",
+            {"simulate"},
+            {"render"},
+        ),
+    ],
+)
+def test_what_computes_changes_the_stages_that_use_it(changed, old, new, using, others):
+    found = changed(old, new)
+    assert using <= found
+    assert not found & (set(STAGES) - using if others is ... else others)
+
+
+@pytest.mark.parametrize(
+    ("name", "stages"),
+    [
+        ("style.css", {"report"}),
+        ("captures.html.j2", {"evaluate.captures"}),
+        ("ablations.html.j2", {"ablate"}),
+        ("card.md.j2", {"release"}),
+    ],
+)
+def test_a_template_counts_for_its_page_only(name, stages):
+    (path,) = SOURCES.rglob(name)
+    assert {stage for stage in STAGES if path in code_sources(stage)} == stages
+
+
+def test_every_table_and_template_counts_in_its_own_package_or_is_a_catalogue():
+    for path in SOURCES.rglob("*"):
+        if path.suffix in (".json", ".j2", ".css") and path.name != "fabrics.json":
+            package = path.relative_to(SOURCES / "slipstitch").parts[0]
+            assert path in code_sources(package), path
