@@ -10,10 +10,10 @@ from support import analytic_stage as stage
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.capture.videos import read_stage_video
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import resolve_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
-from slipstitch.render.catalogue import VIEWPOINTS
 
 CONFIG = resolve_config({"simulation": {"frames": 300}, "sample": {"frames": 8}})
 SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
@@ -70,8 +70,7 @@ def test_a_film_that_was_cut_stands_off_the_path():
 
 
 def test_a_stage_out_of_sight_tells_nothing():
-    schedule = SCHEDULE
-    follower = StageFollower(lens(), schedule.crop(0.0), schedule.path)
+    follower = StageFollower(lens(), SCHEDULE.crop(0.0), SCHEDULE.path)
     random = np.random.default_rng(5)
     for time_s in np.arange(6.3, 100.0, 0.34):
         if follower.wants(time_s):

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.capture.rectification import stage_plane
-from slipstitch.protocol.stage import SIDE_M, StagePath
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
 

@@ -49,8 +49,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_threads(parser, default=2)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Measure, write the page, print the result."""
+# An alarm is an answer, but no program should take it for a measurement.
+ALARM_EXIT_CODE = 3
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, write the page, print the result; exit code 3 if the instrument raised its alarm."""
     import math
 
     from slipstitch.errors import BadInput
@@ -74,3 +78,4 @@ def run(arguments: argparse.Namespace) -> None:
     )
     for line in result.lines():
         print(line)
+    return ALARM_EXIT_CODE if result.measurement.alarm else 0
