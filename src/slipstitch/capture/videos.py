@@ -24,7 +24,7 @@ _LEAST_INSIDE = 0.8
 # stage may stand from the path at any time.
 _CORRECTED_RATE, _NOTED_RATE, _REFUSED_RATE = 0.001, 0.005, 0.02
 _CERTAIN = 3.0
-_NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.0025, 0.005
+_NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.004, 0.008
 # A shorter part of the drag does not tell a clock, and is not spoilt by a wrong one.
 _SHORTEST_DRAG_S = 15.0
 
@@ -134,7 +134,7 @@ def read_stage_video(
         view_angle_deg=_view_angle_deg(lens, schedule),
         inside=np.array(inside),
     )
-    video.notes.extend(_notes(video, schedule))
+    video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
     return video
 
 
@@ -246,7 +246,7 @@ def _view_angle_deg(lens: LensCamera, schedule: Schedule) -> float:
     return float(np.degrees(np.arccos(np.clip(directions[0] @ directions[1], -1, 1))))
 
 
-def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
+def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
     notes = []
     off_s = np.abs(video.time_s - schedule.time_s)
     if off_s.max() > _NEAR_S:
@@ -254,7 +254,7 @@ def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
             f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s away from the "
             "wanted moment, because frames are missing"
         )
-    notes += _clock_notes(video.time_base, schedule)
+    notes += _clock_notes(video.time_base, schedule, corrected)
     if video.inside.min() < 0.999:
         notes.append(
             f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest is black"
@@ -267,7 +267,7 @@ def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
     return notes
 
 
-def _clock_notes(time_base: TimeBase | None, schedule: Schedule) -> list[str]:
+def _clock_notes(time_base: TimeBase | None, schedule: Schedule, corrected: bool) -> list[str]:
     if time_base is None:
         if schedule.time_s[-1] < schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
             return []
@@ -276,10 +276,12 @@ def _clock_notes(time_base: TimeBase | None, schedule: Schedule) -> list[str]:
             "few frames; friction is wrong if the frame rate is"
         ]
     notes = []
-    if abs(time_base.rate - 1) >= _NOTED_RATE:
+    # As far off as it may well be.
+    if abs(time_base.rate - 1) + time_base.rate_sd >= _NOTED_RATE:
         notes.append(
             f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as the "
-            "protocol says; the moments were corrected for it: check the frame rate"
+            f"protocol says; the moments were {'' if corrected else 'not '}corrected for it: check "
+            "the frame rate"
         )
     worst_m = time_base.worst_offset_m()
     if worst_m > _NOTED_OFFSET_M:
