@@ -378,8 +378,13 @@ def test_forged_configuration_contradicts_the_records(release):
     content["simulation"]["time_step_s"] = 0.01
     path.write_text(json.dumps(content))
     reseal(release)
+    # The calibration chose among such settings, and every simulation was made from it.
     broken = found(release, Kind.BROKEN)
-    assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
+    assert broken["records/calibrate/calibration.json.record.json"] >= {CLIP}
+    content["simulation"]["yaw_sd_deg"] = 2.0
+    path.write_text(json.dumps(content))
+    reseal(release)
+    assert "records/simulate/m05_f01_r00.parquet.record.json" in found(release, Kind.BROKEN)
 
 
 def test_forged_sources_do_not_have_the_digest_of_the_records(release):
@@ -409,7 +414,9 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     (finding,) = audit.findings
     assert finding.where == "sample"
     assert "sample.test_fraction: 0.1 -> 0.2" in finding.what
-    slower = synthetic_chain.config(simulation={"frames": 60, "time_step_s": 0.01})
+    slower = synthetic_chain.config(
+        simulation={"frames": 60, "vertices_per_side": 11, "time_step_s": 0.01}
+    )
     # Simulations are told the step by the calibration: that is what has to be made anew first.
     stages = {finding.where for finding in audit_release(original, slower).findings}
     assert stages == {"calibrate"}

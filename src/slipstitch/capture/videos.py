@@ -171,7 +171,7 @@ def _checked_rate(path, time_base: TimeBase | None) -> float:
     off = time_base.rate - 1
     if abs(off) > _REFUSED_RATE:
         raise BadInput(
-            f"{path}: the stage moves {time_base.rate:.3f} ± {time_base.rate_sd:.3f} times as fast "
+            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast "
             f"as the protocol says, at most {100 * _REFUSED_RATE:g} % off is allowed; is the frame "
             "rate wrong? State it (--frame-rate-hz)"
         )
