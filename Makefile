@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-audit benchmark-batch \
+.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-departures benchmark-audit \
+	benchmark-batch \
 	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
 	benchmark-scale captures convergence criticise-measured clean
 
@@ -16,10 +17,11 @@ help:
 	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
-	@echo 'make lint       ruff and snakefmt, check only'
+	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
 	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
 	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
+	@echo 'make benchmark-departures  the same on a second bench, half of it with faulty instruments'
 	@echo 'make captures   films ingested, scored, shown in the report; surrogates by default, 1 to 2 CPU h'
 	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
 	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
@@ -46,6 +48,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile rules
+	$(BIN)/mypy
 
 format: setup
 	$(BIN)/ruff check --fix .
@@ -62,6 +65,9 @@ benchmark: setup
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
+
+benchmark-departures: setup
+	$(SINGLE) $(BIN)/python benchmarks/criticise_departures.py --cases 300 --processes $(CORES)
 
 captures: setup
 	$(BIN)/snakemake --cores $(CORES) captures
@@ -103,5 +109,5 @@ criticise-measured: setup
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true
-	rm -rf .snakemake .pytest_cache .ruff_cache .hypothesis build dist
+	rm -rf .snakemake .pytest_cache .ruff_cache .mypy_cache .hypothesis build dist
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

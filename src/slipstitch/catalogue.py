@@ -120,7 +120,7 @@ def catalogue_entries(
     """
     viewpoints = list(viewpoints)
     seen = sorted({"calibrated", *viewpoints}) if viewpoints else []
-    entries = {
+    entries: dict[str, dict[str, Any]] = {
         "viewpoints": {name: _plain(VIEWPOINTS.get(name)) for name in seen},
         "textures": {name: TEXTURES.get(name) for name in sorted(textures)},
         "floors": {name: _plain(FLOORS.get(name)) for name in sorted(floors)},

@@ -21,7 +21,7 @@ from slipstitch.audit.findings import Kind
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.errors import BadInput
-from slipstitch.material import load_fabric
+from slipstitch.material import fabric_names, load_fabric
 from slipstitch.provenance import attach_metadata, file_digest
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
@@ -439,7 +439,7 @@ def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
 
 
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
-    fabrics = {name: load_fabric(name) for name in CONFIG.grid.materials}
+    fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
     monkeypatch.setattr("slipstitch.material.catalogue._catalogue", lambda: fabrics)
     monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))

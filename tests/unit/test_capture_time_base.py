@@ -65,7 +65,7 @@ def test_one_stroke_is_enough():
 
 @pytest.mark.parametrize("missing_s", [1.0, 2.0])
 def test_a_film_that_was_cut_is_noticed(missing_s):
-    """Seconds are missing in the third stroke: the rate is wrong, or no rate explains what follows."""
+    """Seconds of the third stroke are missing: the rate is wrong, or none explains the rest."""
     found = followed(clock=lambda time_s: time_s + missing_s * (time_s > 80.0))
     assert abs(found.rate - 1) >= 0.005 or found.worst_offset_m() > 4e-3
 

@@ -10,7 +10,7 @@ import pytest
 from slipstitch.cli import doctor
 from slipstitch.cli.main import main
 from slipstitch.doctor import checks
-from slipstitch.doctor.checks import Finding, State
+from slipstitch.doctor.checks import Check, CheckState
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,7 +34,7 @@ def test_before_anything_is_installed_it_says_what_is_missing():
 
 
 def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
-    finding = Finding("Blender", State.MISSING, "import bpy: no such module", "make setup")
+    finding = Check("Blender", CheckState.MISSING, "import bpy: no such module", "make setup")
     monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert main(["doctor"]) == 1
     shown = capsys.readouterr().out
@@ -43,7 +43,7 @@ def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
 
 
 def test_something_worth_a_note_is_no_failure(monkeypatch):
-    monkeypatch.setattr(doctor, "examine", lambda: [Finding("GPU", State.NOTE, "none")])
+    monkeypatch.setattr(doctor, "examine", lambda: [Check("GPU", CheckState.NOTE, "none")])
     assert main(["doctor"]) == 0
 
 
@@ -51,11 +51,11 @@ def test_absent_package_is_missing_and_other_version_is_noted(tmp_path):
     file = tmp_path / "requirements.txt"
     file.write_text("# comment\nnumpy==1.0.0  # old\nno-such-package==1.0\n")
     finding = checks.check_packages(file)
-    assert finding.state is State.MISSING
+    assert finding.state is CheckState.MISSING
     assert "no-such-package (needs 1.0)" in finding.found
     assert "(pinned 1.0.0)" in finding.found
     file.write_text("numpy==1.0.0\n")
-    assert checks.check_packages(file).state is State.NOTE
+    assert checks.check_packages(file).state is CheckState.NOTE
 
 
 def test_local_part_of_a_version_does_not_count(monkeypatch):
@@ -68,7 +68,7 @@ def test_failing_import_of_blender_is_found(monkeypatch):
         checks, "_in_a_process", lambda *words: (False, "ImportError: libSM.so.6: cannot open")
     )
     finding = checks.check_blender()
-    assert finding.state is State.MISSING
+    assert finding.state is CheckState.MISSING
     assert "libSM.so.6" in finding.found
 
 
@@ -84,7 +84,7 @@ def test_missing_library_is_named_with_its_packages(monkeypatch):
 
     monkeypatch.setattr(checks.subprocess, "run", lambda *words, **options: Answer)
     finding = checks.check_system_libraries()
-    assert finding.state is State.MISSING
+    assert finding.state is CheckState.MISSING
     assert finding.found == "libSM.so.6"
     assert "libsm6" in finding.remedy
 
@@ -96,18 +96,18 @@ def test_processor_says_whether_training_is_fast(tmp_path, flags, fast):
     file = tmp_path / "cpuinfo"
     file.write_text(f"processor\t: 0\nflags\t\t: {flags}\n")
     finding = checks.check_processor(file)
-    assert (finding.state is State.GOOD) == fast
+    assert (finding.state is CheckState.GOOD) == fast
     assert ("bfloat16 training" in finding.found) == fast
 
 
 def test_full_disk_is_missing(tmp_path):
-    assert checks.check_disk(tmp_path, needed_bytes=1e30).state is State.MISSING
-    assert checks.check_disk(tmp_path, needed_bytes=1).state is State.GOOD
+    assert checks.check_disk(tmp_path, needed_bytes=1e30).state is CheckState.MISSING
+    assert checks.check_disk(tmp_path, needed_bytes=1).state is CheckState.GOOD
 
 
 def test_other_python_is_missing(monkeypatch):
     monkeypatch.setattr(sys, "version_info", (3, 12, 0))
-    assert checks.check_python().state is State.MISSING
+    assert checks.check_python().state is CheckState.MISSING
 
 
 def test_requirements_are_those_of_the_lock():

@@ -134,7 +134,9 @@ def test_what_computes_changes_the_stages_that_use_it(changed, old, new, using, 
 @pytest.mark.parametrize(
     ("name", "stages"),
     [
-        ("style.css", {"report"}),
+        ("report.css", {"report"}),
+        # One look of every page.
+        ("style.css", {"ablate", "criticise", "evaluate.captures", "release", "report"}),
         ("captures.html.j2", {"evaluate.captures"}),
         ("ablations.html.j2", {"ablate"}),
         ("card.md.j2", {"release"}),

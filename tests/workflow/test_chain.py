@@ -100,7 +100,12 @@ def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
 
 
 def test_edited_train_code_reruns_training_and_what_follows(chain):
-    with chain.edited("train/training.py"):  # of which the instrument's training is made, too
+    with chain.edited("train/training.py"):
+        assert stages(chain.pending()) == {"train", "evaluate", "report"}
+
+
+def test_edited_training_loop_reruns_both_trainings_and_what_follows(chain):
+    with chain.edited("train/loop.py"):
         assert stages(chain.pending()) == {"train", "instrument", "evaluate", "report"}
 
 

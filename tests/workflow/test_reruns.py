@@ -53,11 +53,11 @@ def test_another_number_of_a_formula_reruns_the_stages_that_use_it(chain):
 
 
 def test_a_page_alone_is_written_again_with_its_template(chain):
-    with chain.edited("report/style.css", "\nbody { margin: 0 }\n"):
+    with chain.edited("report/report.css", "\nbody { margin: 0 }\n"):
         assert chain.pending() == {"report/index.html"}
 
 
 def test_the_reason_names_the_changed_setting(chain):
-    answer = chain.snakemake("-n", "--config", "simulation={damping_s: 0.003}", "--", "simulate")
+    answer = chain.snakemake("-n", "--config", "train={dropout: 0.3}", "--", "train")
     assert answer.returncode == 0, answer.stderr
-    assert "simulation.damping_s: 0.003" in answer.stdout + answer.stderr
+    assert "train.dropout: 0.3" in answer.stdout + answer.stderr

@@ -68,7 +68,7 @@ class Plan:
     viewpoints: list[str]
     variants: list[Variant]
     tests: dict[str, frozenset[str]]
-    networks: list[str]
+    networks: Sequence[str]
 
 
 @dataclass(frozen=True)

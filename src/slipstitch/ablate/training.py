@@ -122,7 +122,7 @@ def answer(
         raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
     viewpoints = config.view_order
-    empty = {"question": question, "seed": seed, "asks": None, "left_out": None}
+    empty: dict[str, Any] = {"question": question, "seed": seed, "asks": None, "left_out": None}
     empty |= {"dataset_digest": digest, "variants": [], "predictions": []}
     try:
         planned = plan(question, rows, viewpoints, config.ablate, seed)

@@ -48,15 +48,17 @@ def audit_release(
     of_lineage, notes = check_lineage(contents, shards)
     of_commits, more = check_commits(contents, Path(__file__).resolve().parents[3])
     findings += [*of_files, *of_lineage, *of_commits, *check_staleness(contents, config)]
-    numbers["clips"] = len(contents.clips)
-    numbers["wall_s"] = round(time.perf_counter() - wall, 2)
-    numbers["cpu_s"] = round(time.process_time() - cpu, 2)
+    cost = {
+        "clips": len(contents.clips),
+        "wall_s": round(time.perf_counter() - wall, 2),
+        "cpu_s": round(time.process_time() - cpu, 2),
+    }
     if expected is None:
         notes.append("no digest of SHA256SUMS from elsewhere was given (--expect)")
     return Audit(
         release=contents.name,
         sums_sha256=contents.sums_sha256,
-        numbers=numbers,
+        numbers=numbers | cost,
         findings=sorted_findings(findings),
         notes=notes + more,
         clips=contents.clips,

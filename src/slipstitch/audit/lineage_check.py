@@ -17,7 +17,9 @@ from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
@@ -80,7 +82,7 @@ def check_lineage(
                 "seeds, perturbations, stage positions, labels and splits were computed with code "
                 f"that has changed since ({', '.join(stale)})"
             )
-        findings += _recomputed(lineage, shards, stale)
+        findings += _recomputed(lineage, contents.config, shards, stale)
     return findings, notes
 
 
@@ -93,7 +95,7 @@ def _ours(lineage: Lineage) -> Iterator[Artefact]:
 
 
 def _is_stale(artefact: Artefact) -> bool:
-    made_by = artefact.provenance.get("code_digest")
+    made_by = artefact.record.get("code_digest")
     return made_by != current_digest(artefact.stage) or bool(catalogue_changes(artefact))
 
 
@@ -146,7 +148,7 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
         if changes:
             what = f"made with another configuration than records/config.json: {changes[0]}"
             yield Finding(Kind.BROKEN, where, what, clips)
-        digest = artefact.provenance.get("code_digest")
+        digest = artefact.record.get("code_digest")
         if sources.is_dir() and digest != current_digest(artefact.stage, sources):
             what = f"its code digest is not that of {artefact.stage} in code/src"
             yield Finding(Kind.BROKEN, where, what, clips)
@@ -168,9 +170,8 @@ def _sampled(lineage: Lineage) -> Iterator[Finding]:
     """The manifest against the digest that the sampling stage noted of its rows."""
     contents = lineage.contents
     record = lineage.artefacts.get(SAMPLED_MANIFEST)
-    names = contents.notes.get("sampled_columns")
     try:
-        digest = dataset_digest(sampled_rows(contents.rows, names))
+        digest = dataset_digest(sampled_rows(contents.rows, contents.notes["sampled_columns"]))
     except (KeyError, TypeError):
         digest = None
     if record is not None and digest != record.metadata.get("dataset_digest"):
@@ -196,10 +197,10 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
 
 
 def _recomputed(
-    lineage: Lineage, shards: Mapping[str, Shard], stale: Collection[str]
+    lineage: Lineage, config: Config, shards: Mapping[str, Shard], stale: Collection[str]
 ) -> Iterator[Finding]:
     """What follows from configuration and seed, computed anew by code that has not changed."""
-    contents, config = lineage.contents, lineage.contents.config
+    contents = lineage.contents
     grid = {simulation.id: simulation for simulation in simulations(config)}
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     times_s = frames / config.simulation.frame_rate_hz
@@ -216,7 +217,7 @@ def _recomputed(
         if name not in stage_x:
             stage_x[name] = None
             for record in lineage.of_stage(row, "simulate"):
-                yield from _simulation(lineage, record, simulation)
+                yield from _simulation(lineage, config.simulation, record, simulation)
                 stage_x[name] = _stage_x_m(record, times_s)
         shard = shards.get(row["shard"])
         columns = shard.columns.get(video) if shard else None
@@ -225,12 +226,12 @@ def _recomputed(
             yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
         yield from _rendering(lineage, row)
         if "render" not in stale:
-            yield from _drawn(lineage, row)
+            yield from _drawn(lineage, config, row)
     missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
     if missing:
         yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
     if "sample" not in stale:
-        yield from _sides(contents)
+        yield from _sides(contents, config)
 
 
 def _row_problem(row: Mapping[str, Any], simulation: Simulation) -> str | None:
@@ -240,7 +241,9 @@ def _row_problem(row: Mapping[str, Any], simulation: Simulation) -> str | None:
     return None
 
 
-def _simulation(lineage: Lineage, record: Artefact, simulation: Simulation) -> Iterator[Finding]:
+def _simulation(
+    lineage: Lineage, settings: SimulationSettings, record: Artefact, simulation: Simulation
+) -> Iterator[Finding]:
     """What the record of a simulation says against what the grid makes of its id."""
     from slipstitch.simulate.drop_and_drag import draw_perturbation
 
@@ -252,7 +255,7 @@ def _simulation(lineage: Lineage, record: Artefact, simulation: Simulation) -> I
                 f"{getattr(simulation, name)!r}"
             )
             yield Finding(Kind.BROKEN, where, what, clips)
-    drawn = vars(draw_perturbation(lineage.contents.config.simulation, simulation.seed))
+    drawn = vars(draw_perturbation(settings, simulation.seed))
     if record.metadata.get("perturbation") != drawn:
         yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
 
@@ -299,12 +302,12 @@ def _rendering(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 
-def _drawn(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
+def _drawn(lineage: Lineage, config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
     """Floor, lamp and camera of a clip against what the seed draws."""
     from slipstitch.render.augmentation import draw_augmentation
     from slipstitch.render.surroundings import draw_surroundings
 
-    settings, seed = lineage.contents.config.render, lineage.contents.config.seed
+    settings, seed = config.render, config.seed
     drawn = draw_surroundings(settings, seed, row["simulation"])
     labels = {
         "floor": drawn.floor,
@@ -330,9 +333,8 @@ def _drawn(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
                 yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
 
 
-def _sides(contents: Contents) -> Iterator[Finding]:
+def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
     """Splits, drawn anew."""
-    config = contents.config
     try:
         expected = manifest_sides(config)
     except BadInput as error:

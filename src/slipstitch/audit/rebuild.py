@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.explain import find_clip
 from slipstitch.audit.lineage import Lineage
-from slipstitch.config import write_config
+from slipstitch.config import Config, write_config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.release.records import carried_file, is_ours, rows_digest
 from slipstitch.sample.shards import decode, read_shard
@@ -55,13 +55,12 @@ def _run(*words: str) -> None:
         text=True,
     )
     if answer.returncode:
-        said = answer.stderr.strip().splitlines()
-        raise SlipstitchError(f"slipstitch {words[0]}: {said[-1] if said else 'failed'}")
+        errors = answer.stderr.strip().splitlines()
+        raise SlipstitchError(f"slipstitch {words[0]}: {errors[-1] if errors else 'failed'}")
 
 
-def _configuration(contents: Contents, folder: Path) -> Path:
+def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
     """The release's configuration, with files from outside taken from the release."""
-    config = contents.config
     carried = {
         Path(path).name: str((contents.folder / carried_file(path)).resolve())
         for path in contents.artefacts
@@ -71,7 +70,7 @@ def _configuration(contents: Contents, folder: Path) -> Path:
     outside = {render.camera, *render.texture_files()} - {None}
 
     def taken_along(name: str | None) -> str | None:
-        return carried.get(Path(name).name, name) if name in outside else name
+        return carried.get(Path(name).name, name) if name and name in outside else name
 
     changed = {
         "camera": taken_along(render.camera),
@@ -108,7 +107,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = _configuration(contents, folder)
+        config = _configuration(contents, contents.config, folder)
         trajectory = folder / f"{row['simulation']}.parquet"
         shard = folder / "shard.parquet"
         _run(

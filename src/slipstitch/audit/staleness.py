@@ -64,7 +64,7 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
     notes : list of str
         Commits that could not be looked at.
     """
-    claims: dict[str, dict[tuple[str, str], list[str]]] = defaultdict(lambda: defaultdict(list))
+    claims: dict[str, dict[tuple, list[str]]] = defaultdict(lambda: defaultdict(list))
     notes = []
     dirty = set()
     for path, artefact in contents.artefacts.items():

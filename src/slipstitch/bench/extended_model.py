@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sin, sqrt
+from typing import Any
 
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import FrictionLaw
@@ -59,7 +60,7 @@ def read_extended_model(path: str | os.PathLike) -> ExtendedModel:
     return model_of(read_yaml(path), str(path))
 
 
-def model_of(data: object, source: str = "extended model") -> ExtendedModel:
+def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     """The model that plain data state; ``source`` is named in errors.
 
     Raises
@@ -73,10 +74,10 @@ def model_of(data: object, source: str = "extended model") -> ExtendedModel:
             f"{source}: friction_law.face: missing; "
             "a file of slipstitch criticise --model is needed"
         )
-    bench = data.get("bench") or {}
+    given = data.get("bench") or {}
     try:
         law = FrictionLaw.from_dict(laws["face"])
-        bench = {str(name): float(value) for name, value in bench.items()}
+        bench = {str(name): float(value) for name, value in given.items()}
         numbers = [law.coefficient, *law.parameter_values(), *bench.values()]
         if not all(math.isfinite(number) for number in numbers) or law.coefficient < 0:
             raise ValueError("every value must be a finite number, the coefficient at least 0")

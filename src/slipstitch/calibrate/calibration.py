@@ -282,7 +282,7 @@ def calibrate_to_file(
     settings, simulation = config.calibrate, config.simulation
     if sweeps is None:
         keys = (BASE, *KEYS)
-        trials = [one for key in keys for one in sweep(key, settings, simulation, run_protocol)]
+        trials = [trial for key in keys for trial in sweep(key, settings, simulation, run_protocol)]
     else:
         trials = read_sweeps(sweeps, config)
     record = provenance_record(
@@ -321,10 +321,12 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
             raise Damaged(path, "not a sweep of the calibration")
         trials += sweep
     expected = [
-        one for key in (BASE, *KEYS) for one in variations(key, config.calibrate, config.simulation)
+        setting
+        for key in (BASE, *KEYS)
+        for setting in variations(key, config.calibrate, config.simulation)
     ]
     tried = [trial["settings"] for trial in trials]
-    missing = [one for one in expected if one not in tried]
+    missing = [setting for setting in expected if setting not in tried]
     if missing or len(tried) != len(expected):
         raise BadInput(
             f"{paths[0]} and others: {len(tried)} settings tried, not the {len(expected)} of the "

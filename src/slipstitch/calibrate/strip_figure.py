@@ -213,11 +213,16 @@ def _largest_errors(axes: Axes, key: str, tried, base, demand: float | None) -> 
             place, error, "s" if trial is base else "o", ms=7,
             color=BLUE if trial["meets"] else MEASURED, mfc=BLUE if trial["meets"] else "white",
         )  # fmt: skip
-        said = f"{trial['cpu_s']:.0f} s"
+        label = f"{trial['cpu_s']:.0f} s"
         if trial["wrong_regimes"]:
-            said += f"\n{trial['wrong_regimes']} of {len(trial['runs'])}\nwrong"
+            label += f"\n{trial['wrong_regimes']} of {len(trial['runs'])}\nwrong"
         axes.annotate(
-            said, (place, error), xytext=(0, 7), textcoords="offset points", ha="center", fontsize=7
+            label,
+            (place, error),
+            xytext=(0, 7),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
         )
     if demand:
         axes.axhline(demand, color=THEORY, lw=1, ls=":")

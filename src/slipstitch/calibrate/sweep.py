@@ -136,9 +136,9 @@ def sweep(
     """Run all settings of one key (see `variations`); one line each on standard error."""
     tried = variations(key, settings, simulation)
     results = []
-    for one in tqdm(tried, unit="setting", disable=not sys.stderr.isatty()):
-        results.append({"key": key} | run_settings(one, settings, simulation, run_protocol))
+    for setting in tqdm(tried, unit="setting", disable=not sys.stderr.isatty()):
+        results.append({"key": key} | run_settings(setting, settings, simulation, run_protocol))
         cpu_s = sum(run["cpu_s"] for run in results[-1]["runs"])
-        shown = "as configured" if key == BASE else f"{key} = {one[key]:g}"
+        shown = "as configured" if key == BASE else f"{key} = {setting[key]:g}"
         print(f"strip, {shown}: {cpu_s:.1f} CPU s", file=sys.stderr, flush=True)
     return results

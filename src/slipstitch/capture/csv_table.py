@@ -19,7 +19,7 @@ _FORMULA = ("=", "+", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table.
 
     Attributes
@@ -104,13 +104,13 @@ def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
     return read
 
 
-def read_table(path: str | os.PathLike, columns: Sequence[Column]) -> list[dict[str, Any]]:
+def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
     """Rows of a CSV file (UTF-8, commas, a line of column names first).
 
     Parameters
     ----------
     path : path
-    columns : sequence of Column
+    columns : sequence of TableColumn
         All that it may have.
 
     Returns
@@ -138,7 +138,7 @@ def read_table(path: str | os.PathLike, columns: Sequence[Column]) -> list[dict[
         if column.needed and column.name not in header:
             raise BadInput(
                 f"{path}: no column {column.name!r}; "
-                f"needed: {', '.join(one.name for one in columns if one.needed)}"
+                f"needed: {', '.join(known.name for known in columns if known.needed)}"
             )
     read = []
     for line, cells in rows:
@@ -176,7 +176,7 @@ def _cells(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str
     return [cell.strip() for cell in rows[0][1]], rows[1:]
 
 
-def _value(column: Column, cell: str, where: str) -> Any:
+def _value(column: TableColumn, cell: str, where: str) -> Any:
     if not cell:
         if column.may_be_empty:
             return None

@@ -70,7 +70,7 @@ class Recording:
         video.release()
         if not good:
             raise BadInput(f"{path}: not a video that OpenCV can read (damaged or cut off?)")
-        self.size_px: tuple[int, int] = image.shape[1::-1]
+        self.size_px: tuple[int, int] = (image.shape[1], image.shape[0])
 
     def _open(self) -> cv2.VideoCapture:
         level = cv2.getLogLevel()

@@ -1,6 +1,5 @@
 """Which moments of the protocol a network sees, and through which crop."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,7 +72,7 @@ class Schedule:
         """Rotation and translation, stage to camera, of the viewpoint."""
         return pose(self.fixed) if isinstance(self.fixed, Viewpoint) else self.fixed
 
-    def crop(self, time_s: float | Sequence[float]) -> Camera:
+    def crop(self, time_s: float | np.ndarray) -> Camera:
         """The image's camera at a time."""
         if not self.follows:
             time_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz

@@ -77,7 +77,7 @@ class _Strip:
         along = np.array([-normal[1], normal[0], 0.0])
         height = path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
-        sinking = np.linalg.norm(np.diff(lens.project(clamps), axis=0))
+        sinking = float(np.linalg.norm(np.diff(lens.project(clamps), axis=0)))
         self.pixel_m = max(0.01 / max(sinking, 1.0) / _OVERSAMPLING, _FINEST_M)
         top, bottom = height + _ABOVE_M + _UP_M, height - _BELOW_M - _DOWN_M
         rows = round((top - bottom) / self.pixel_m)
@@ -165,11 +165,13 @@ def _fit(
 ) -> StageStart | None:
     """The start that explains how the strip sinks around a candidate; None if none does."""
     still_until = candidate_s - _LAG_S
-    still = [one for time_s, one in kept if time_s <= still_until + 1e-6]
+    still = [image for time_s, image in kept if time_s <= still_until + 1e-6]
     if not still:
         return None
     template = strip.template(np.mean(still, axis=0, dtype=np.float32))
-    later = [(time_s, *strip.sunk(one, template)) for time_s, one in kept if time_s > still_until]
+    later = [
+        (time_s, *strip.sunk(image, template)) for time_s, image in kept if time_s > still_until
+    ]
     time_s, down_m, likeness = np.array(later).T
     if likeness.min() < _LEAST_LIKENESS or len(later) < 8:
         return None

@@ -98,8 +98,8 @@ def read_stage_video(
     if start_s is not None:
         start = StageStart(start_s, False)
     else:
-        start = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
-        _check_start(path, start)
+        found = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
+        start = _checked_start(path, found)
     follower = None
     if schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
         follower = StageFollower(lens, schedule.crop(0.0), schedule.path)
@@ -151,7 +151,7 @@ def _check_size(recording: Recording, lens: LensCamera) -> None:
     )
 
 
-def _check_start(path, start: StageStart | None) -> None:
+def _checked_start(path, start: StageStart | None) -> StageStart:
     if start is None:
         raise BadInput(
             f"{path}: no start of the stage's motion found: the cloth must hang still for 2 s, "
@@ -162,6 +162,7 @@ def _check_start(path, start: StageStart | None) -> None:
             f"{path}: the stage sinks {start.speed:.2f} times as fast as the protocol says; is the "
             "frame rate wrong? State it (frame_rate_hz)"
         )
+    return start
 
 
 def _checked_rate(path, time_base: TimeBase | None) -> float:
@@ -215,7 +216,7 @@ def _choose(
             if now_s - target_s < near_s:
                 break
             # From here on frames only get farther away.
-            if near_s >= _LARGEST_GAP_S:
+            if best is None or near_s >= _LARGEST_GAP_S:
                 raise BadInput(
                     f"{recording.path}: a frame is needed at {target_s:.2f} s; the nearest usable "
                     f"one is {near_s:.1f} s away, at most {_LARGEST_GAP_S:g} s is allowed"

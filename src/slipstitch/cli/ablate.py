@@ -19,11 +19,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     add_config(parser)
     parser.add_argument("--out", required=True, help="the answer, or the summary (JSON)")
-    one = parser.add_argument_group("one question, one seed")
-    one.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
-    one.add_argument("--question", choices=QUESTIONS)
-    one.add_argument("--seed", type=int)
-    add_threads(one)
+    single = parser.add_argument_group("one question, one seed")
+    single.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
+    single.add_argument("--question", choices=QUESTIONS)
+    single.add_argument("--seed", type=int)
+    add_threads(single)
     every = parser.add_argument_group("all of them")
     every.add_argument(
         "--summary", metavar="FOLDER", help="of the answers: {question}/seed{seed}.json"
@@ -40,11 +40,11 @@ def run(arguments: argparse.Namespace) -> None:
     given = (arguments.dataset, arguments.question, arguments.seed)
     config = load_config(*arguments.config)
     if arguments.summary:
-        if any(one is not None for one in given):
+        if any(option is not None for option in given):
             raise BadInput("--summary goes without --dataset, --question and --seed")
         _summary(config, arguments)
         return
-    if any(one is None for one in given) or arguments.page:
+    if any(option is None for option in given) or arguments.page:
         raise BadInput(
             "--dataset, --question and --seed are needed, or --summary (to which --page belongs)"
         )
@@ -60,12 +60,14 @@ def run(arguments: argparse.Namespace) -> None:
     )
     if found["left_out"]:
         print(f"left out: {found['left_out']}")
-    for one in found["variants"]:
-        said = "stayed at chance" if one["stayed_at_chance"] else one["failure"] or "learnt"
+    for trained in found["variants"]:
+        ending = trained["failure"] or "learnt"
+        if trained["stayed_at_chance"]:
+            ending = "stayed at chance"
         print(
-            f"{found['question']} seed {found['seed']}: {one['network']} {one['variant']}: "
-            f"{one['training_videos']} videos of {one['training_simulations']} simulations, "
-            f"{one['passes']:g} passes: {said}"
+            f"{found['question']} seed {found['seed']}: {trained['network']} {trained['variant']}: "
+            f"{trained['training_videos']} videos of {trained['training_simulations']} "
+            f"simulations, {trained['passes']:g} passes: {ending}"
         )
 
 
@@ -74,8 +76,8 @@ def _summary(config, arguments: argparse.Namespace) -> None:
     from slipstitch.ablate.collection import write_summary
 
     summary = write_summary(config, arguments.summary, arguments.out, arguments.page)
-    for name, one in summary["questions"].items():
-        if one["left_out"]:
-            print(f"left out: {one['left_out']}")
-        for found in one["comparisons"]:
+    for name, question in summary["questions"].items():
+        if question["left_out"]:
+            print(f"left out: {question['left_out']}")
+        for found in question["comparisons"]:
             print(f"{name}: {found['sentence']}")

@@ -18,14 +18,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
     for name in KINDS:
         module = _module(name)
-        one = kinds.add_parser(
+        verb = kinds.add_parser(
             name,
             help=module.SUMMARY,
             description=module.SUMMARY,
             epilog=f"example:\n  {module.EXAMPLE}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.configure(one)
+        module.configure(verb)
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -71,8 +71,9 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.marker_mm,
         arguments.dictionary,
     )
-    place = FloorPlace(*arguments.place_mm, arguments.angle_deg, arguments.thickness_mm)
-    said = calibrate_to_file(
+    x_mm, y_mm = arguments.place_mm
+    place = FloorPlace(x_mm, y_mm, arguments.angle_deg, arguments.thickness_mm)
+    line = calibrate_to_file(
         board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
     )
-    print(f"{arguments.out}: {said}")
+    print(f"{arguments.out}: {line}")

@@ -31,17 +31,17 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.capture.reference.writing import reference_to_files
 
     check_picture(arguments.picture)
-    for one in reference_to_files(
+    for pair in reference_to_files(
         arguments.table, arguments.out, arguments.json, arguments.picture
     ):
-        print(_line(one))
+        print(_line(pair))
 
 
-def _line(one) -> str:
-    parts = [f"{one.material} on {one.substrate}: {one.mu:.3f} ± {one.error:.3f}"]
+def _line(pair) -> str:
+    parts = [f"{pair.material} on {pair.substrate}: {pair.mu:.3f} ± {pair.error:.3f}"]
     for kind, means, p in (
-        ("positions", one.by_position, one.position_p),
-        ("orientations", one.by_orientation, one.orientation_p),
+        ("positions", pair.by_position, pair.position_p),
+        ("orientations", pair.by_orientation, pair.orientation_p),
     ):
         if p is None:
             parts.append(f"{kind}: one only" if len(means) == 1 else f"{kind}: not comparable")

@@ -20,10 +20,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare what can be done, each with its own options."""
     verbs = parser.add_subparsers(metavar="WHAT", required=True)
     run, compare = verbs.add_parser("run"), verbs.add_parser("compare")
-    for one, action in ((run, _run), (compare, _compare)):
-        add_config(one)
-        add_calibration(one)
-        one.set_defaults(action=action)
+    for verb, action in ((run, _run), (compare, _compare)):
+        add_config(verb)
+        add_calibration(verb)
+        verb.set_defaults(action=action)
     publish = verbs.add_parser("publish")
     publish.add_argument("--study", default="results/convergence/convergence.json")
     publish.add_argument("--out", default="results/published/convergence", help="folder")

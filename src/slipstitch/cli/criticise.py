@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
-    said = criticise_to_files(
+    line = criticise_to_files(
         case,
         arguments.seed,
         arguments.replicates,
@@ -51,5 +51,5 @@ def run(arguments: argparse.Namespace) -> int:
         model_path=arguments.model,
         resimulation_path=arguments.resimulate,
     )
-    print(said)
+    print(line)
     return 0

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.doctor.checks import State, examine
+from slipstitch.doctor.checks import CheckState, examine
 
 SUMMARY = "what is installed, what is missing and how to get it; what a scale costs"
 EXAMPLE = "slipstitch doctor --estimate config.yaml config/paper.yaml"
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         print()
         for finding in remedies:
             print(f"{finding.name}: {finding.remedy}")
-    missing = [finding.name for finding in findings if finding.state is State.MISSING]
+    missing = [finding.name for finding in findings if finding.state is CheckState.MISSING]
     print()
     if missing:
         print(f"Slipstitch cannot run everything: {', '.join(missing)} (see above).")

@@ -35,15 +35,15 @@ def run(arguments: argparse.Namespace) -> None:
     )
     bars = card["error_bars"]
     if bars is None:
-        said = "not calibrated: no simulation was left for it"
+        error_bars = "not calibrated: no simulation was left for it"
     elif bars["factor"] is None:
-        said = (
+        error_bars = (
             f"calibrated on {card['calibration_simulations']} simulations, too few for an interval"
         )
     else:
-        said = f"calibrated on {card['calibration_simulations']} simulations"
+        error_bars = f"calibrated on {card['calibration_simulations']} simulations"
     print(
         f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
-        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {said}"
+        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {error_bars}"
     )

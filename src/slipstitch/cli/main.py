@@ -172,8 +172,8 @@ def main(arguments: list[str] | None = None) -> int:
         refused = refused_by_the_machine(error)
         if refused is None:
             raise
-        said = _one_line(SlipstitchError(refused))
-        print(f"slipstitch {verb}: failed: {said}; nothing half-written is left", file=sys.stderr)
+        reason = _one_line(SlipstitchError(refused))
+        print(f"slipstitch {verb}: failed: {reason}; nothing half-written is left", file=sys.stderr)
         return 1
 
 

@@ -126,8 +126,8 @@ def _verify(arguments: argparse.Namespace) -> None:
         arguments.out,
         partial(progress, unit="frame"),
     )
-    for one in done:
-        print(f"{one.video} frame {one.frame}: {one.psnr_db:.1f} dB, SSIM {one.ssim:.3f}")
+    for image in done:
+        print(f"{image.video} frame {image.frame}: {image.psnr_db:.1f} dB, SSIM {image.ssim:.3f}")
 
 
 def _compose(arguments: argparse.Namespace) -> None:

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     if by_hand:
         if arguments.seed < 0:
             raise BadInput(f"--seed {arguments.seed}: must be at least 0")
-        runs = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
+        runs: list = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
     elif arguments.config:
         runs = runs_of_the_grid(config, arguments.simulation)
     else:
@@ -63,16 +63,16 @@ def run(arguments: argparse.Namespace) -> None:
     if len(runs) != len(arguments.out):
         raise BadInput(f"{len(arguments.out)} files --out for {len(runs)} simulations: one each")
     count = len(runs)
-    for one in simulate_to_files(
+    for simulated in simulate_to_files(
         config, runs, arguments.out, device=arguments.device, calibration=arguments.calibration
     ):
-        run, solver = one.run, one.trajectory.metadata["solver"]
+        run, solver = simulated.run, simulated.trajectory.metadata["solver"]
         print(
-            f"{one.path}: {run.material}, friction {run.friction:g}, "
-            f"{len(one.trajectory.frame)} frames, "
+            f"{simulated.path}: {run.material}, friction {run.friction:g}, "
+            f"{len(simulated.trajectory.frame)} frames, "
             f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
             f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
-            f"{one.cpu_s:.1f} CPU s" + (f" for all {count}" if count > 1 else "")
+            f"{simulated.cpu_s:.1f} CPU s" + (f" for all {count}" if count > 1 else "")
         )
 
 

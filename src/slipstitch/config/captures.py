@@ -48,7 +48,10 @@ class CaptureSettings(Section):
         None, description="slip angles of a real bench, for rows of the table without mu_ref"
     )
     pairs: list[PairSettings] = Field(
-        [PairSettings(**dict(zip(PairSettings.model_fields, one, strict=True))) for one in _PAIRS],
+        [
+            PairSettings(material=fabric, substrate=floor, friction=friction, texture=texture)
+            for fabric, floor, friction, texture in _PAIRS
+        ],
         min_length=1,
         max_length=100,
         description="surrogates: the pairs",
@@ -100,7 +103,7 @@ class CaptureSettings(Section):
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> "CaptureSettings":
-        names = [(one.material, one.substrate) for one in self.pairs]
+        names = [(pair.material, pair.substrate) for pair in self.pairs]
         if len(set(names)) != len(names):
             raise ValueError("pairs: a fabric is named twice on the same substrate")
         return self

@@ -10,7 +10,7 @@ import math
 import os
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator, model_validator
 
@@ -195,7 +195,7 @@ def grid_rows(config: Config) -> list[dict]:
         number; NaN if none), ``role`` (train or test), and for simulations ``material_id,
         friction_id, replicate_id, material, friction, seed`` (else None).
     """
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}
         for name in config.grid.materials
     ]
@@ -213,8 +213,13 @@ def grid_rows(config: Config) -> list[dict]:
         for view in viewpoints(config)
     ]
     rows += [
-        {"kind": "simulation", "name": one.id, "value": one.friction, **asdict(one)}
-        for one in simulations(config)
+        {
+            "kind": "simulation",
+            "name": simulation.id,
+            "value": simulation.friction,
+            **asdict(simulation),
+        }
+        for simulation in simulations(config)
     ]
     return [{"role": "train", "value": math.nan, **row} for row in rows]
 

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +88,7 @@ def _word(text: str) -> Any:
 
 
 def _not_finite(value: Any, location: tuple) -> tuple | None:
+    pairs: Iterable[tuple[Any, Any]]
     if isinstance(value, Mapping):
         pairs = value.items()
     elif isinstance(value, list):
@@ -148,7 +149,7 @@ _MESSAGES = {
 }
 
 
-def _line(error: dict[str, Any]) -> str:
+def _line(error: Mapping[str, Any]) -> str:
     """One problem in words: key, what is allowed, what it is."""
     location = error["loc"]
     name = ".".join(map(str, location)) or "configuration"
@@ -240,7 +241,7 @@ def load_config(
     BadInput
         As `read_mapping` and `resolve_config`.
     """
-    parts = [(os.fspath(path), read_mapping(path)) for path in paths]
+    parts: list[tuple[str, Mapping]] = [(os.fspath(path), read_mapping(path)) for path in paths]
     if calibration:
         verified = calibrated_settings(calibration)
         parts.append((os.fspath(calibration), {"simulation": verified}))

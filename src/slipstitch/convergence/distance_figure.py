@@ -22,9 +22,9 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
         What `slipstitch.convergence.study.describe` returned.
     """
     compared = study["comparisons"]
-    materials = list(dict.fromkeys(one["material"] for one in compared))
-    kinds = list(dict.fromkeys(one["kind"] for one in compared))
-    frictions = sorted({one["friction"] for one in compared})
+    materials = list(dict.fromkeys(case["material"] for case in compared))
+    kinds = list(dict.fromkeys(case["kind"] for case in compared))
+    frictions = sorted({case["friction"] for case in compared})
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(frictions)))
     figure = Figure(
         figsize=(3.1 * len(materials) + 0.6, 2.3 * len(kinds) + 0.9), layout="constrained"
@@ -32,10 +32,12 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
     panels = figure.subplots(len(kinds), len(materials), sharex=True, sharey=True, squeeze=False)
     for row, kind in zip(panels, kinds, strict=True):
         for axes, material in zip(row, materials, strict=True):
-            shown = [one for one in compared if (one["kind"], one["material"]) == (kind, material)]
-            for one in shown:
-                chosen = one is next(o for o in shown if o["friction"] == one["friction"])
-                _draw(axes, one, colours[frictions.index(one["friction"])], chosen)
+            shown = [
+                case for case in compared if (case["kind"], case["material"]) == (kind, material)
+            ]
+            for case in shown:
+                chosen = case is next(o for o in shown if o["friction"] == case["friction"])
+                _draw(axes, case, colours[frictions.index(case["friction"])], chosen)
             axes.set_yscale("log")
             axes.axhline(
                 1e3 * study["settings"]["convergence"]["mean_distance_m"],
@@ -63,8 +65,8 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _draw(axes, one: Mapping[str, Any], colour, chosen: bool) -> None:
-    curve = one["curve"]
+def _draw(axes, case: Mapping[str, Any], colour, chosen: bool) -> None:
+    curve = case["curve"]
     in_mm = {
         name: np.maximum(1e3 * np.array(curve[name]), LEAST_MM)
         for name in ("mean_m", "shifted_mean_m")

@@ -23,7 +23,7 @@ FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
 
 def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:
     """Numbers of the vertices of one mesh that lie at places common to several, row by row."""
-    intervals = math.gcd(*(one - 1 for one in sides))
+    intervals = math.gcd(*(side - 1 for side in sides))
     line = np.arange(0, side, (side - 1) // intervals)
     return (line[:, None] * side + line).ravel()
 
@@ -96,7 +96,7 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
         raise BadInput("the runs to compare have different frames: make them anew")
-    first, second = (_places(one, sides) for one in (run, finest))
+    first, second = (_places(trajectory, sides) for trajectory in (run, finest))
     distance = np.linalg.norm(first - second, axis=2)
     mean, worst = distance.mean(axis=1), distance.max(axis=1)
     shifted = _least_mean_distance(first, second, run.time_s)
@@ -162,20 +162,20 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
             continue
         if chosen.id not in runs:
             continue
-        family = [one for one in cases(config) if one.pair == chosen.pair and one.id in runs]
-        steps = [one for one in family if one.vertices_per_side == chosen.vertices_per_side]
-        meshes = [one for one in family if one.halvings == 0]
+        family = [case for case in cases(config) if case.pair == chosen.pair and case.id in runs]
+        steps = [case for case in family if case.vertices_per_side == chosen.vertices_per_side]
+        meshes = [case for case in family if case.halvings == 0]
         for kind, members in (("time step", steps), ("mesh", meshes)):
-            sides = tuple(dict.fromkeys(one.vertices_per_side for one in members))
-            for one in members[:-1]:
-                run = runs[one.id]
+            sides = tuple(dict.fromkeys(case.vertices_per_side for case in members))
+            for case in members[:-1]:
+                run = runs[case.id]
                 found.append(
                     {
-                        "material": one.material,
-                        "friction": one.friction,
+                        "material": case.material,
+                        "friction": case.friction,
                         "kind": kind,
                         "time_step_s": run.metadata["step_s"],
-                        "vertices_per_side": one.vertices_per_side,
+                        "vertices_per_side": case.vertices_per_side,
                         "finest": members[-1].id,
                         **compare(run, runs[members[-1].id], sides),
                     }
@@ -195,25 +195,26 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
         runs only), or are None where not studied. ``converged`` is None then, if nothing else
         speaks against it.
     """
-    study, rows = config.convergence, {}
-    for one in compared:
+    study = config.convergence
+    rows: dict[tuple[str, float], dict] = {}
+    for comparison in compared:
         row = rows.setdefault(
-            (one["material"], one["friction"]),
-            {"material": one["material"], "friction": one["friction"], "time_step": None,
-             "mesh": None},
-        )  # fmt: skip
-        key = one["kind"].replace(" ", "_")
+            (comparison["material"], comparison["friction"]),
+            {name: comparison[name] for name in ("material", "friction")}
+            | {"time_step": None, "mesh": None},
+        )
+        key = comparison["kind"].replace(" ", "_")
         if row[key] is None:  # the first is the one at the chosen settings
-            shifts = {name: event["shift_s"] for name, event in one["events"].items()}
+            shifts = {name: event["shift_s"] for name, event in comparison["events"].items()}
             known = [abs(shift) for shift in shifts.values() if shift is not None]
             row[key] = {
-                **{name: one[name] for name in SUMMARISED},
+                **{name: comparison[name] for name in SUMMARISED},
                 "event_shift_s": max(known, default=0.0),
                 "events_missing": [name for name, shift in shifts.items() if shift is None],
             }
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
-        within = all(one["mean_largest_m"] <= study.mean_distance_m for one in studied)
+        within = all(kind["mean_largest_m"] <= study.mean_distance_m for kind in studied)
         # Within the demand as far as studied is not converged: the rest may speak against it.
         row["converged"] = None if within and len(studied) < 2 else within
     return list(rows.values())

@@ -46,7 +46,7 @@ def simulate_case(
         If it cannot be solved.
     """
     started = start_clock()
-    case = {one.id: one for one in cases(config)}.get(name)
+    case = {case.id: case for case in cases(config)}.get(name)
     if case is None:
         raise BadInput(f"the study has no case {name!r}: its ids are like {cases(config)[0].id}")
     settings = case_settings(case, config, config.simulation)

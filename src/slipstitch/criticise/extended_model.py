@@ -20,7 +20,8 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     """
     model = verdict["models"][which]
     values = dict(zip(model["parameters"], model["values"], strict=True))
-    mechanisms, bench = {}, {}
+    mechanisms: dict[str, dict[str, float]] = {}
+    bench: dict[str, float] = {}
     for cause in model["causes"]:
         own = {p.name: values[p.name] for p in MECHANISMS[cause].parameters}
         if cause in CONTACT_MECHANISMS:

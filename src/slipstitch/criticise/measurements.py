@@ -74,7 +74,8 @@ class Measurements:
 
         ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters.
         """
-        mechanisms, changes = {}, {}
+        mechanisms: dict[str, dict[str, float]] = {}
+        changes: dict[str, float] = {}
         for cause in causes:
             mechanism = MECHANISMS[cause]
             own = {p.name: values[p.name] for p in mechanism.parameters}
@@ -121,9 +122,8 @@ class Measurements:
         static = self.rows["static"].to_numpy(bool)
         acts &= np.where(static, mechanism.acts(True), mechanism.acts(False))
         if cause in BENCH_MECHANISMS:
-            reads = [
-                np.full(len(block.rows), mechanism.is_read_by(block.READS)) for block in self.blocks
-            ]
+            is_read_by = BENCH_MECHANISMS[cause].is_read_by
+            reads = [np.full(len(block.rows), is_read_by(block.READS)) for block in self.blocks]
             acts &= np.concatenate(reads)
         return acts
 

@@ -49,6 +49,8 @@ class BenchParameter(Parameter):
 class BenchMechanism(Mechanism):
     """A mechanism that changes the bench or the fabric, not the contact."""
 
+    parameters: tuple[BenchParameter, ...]
+
     def changes(self, values: Mapping[str, float]) -> dict[str, float]:
         """Fields of :class:`Bench` that the parameter values set."""
         return {p.sets: p.to_si * values[p.name] for p in self.parameters}

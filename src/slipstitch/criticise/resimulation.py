@@ -63,7 +63,8 @@ def resimulate(
     measured = measured[measured["phase"] == "fwd"]
     measured = measured[measured["run_id"].isin(runs["run_id"])]
     models = {name: model_of(extended_model(verdict, name)) for name in MODELS}
-    parts, done = [], {name: {} for name in MODELS}
+    parts = []
+    done: dict[str, dict] = {name: {} for name in MODELS}
     for _, run in runs.iterrows():
         frames = measured[measured["run_id"] == run["run_id"]].copy()
         if not len(frames):

@@ -91,8 +91,8 @@ def _gain(gain: Gain) -> dict:
 
 
 def _ranking(analysis: Analysis) -> list[dict]:
-    entries = [([], 0.0)] + [(list(c.causes), c.bic) for c in analysis.ranking]
-    entries.sort(key=lambda entry: entry[1])
+    models: list[tuple[list[str], float]] = [(list(c.causes), c.bic) for c in analysis.ranking]
+    entries = sorted([([], 0.0), *models], key=lambda entry: entry[1])
     best = entries[0][1]
     return [{"model": m, "delta_bic": round(float(b - best), 3)} for m, b in entries]
 
@@ -111,7 +111,8 @@ def residual_tests(outcome: Outcome) -> list[dict]:
     """The strongest shape of each covariate, p adjusted for all that was looked at."""
     best: dict[str, int] = {}
     for i, test in enumerate(outcome.tests):
-        if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
+        told = test.family == "generic" and np.isfinite(outcome.log_p[i])
+        if not told or test.covariate is None:
             continue
         if test.covariate not in best or outcome.log_p[i] > outcome.log_p[best[test.covariate]]:
             best[test.covariate] = i
@@ -151,18 +152,22 @@ def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict
             estimate, interval = value, np.array([value - reach * error, value + reach * error])
         result[parameter.name] = _entry(estimate, interval, parameter.unit)
     for cause in fitted.causes:
-        if MECHANISMS[cause].components is not None:
+        names = MECHANISMS[cause].components
+        if names is not None:
             own = {p.name for p in MECHANISMS[cause].parameters}
             result = {name: entry for name, entry in result.items() if name not in own}
-            result |= _size_and_direction(fitted, cause, reach, inflation.get(cause, 1.0))
+            result |= _size_and_direction(fitted, cause, names, reach, inflation.get(cause, 1.0))
     return result
 
 
-def _size_and_direction(fitted: Fit, cause: str, reach: float, inflated: float) -> dict[str, dict]:
+def _size_and_direction(
+    fitted: Fit, cause: str, names: tuple[str, str], reach: float, inflated: float
+) -> dict[str, dict]:
     """Two components of a vector as its size and its direction."""
-    names = [p.name for p in fitted.parameters]
+    size_name, direction_name = names
+    fitted_names = [p.name for p in fitted.parameters]
     components = MECHANISMS[cause].parameters
-    index = [names.index(p.name) for p in components]
+    index = [fitted_names.index(p.name) for p in components]
     x, y = fitted.values[index]
     covariance = fitted.covariance[np.ix_(index, index)] * inflated
     size = float(np.hypot(x, y))
@@ -172,7 +177,6 @@ def _size_and_direction(fitted: Fit, cause: str, reach: float, inflated: float) 
     turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
     azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
     limits = [max(size - reach * error, 0.0), size + reach * error]
-    size_name, direction_name = MECHANISMS[cause].components
     return {
         size_name: _entry(size, limits, components[0].unit),
         direction_name: _entry(azimuth, [azimuth - reach * turn, azimuth + reach * turn], "deg"),

@@ -19,7 +19,7 @@ DISK_NEEDED_BYTES = 2e9
 MEMORY_NEEDED_BYTES = 4e9
 
 
-class State(enum.Enum):
+class CheckState(enum.Enum):
     """How a finding stands: needed and there, worth knowing, needed and not there."""
 
     GOOD = "ok"
@@ -28,16 +28,16 @@ class State(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class Check:
     """One line of the screen."""
 
     name: str
-    state: State
+    state: CheckState
     found: str
     remedy: str = ""
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Check]:
     """All checks, in the order they are shown."""
     return [
         check_python(),
@@ -53,12 +53,12 @@ def examine() -> list[Finding]:
     ]
 
 
-def check_python() -> Finding:
+def check_python() -> Check:
     """Python 3.11, the only one that bpy 4.5 is built for."""
     found = f"{platform.python_version()} in {sys.prefix}"
     if sys.version_info[:2] == (3, 11):
-        return Finding("Python", State.GOOD, found)
-    return Finding("Python", State.MISSING, found, "make setup PYTHON=/path/to/python3.11")
+        return Check("Python", CheckState.GOOD, found)
+    return Check("Python", CheckState.MISSING, found, "make setup PYTHON=/path/to/python3.11")
 
 
 def pinned_versions(path: Path = REQUIREMENTS) -> dict[str, str]:
@@ -86,19 +86,19 @@ def compare_versions(pinned: dict[str, str]) -> tuple[dict[str, str], dict[str, 
     return absent, other
 
 
-def check_packages(path: Path = REQUIREMENTS) -> Finding:
+def check_packages(path: Path = REQUIREMENTS) -> Check:
     """The direct dependencies, at their pinned versions."""
     pinned = pinned_versions(path)
     if not pinned:
-        return Finding("packages", State.NOTE, "no list of pinned versions beside the package")
+        return Check("packages", CheckState.NOTE, "no list of pinned versions beside the package")
     absent, other = compare_versions(pinned)
     wrong = [f"{package} (needs {version})" for package, version in absent.items()]
     wrong += [f"{package} {other[package]} (pinned {pinned[package]})" for package in other]
     if not wrong:
-        return Finding("packages", State.GOOD, f"all {len(pinned)} at their pinned versions")
+        return Check("packages", CheckState.GOOD, f"all {len(pinned)} at their pinned versions")
     good = len(pinned) - len(wrong)
-    state = State.MISSING if absent else State.NOTE
-    return Finding("packages", state, f"{good} of {len(pinned)}; not: {', '.join(wrong)}",
+    state = CheckState.MISSING if absent else CheckState.NOTE
+    return Check("packages", state, f"{good} of {len(pinned)}; not: {', '.join(wrong)}",
                    "make setup")  # fmt: skip
 
 
@@ -109,26 +109,26 @@ def _package_folder(name: str) -> Path | None:
     return Path(specification.origin).parent
 
 
-def check_system_libraries() -> Finding:
+def check_system_libraries() -> Check:
     """The libraries of the system that Blender's module is linked against."""
     name = "system libraries"
     folder = _package_folder("bpy")
     if folder is None:
-        return Finding(name, State.NOTE, "not checked: bpy is missing")
+        return Check(name, CheckState.NOTE, "not checked: bpy is missing")
     if shutil.which("ldd") is None:
-        return Finding(name, State.NOTE, "not checked: ldd is missing")
+        return Check(name, CheckState.NOTE, "not checked: ldd is missing")
     answers = [
         subprocess.run(["ldd", str(module)], capture_output=True, text=True).stdout
         for module in sorted(folder.glob("*.so"))
     ]
     missing = sorted(set(re.findall(r"(\S+) => not found", "\n".join(answers))))
     if not missing:
-        return Finding(name, State.GOOD, "all that Blender is linked against")
+        return Check(name, CheckState.GOOD, "all that Blender is linked against")
     packages = ""
     if SYSTEM_PACKAGES.is_file():
         lines = SYSTEM_PACKAGES.read_text(encoding="utf-8").splitlines()
         packages = " ".join(line for line in lines if not line.startswith("#"))
-    return Finding(name, State.MISSING, ", ".join(missing), f"sudo apt-get install {packages}")
+    return Check(name, CheckState.MISSING, ", ".join(missing), f"sudo apt-get install {packages}")
 
 
 def _in_a_process(*arguments: str, seconds: float = 120.0) -> tuple[bool, str]:
@@ -144,23 +144,23 @@ def _in_a_process(*arguments: str, seconds: float = 120.0) -> tuple[bool, str]:
     return answer.returncode == 0, lines[-1] if lines else fallback
 
 
-def check_blender() -> Finding:
+def check_blender() -> Check:
     """Whether Blender's module can be imported, in a process of its own: it may crash one."""
     good, line = _in_a_process("-c", "import bpy; print(bpy.app.version_string)")
     if good:
-        return Finding("Blender", State.GOOD, f"{line}, imports")
-    return Finding("Blender", State.MISSING, f"import bpy: {line}", "make setup")
+        return Check("Blender", CheckState.GOOD, f"{line}, imports")
+    return Check("Blender", CheckState.MISSING, f"import bpy: {line}", "make setup")
 
 
-def check_warp() -> Finding:
+def check_warp() -> Check:
     """Whether Warp compiles and runs a kernel on the CPU."""
     good, line = _in_a_process("-m", "slipstitch.doctor.warp_kernel")
     if good:
-        return Finding("Warp", State.GOOD, f"{line}, computes on the CPU")
-    return Finding("Warp", State.MISSING, line, "make setup")
+        return Check("Warp", CheckState.GOOD, f"{line}, computes on the CPU")
+    return Check("Warp", CheckState.MISSING, line, "make setup")
 
 
-def check_processor(information: Path = Path("/proc/cpuinfo")) -> Finding:
+def check_processor(information: Path = Path("/proc/cpuinfo")) -> Check:
     """Cores, and the instructions that training in bfloat16 is fast with."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     flags: set[str] = set()
@@ -171,13 +171,13 @@ def check_processor(information: Path = Path("/proc/cpuinfo")) -> Finding:
     fast = bool({"avx512_bf16", "amx_bf16"} & flags)
     training = "bfloat16 training" if fast else "float32 training, 3-4 times slower than bfloat16"
     found = f"{cores} cores, {' '.join(features) or 'no vector extensions seen'}: {training}"
-    return Finding("processor", State.GOOD if fast else State.NOTE, found)
+    return Check("processor", CheckState.GOOD if fast else CheckState.NOTE, found)
 
 
-def check_gpu() -> Finding:
+def check_gpu() -> Check:
     """A graphics processor; nothing needs one."""
     if shutil.which("nvidia-smi") is None:
-        return Finding("GPU", State.NOTE, "none; not needed")
+        return Check("GPU", CheckState.NOTE, "none; not needed")
     answer = subprocess.run(
         ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"],
         capture_output=True,
@@ -185,38 +185,38 @@ def check_gpu() -> Finding:
     )
     names = "; ".join(answer.stdout.strip().splitlines())
     if answer.returncode != 0 or not names:
-        return Finding("GPU", State.NOTE, "none that works; not needed")
-    return Finding("GPU", State.GOOD, names)
+        return Check("GPU", CheckState.NOTE, "none that works; not needed")
+    return Check("GPU", CheckState.GOOD, names)
 
 
 def _size(size_bytes: float) -> str:
     return f"{size_bytes / 1e9:.1f} GB"
 
 
-def check_memory() -> Finding:
+def check_memory() -> Check:
     """Main memory for two jobs at a time."""
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (ValueError, OSError):
-        return Finding("memory", State.NOTE, "unknown")
+        return Check("memory", CheckState.NOTE, "unknown")
     if total < MEMORY_NEEDED_BYTES:
         remedy = "run one job at a time: make all CORES=1"
-        return Finding("memory", State.NOTE, f"{_size(total)}, little for two jobs", remedy)
-    return Finding("memory", State.GOOD, _size(total))
+        return Check("memory", CheckState.NOTE, f"{_size(total)}, little for two jobs", remedy)
+    return Check("memory", CheckState.GOOD, _size(total))
 
 
-def check_disk(folder: Path | None = None, needed_bytes: float = DISK_NEEDED_BYTES) -> Finding:
+def check_disk(folder: Path | None = None, needed_bytes: float = DISK_NEEDED_BYTES) -> Check:
     """Free space where the results go: the working folder."""
     free = shutil.disk_usage(folder or Path.cwd()).free
     if free < needed_bytes:
         remedy = f"free {_size(needed_bytes)}, or use snakemake --directory on another disk"
-        return Finding("free disk", State.MISSING, f"{_size(free)} here", remedy)
-    return Finding("free disk", State.GOOD, f"{_size(free)} here")
+        return Check("free disk", CheckState.MISSING, f"{_size(free)} here", remedy)
+    return Check("free disk", CheckState.GOOD, f"{_size(free)} here")
 
 
-def check_git() -> Finding:
+def check_git() -> Check:
     """git, for the commit in the provenance records."""
     if shutil.which("git"):
-        return Finding("git", State.GOOD, "there")
-    return Finding("git", State.NOTE, "none: provenance records go without a commit",
+        return Check("git", CheckState.GOOD, "there")
+    return Check("git", CheckState.NOTE, "none: provenance records go without a commit",
                    "sudo apt-get install git")  # fmt: skip

@@ -179,8 +179,8 @@ def _compose_cpu_s(config: Config) -> float:
 def verification_cpu_s(config: Config) -> float:
     """The images that are rendered directly."""
     pixel = _cost("direct_pixel_s") * (1 + 3 * _mirrors(config))
-    one = _cost("render_start_s") + pixel * config.render.pixels**2
-    return config.render.verified_images * one
+    image = _cost("render_start_s") + pixel * config.render.pixels**2
+    return config.render.verified_images * image
 
 
 def _image_bytes(config: Config) -> float:
@@ -329,7 +329,7 @@ def estimate_captures(config: Config) -> StageEstimate:
     # The start at the full rate, then every so many-th frame; the image is a square with a margin.
     frames = settings.frame_rate_hz * (3 + duration_s / settings.later_every)
     size = 0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
-    mirrors = sum(FLOORS[one.substrate].reflectance[1] > 0 for one in settings.pairs)
+    mirrors = sum(FLOORS[pair.substrate].reflectance[1] > 0 for pair in settings.pairs)
     size *= 1 + mirrors / len(settings.pairs) * (_cost("mirror_factor") - 1)
     each = _simulation_cpu_s(config.model_copy(update={"simulation": made}))
     each += _cost("render_start_s") + frames * size * _cost("render_frame_s")
@@ -389,12 +389,12 @@ def job_cpu_s(kind: str, config: Config) -> float:
     if kind == "verify":
         return verification_cpu_s(config)
     stages = [*estimate(config), estimate_release(config), estimate_ablate(config)]
-    whole = next(one for one in stages if one.stage == kind)
+    whole = next(stage for stage in stages if stage.stage == kind)
     return whole.cpu_s / whole.jobs
 
 
 def job_runtime_min(kind: str, config: Config) -> int:
-    """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
+    """Minutes after which a scheduler may end stage job: five times the estimate, at least 15."""
     return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
 
 
@@ -405,10 +405,10 @@ def _time(cpu_s: float) -> str:
 
 
 def estimate_line(config: Config) -> str:
-    """The whole chain from nothing, in one line."""
+    """The whole chain from nothing, in stage line."""
     stages = estimate(config)
-    jobs, cpu_s = sum(one.jobs for one in stages), sum(one.cpu_s for one in stages)
-    disk = sum(one.disk_bytes for one in stages)
+    jobs, cpu_s = sum(stage.jobs for stage in stages), sum(stage.cpu_s for stage in stages)
+    disk = sum(stage.disk_bytes for stage in stages)
     return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
 
 
@@ -416,8 +416,8 @@ def estimate_table(config: Config) -> str:
     """`estimate` as aligned text; release, captures and the line of the whole chain last."""
     apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
-        (one.stage, str(one.jobs), _time(one.cpu_s), size(one.disk_bytes))
-        for one in [*estimate(config), *apart]
+        (stage.stage, str(stage.jobs), _time(stage.cpu_s), size(stage.disk_bytes))
+        for stage in [*estimate(config), *apart]
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [

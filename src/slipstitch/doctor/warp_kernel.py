@@ -11,7 +11,7 @@ def double(values: wp.array(dtype=wp.float64)):
 
 
 if __name__ == "__main__":
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     wp.init()
     array = wp.full(3, 2.0, dtype=wp.float64, device="cpu")
     wp.launch(double, dim=3, inputs=[array], device="cpu")

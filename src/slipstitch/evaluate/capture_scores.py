@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.evaluate.metrics import Answers, distance, scores_of
+from slipstitch.evaluate.metrics import PredictionsAndTruth, distance, scores_of
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def capture_scores(
     pairs = pair_medians(known, predictions, chosen, step)
     places = _places(chosen)
     named = [place for place in places if known[place]["material"] in predictions.known_materials]
-    answers = Answers(
+    answers = PredictionsAndTruth(
         step,
         predictions.friction[chosen],
         np.array([row["mu_ref"] for row in known])[chosen],

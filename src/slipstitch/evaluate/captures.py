@@ -99,7 +99,7 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
     return found
 
 
-def _materials(models, key, videos: Videos, settings) -> dict[str, list]:
+def _materials(models, key, videos: Videos, settings) -> dict[str, Any]:
     if key not in models:
         return {}
     probabilities = predicted_probabilities(models, key, videos, settings.batch_size)
@@ -140,7 +140,7 @@ def _instruments(dataset, folder) -> list[Predictions]:
 
 
 def _likeliest_first(probabilities: dict[str, float]) -> list[str]:
-    return sorted(probabilities, key=probabilities.get)[::-1]
+    return sorted(probabilities, key=probabilities.__getitem__)[::-1]
 
 
 def evaluate_captures(
@@ -215,7 +215,8 @@ def write_captures_evaluation(
     known = read_known(dataset)
     weights = [
         path
-        for folder in filter(None, (models, instruments))
+        for folder in (models, instruments)
+        if folder is not None
         for path in sorted(Path(folder).glob("**/*.safetensors"))
         if path.stem in ("model", "instrument")
     ]

@@ -6,6 +6,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,13 +71,16 @@ PREDICTIONS_SCHEMA = pa.schema(
 )
 
 
+Row = dict[str, Any]
+
+
 @dataclass(frozen=True)
 class EvaluationSet:
     """Videos that test the networks trained on one split."""
 
     name: str
     trained_on: str
-    holds: Callable[[dict[str, Any]], bool]
+    holds: Callable[[Row], bool]
 
 
 def evaluation_sets(
@@ -102,42 +106,29 @@ def evaluation_sets(
         Training views to count.
     """
 
-    def counts(row: dict[str, Any]) -> bool:
+    def counts(row: Row) -> bool:
         return viewpoints == "training" or row["viewpoint"] == calibrated
 
-    sets = [
-        EvaluationSet(
-            split,
-            split,
-            lambda row, column=f"split_{split}": (
-                takes_part(row) and counts(row) and row[column] == "test"
-            ),
-        )
-        for split in SPLITS
-    ]
-    for name, trained_on, kind in (
-        ("off_grid", "by_simulation", "friction"),
-        ("unseen_texture", "by_video", "texture"),
-        ("unseen_fabric", "by_simulation", "material"),
-    ):
-        sets.append(
-            EvaluationSet(
-                name,
-                trained_on,
-                lambda row, kind=kind: counts(row) and test_only(row) == {kind},
-            )
-        )
+    def of_split(split: str, row: Row) -> bool:
+        return takes_part(row) and counts(row) and row[f"split_{split}"] == "test"
+
+    def unseen(kind: str, row: Row) -> bool:
+        return counts(row) and test_only(row) == {kind}
+
+    def turned(turn_deg: float, row: Row) -> bool:
+        return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
+
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
-    for turn in sorted(turns):
-        sets.append(
-            EvaluationSet(
-                f"view_{turn:+.0f}",
-                "by_video",
-                lambda row, turn=turn: (
-                    test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn
-                ),
-            )
-        )
+    sets = [
+        *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
+        EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),
+        EvaluationSet("unseen_texture", "by_video", partial(unseen, "texture")),
+        EvaluationSet("unseen_fabric", "by_simulation", partial(unseen, "material")),
+        *(
+            EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
+            for turn in sorted(turns)
+        ),
+    ]
     return [test for test in sets if any(map(test.holds, rows))]
 
 
@@ -293,7 +284,7 @@ def evaluate(
         chosen = np.array([test.holds(row) for row in videos.rows])
         whole = videos.chosen(chosen)
         part = whole.seen_with(side, frames)
-        by_network = defaultdict(dict)
+        by_network: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
                 probabilities = predicted_probabilities(models, key, part, settings.batch_size)
@@ -387,10 +378,8 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         "confusion": None,
     }
     if truth is not None:
-        counts = sum(
-            np.array(confusion(probabilities, truth)) for probabilities in of_seed.values()
-        )
-        result["confusion"] = counts.tolist()
+        counts = [confusion(probabilities, truth) for probabilities in of_seed.values()]
+        result["confusion"] = np.sum(counts, axis=0).tolist()
     if card["target"] == "friction":
         true = np.array([row["friction"] for row in part.rows])
         result["chance"]["mean_absolute_error"] = constant_error(true)

@@ -12,7 +12,7 @@ from slipstitch.errors import BadInput
 from slipstitch.evaluate.metrics import (
     BY_NAME,
     TEST_SETS,
-    Answers,
+    PredictionsAndTruth,
     constant_error,
     material_scores,
     mean_over_seeds,
@@ -75,7 +75,7 @@ def scores(
         ``alarm_rate``.
     """
     names = list(measurements[0].material_probabilities)
-    answers = Answers(
+    answers = PredictionsAndTruth(
         settings.friction_step,
         np.array([measurement.friction_coefficient for measurement in measurements]),
         np.array([row["friction"] for row in rows]),
@@ -194,7 +194,7 @@ def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
         "network": "instrument",
         "seed": seed,
         "true": row["friction_id"],
-        "predicted": max(probabilities, key=probabilities.get),
+        "predicted": max(probabilities, key=probabilities.__getitem__),
         "true_value": row["friction"],
         "predicted_value": measurement.friction_coefficient,
         "probabilities": measurement.distribution[1].tolist(),

@@ -1,7 +1,7 @@
 """Every metric of the tables: its name, its unit, how it is computed, how it is shown.
 
 `METRICS` is the only place that lists them. What a model says of videos, beside what is true, comes
-as `Answers`; pages and terminal take headings and numbers from the rows of the list.
+as `PredictionsAndTruth`; pages and terminal take headings and numbers from the rows of the list.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slipstitch.errors import BadInput
 from slipstitch.instrument.conformal import covered
@@ -19,7 +20,7 @@ TEST_SETS, CAPTURES = "test sets", "captures"
 
 
 @dataclass(frozen=True)
-class Answers:
+class PredictionsAndTruth:
     """What one trained model says of n videos, beside what is true; None where it says nothing.
 
     Attributes
@@ -88,7 +89,7 @@ class Metric:
     unit : {"%", "µ"}
         Shares are 0 ... 1 in files and shown in %.
     compute : callable
-        `Answers` -> float.
+        `PredictionsAndTruth` -> float.
     heading : str
         Of a column of a page.
     tables : set of {TEST_SETS, CAPTURES}
@@ -102,7 +103,7 @@ class Metric:
     name: str
     kind: str
     unit: str
-    compute: Callable[[Answers], float]
+    compute: Callable[[PredictionsAndTruth], float]
     heading: str
     tables: frozenset[str] | set[str]
     column: str = ""
@@ -164,7 +165,9 @@ def metrics_of(table: str, *kinds: str) -> list[Metric]:
 FIELDS = ("n", *(metric.name for metric in metrics_of(TEST_SETS)), "seeds")
 
 
-def scores_of(answers: Answers, *kinds: str, table: str | None = None) -> dict[str, float]:
+def scores_of(
+    answers: PredictionsAndTruth, *kinds: str, table: str | None = None
+) -> dict[str, float]:
     """Name -> score of all metrics of some kinds, of one table's if it is given."""
     return {
         metric.name: metric.compute(answers)
@@ -199,9 +202,9 @@ def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
         raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
 
 
-def distance(friction: np.ndarray, reference: np.ndarray, error: np.ndarray | float) -> np.ndarray:
+def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.ndarray:
     """Distance of predictions from the intervals reference +- error."""
-    return np.maximum(np.abs(friction - reference) - error, 0.0)
+    return np.maximum(np.abs(np.subtract(friction, reference)) - error, 0.0)
 
 
 def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarray:
@@ -238,13 +241,13 @@ def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dic
     dict
         ``friction_lt_0.1``, ``friction_lt_0.2`` (shares in 0 ... 1), ``mean_absolute_error``.
     """
-    return scores_of(Answers(step, predicted, true), "friction")
+    return scores_of(PredictionsAndTruth(step, predicted, true), "friction")
 
 
 def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """``material_top1`` and ``material_top2``, shares in 0 ... 1."""
     check_probabilities(probabilities, truth)
-    answers = Answers(np.nan, fabric_rank=rank_of_truth(probabilities, truth))
+    answers = PredictionsAndTruth(np.nan, fabric_rank=rank_of_truth(probabilities, truth))
     return scores_of(answers, "fabric")
 
 
@@ -275,12 +278,12 @@ def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     return {name: [of_seed[name] for of_seed in scores] for name in names}
 
 
-def mean_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def mean_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
     """The mean of every score over trainings that differ by the seed."""
     return {name: float(np.mean(values)) for name, values in _common(scores).items()}
 
 
-def spread_over_seeds(scores: Sequence[Mapping[str, float]]) -> dict[str, float] | None:
+def spread_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float] | None:
     """Standard deviation (n - 1) of every score over the seeds; None of one seed only."""
     if len(scores) < 2:
         return None

@@ -36,7 +36,7 @@ def captures_cells(names: Iterable[str]) -> list[tuple[float | None, int]]:
     names : iterable of str
         Metrics, a column each; neighbours without a figure share a cell.
     """
-    found = []
+    found: list[tuple[float | None, int]] = []
     for figure, same in groupby(CAPTURES.get(name) for name in names):
         width = len(list(same))
         found += [(None, width)] if figure is None else [(figure, 1)] * width

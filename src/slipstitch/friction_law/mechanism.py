@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from inspect import signature
+from typing import Any
 
 import numpy as np
 
@@ -132,7 +133,7 @@ class ContactMechanism(Mechanism):
 
     def value(self, formula: Formula, values: Mapping[str, float], contact: Contact):
         """A formula of this mechanism at parameter values, for every contact."""
-        arguments = []
+        arguments: list[Any] = []
         for name in arguments_of(formula):
             if name in values:
                 arguments.append(values[name])

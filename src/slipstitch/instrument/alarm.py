@@ -151,12 +151,11 @@ def calibrated_alarm(
 
     With too few simulations to promise the rate, the threshold is their largest score.
     """
-    unscaled = Alarm(*parts, centre=np.zeros(4), scale=np.ones(4), threshold=0.0)
-    raw = unscaled.raw(videos, embedding, order)
+    raw = Alarm(*(*parts, np.zeros(4), np.ones(4), 0.0)).raw(videos, embedding, order)
     centre = np.median(raw, axis=0)
     scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)
     largest = ((raw - centre) / scale).max(1)
     threshold = grouped_quantile(largest, simulations, 1.0 - false_alarms)
     if not math.isfinite(threshold):
         threshold = float(largest.max())
-    return Alarm(*parts, centre=centre, scale=scale, threshold=threshold)
+    return Alarm(*(*parts, centre, scale, threshold))

@@ -73,6 +73,8 @@ class InstrumentNetwork(nn.Module):
         If the frames are too small for the convolutions.
     """
 
+    grid: Tensor
+
     def __init__(self, settings: InstrumentSettings, materials: int, pixels: int):
         super().__init__()
         self.settings, self.pixels = settings, pixels

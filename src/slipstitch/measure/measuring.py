@@ -59,17 +59,17 @@ class MeasuredVideo:
         measured = self.measurement
         low, high = measured.interval_90
         fabric, share = self.fabric
-        said = [
+        lines = [
             f"friction {measured.friction_coefficient:.3f} ± {self.uncertainty:.3f}, "
             f"90 % interval {low:.3f} ... {high:.3f}",
             f"fabric most like {fabric} ({100 * share:.0f} %)",
         ]
-        said += [f"note: {note}" for note in self.video.notes]
+        lines += [f"note: {note}" for note in self.video.notes]
         if measured.alarm:
-            said.append(f"ALARM: {measured.alarm_reason}: do not trust these numbers")
+            lines.append(f"ALARM: {measured.alarm_reason}: do not trust these numbers")
         else:
-            said.append("no alarm")
-        return said
+            lines.append("no alarm")
+        return lines
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""

@@ -5,6 +5,7 @@ import functools
 import io
 import os
 import re
+from typing import Any
 
 import matplotlib
 
@@ -15,9 +16,9 @@ from matplotlib.figure import Figure
 from slipstitch.page.palette import FRAME, INK, SOFT
 
 # Ids that do not differ from run to run.
-FIXED_IDS = {"svg.hashsalt": "slipstitch"}
+FIXED_IDS: Any = {"svg.hashsalt": "slipstitch"}
 
-STYLE = {
+STYLE: Any = {
     **FIXED_IDS,
     "font.family": "sans-serif",
     "font.size": 9,

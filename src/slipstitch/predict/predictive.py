@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -46,7 +47,7 @@ def _is_model(model: object) -> bool:
     """Whether it has the shape of a fitted model."""
     if not isinstance(model, dict):
         return False
-    lists = [model.get(key) for key in ("causes", "parameters")]
+    lists: list[Any] = [model.get(key) for key in ("causes", "parameters")]
     if not all(isinstance(found, list) for found in lists):
         return False
     if not all(isinstance(name, str) for found in lists for name in found):

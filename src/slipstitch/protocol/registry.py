@@ -23,7 +23,7 @@ from slipstitch.provenance import atomic_path, provenance_record, start_clock, w
 
 
 @dataclass(frozen=True)
-class Protocol:
+class KnownAnswer:
     """An experiment and its options: name to (default, meaning); default None: required."""
 
     run: Callable[..., dict[str, Any]]
@@ -32,17 +32,19 @@ class Protocol:
 
 _FRICTION = (None, "friction coefficient")
 _GRAVITY_LENGTH = (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in m")
-PROTOCOLS: dict[str, Protocol] = {
-    "incline": Protocol(incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}),
-    "flat-drag": Protocol(flat_drag, {"friction": _FRICTION}),
-    "strip-drag": Protocol(
+PROTOCOLS: dict[str, KnownAnswer] = {
+    "incline": KnownAnswer(
+        incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}
+    ),
+    "flat-drag": KnownAnswer(flat_drag, {"friction": _FRICTION}),
+    "strip-drag": KnownAnswer(
         strip_drag,
         {
             "friction": _FRICTION,
             "gravity_length_m": _GRAVITY_LENGTH,
         },
     ),
-    "strip": Protocol(
+    "strip": KnownAnswer(
         strip,
         {
             "friction": _FRICTION,
@@ -51,7 +53,7 @@ PROTOCOLS: dict[str, Protocol] = {
             "strain": (LARGEST_STRAIN, "how far it is pushed, over its length"),
         },
     ),
-    "landed-strip": Protocol(
+    "landed-strip": KnownAnswer(
         landed_strip,
         {
             "friction": _FRICTION,
@@ -59,11 +61,13 @@ PROTOCOLS: dict[str, Protocol] = {
             "vertices": (149, "vertices along the strip"),
         },
     ),
-    "cantilever": Protocol(cantilever, {"gamma": (None, "areal density x gravity x length^3 / B")}),
-    "lateral-buckling": Protocol(
+    "cantilever": KnownAnswer(
+        cantilever, {"gamma": (None, "areal density x gravity x length^3 / B")}
+    ),
+    "lateral-buckling": KnownAnswer(
         lateral_buckling, {"width_over_length": (None, "width of the strip over its length")}
     ),
-    "capstan": Protocol(
+    "capstan": KnownAnswer(
         capstan, {"friction": _FRICTION, "wrap_deg": (None, "angle of contact in degrees")}
     ),
 }

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,6 @@ def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
     return ahead, height
 
 
-def solver_settings(settings: SimulationSettings, **changes: float) -> SolverSettings:
+def solver_settings(settings: SimulationSettings, **changes: Any) -> SolverSettings:
     """The simulation's solver settings, some changed; these specimens never touch themselves."""
     return replace(SolverSettings.of(settings), self_contact=False, **changes)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil, pi, sin, sqrt, tan
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def drag_tracked(
     fixed[:, 1] = True
     fixed[down == 0] = True
     along = sin(run.tilt_downhill_rad)
-    common = {
+    common: dict[str, Any] = {
         "fixed": fixed,
         "gravity_m_s2": (GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
     }
@@ -160,7 +161,7 @@ def drag_tracked(
         seen.append(_seen(solver, rows, down))
     time_s = np.arange(frames + 1) / frame_rate_hz
     edge, contact = np.array(seen).T
-    stage = np.array([stage_m(one) for one in time_s])
+    stage = np.array([stage_m(moment_s) for moment_s in time_s])
     return TrackedShape(time_s, stage, edge - edge[0], contact)
 
 

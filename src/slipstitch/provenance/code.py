@@ -25,7 +25,6 @@ comments, layout, docstrings, descriptions and the words of errors
 import ast
 import functools
 import hashlib
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -101,11 +100,11 @@ def _imports_in(name: str, is_package: bool, text: str) -> tuple[frozenset[str],
                 base = node.module or ""
             modules.add(base)
             members.update(f"{base}.{alias.name}" for alias in node.names)
-    modules, members = (
-        frozenset(found for found in names if _is_in(found, [PACKAGE]))
-        for names in (modules, members)
-    )
-    return modules, members
+    return _of_the_package(modules), _of_the_package(members)
+
+
+def _of_the_package(names: set[str]) -> frozenset[str]:
+    return frozenset(name for name in names if _is_in(name, [PACKAGE]))
 
 
 def _with_parents(name: str) -> list[str]:
@@ -196,7 +195,8 @@ def _settings_pieces(modules: dict[str, Path], base: Path) -> dict[str, list[str
     names, attributes = _names_spoken(modules, base)
     counting: dict[str, list[str]] = {}
     while True:
-        left, spoken = [], []
+        left: list[tuple] = []
+        spoken: list[tuple] = []
         for piece in unspoken:
             _, name, is_member, _ = piece
             (spoken if name in (attributes if is_member else names) else left).append(piece)
@@ -257,11 +257,11 @@ def _files_in(package: Path) -> set[Path]:
     return found
 
 
-def _base(root: str | os.PathLike | None) -> Path:
+def _base(root: str | Path | None) -> Path:
     return Path(root) if root is not None else Path(__file__).resolve().parents[2]
 
 
-def _contents(stage: str, root: str | os.PathLike | None) -> dict[Path, bytes]:
+def _contents(stage: str, root: str | Path | None) -> dict[Path, bytes]:
     """What counts of each file, sorted by the files' paths below the root."""
     base = _base(root)
     modules = _modules(stage, base)
@@ -270,11 +270,12 @@ def _contents(stage: str, root: str | os.PathLike | None) -> dict[Path, bytes]:
         form = without_entries if _is_in(name, CATALOGUES) else normal_form
         contents[source] = form(_text(source), name).encode()
     for name, pieces in _settings_pieces(modules, base).items():
-        contents[_module_file(name, base)] = "\n".join(pieces).encode()
+        if file := _module_file(name, base):
+            contents[file] = "\n".join(pieces).encode()
     return dict(sorted(contents.items(), key=lambda item: item[0].relative_to(base).as_posix()))
 
 
-def code_sources(stage: str, root: str | os.PathLike | None = None) -> list[Path]:
+def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     """Files that the result of `stage` depends on, sorted by their path below `root`.
 
     Parameters
@@ -294,7 +295,7 @@ def code_sources(stage: str, root: str | os.PathLike | None = None) -> list[Path
 
 
 @functools.cache
-def code_digest(stage: str, root: str | os.PathLike | None = None) -> str:
+def code_digest(stage: str, root: str | Path | None = None) -> str:
     """SHA-256 over what computes in the sources of `stage` (64 hexadecimal digits).
 
     Deterministic: a function of the files' paths below the package and their contents only. The

@@ -15,6 +15,7 @@ Printed lines, progress and the words of pages and tables stay: they are in resu
 import ast
 import functools
 from collections.abc import Iterator
+from typing import Any
 
 _FIELD_WORDS = frozenset({"description", "title", "examples"})
 _OPTION_WORDS = frozenset({"help", "metavar", "description", "epilog"})
@@ -28,6 +29,7 @@ _WORDS_OF = {
 }
 # They say how a name or a string was written, not what it is.
 _NO_MEANING = frozenset({"ctx", "kind", "type_comment"})
+_ASSIGNS = (ast.Assign, ast.AnnAssign)
 _VALIDATORS = frozenset({"field_validator", "model_validator"})
 
 
@@ -42,13 +44,14 @@ def parsed(text: str, name: str) -> ast.Module:
     """
     tree = ast.parse(text, filename=name)
     for node in ast.walk(tree):
-        if isinstance(getattr(node, "body", None), list):
-            node.body = [inner for inner in node.body if not _is_text(inner)]
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            body[:] = [inner for inner in body if not _is_text(inner)]
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for argument in node.exc.args:
                 _blank(argument)
         elif isinstance(node, ast.Call):
-            words = _WORDS_OF.get(called(node), frozenset())
+            words = _WORDS_OF.get(called(node) or "", frozenset())
             node.keywords = [word for word in node.keywords if word.arg not in words]
     return tree
 
@@ -71,7 +74,11 @@ def _blank(message: ast.expr) -> None:
     elif isinstance(message, ast.BinOp):
         _blank(message.left)
         _blank(message.right)
-    elif isinstance(message, ast.Call) and called(message) == "format":
+    elif (
+        isinstance(message, ast.Call)
+        and isinstance(message.func, ast.Attribute)
+        and message.func.attr == "format"
+    ):
         _blank(message.func.value)
 
 
@@ -104,11 +111,7 @@ def normal_form(text: str, name: str) -> str:
 @functools.cache
 def without_entries(text: str, name: str) -> str:
     """The normal form of a catalogue's source: its classes and functions, not its entries."""
-    return written([node for node in parsed(text, name).body if not _assigns(node)])
-
-
-def _assigns(node: ast.stmt) -> bool:
-    return isinstance(node, ast.Assign | ast.AnnAssign)
+    return written([node for node in parsed(text, name).body if not isinstance(node, _ASSIGNS)])
 
 
 def computing_definitions(text: str, name: str) -> Iterator[tuple[str, bool, ast.AST]]:
@@ -128,7 +131,7 @@ def computing_definitions(text: str, name: str) -> Iterator[tuple[str, bool, ast
     """
     for node in parsed(text, name).body:
         if isinstance(node, ast.ClassDef):
-            unnamed = [*node.bases, *node.decorator_list]
+            unnamed: list[Any] = [*node.bases, *node.decorator_list]
             for member in node.body:
                 if not isinstance(member, ast.FunctionDef) or _validates(member):
                     continue
@@ -139,7 +142,7 @@ def computing_definitions(text: str, name: str) -> Iterator[tuple[str, bool, ast
             yield node.name, False, ast.Tuple(elts=unnamed)
         elif isinstance(node, ast.FunctionDef):
             yield node.name, False, node
-        elif _assigns(node) and node.value is not None and not _bounds(node.value):
+        elif isinstance(node, _ASSIGNS) and node.value is not None and not _bounds(node.value):
             for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
                 if isinstance(target, ast.Name):
                     yield target.id, False, node

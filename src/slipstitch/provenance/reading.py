@@ -107,9 +107,10 @@ def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
     wanted = None if columns is None else list(columns)
     with open_parquet(path) as file:
         names = file.schema_arrow.names
-        for name in wanted or ():
+        needed = wanted or ()
+        for name in needed:
             if name not in names:
-                raise BadInput(f"{path}: no column {name!r}; needed: {', '.join(wanted)}")
+                raise BadInput(f"{path}: no column {name!r}; needed: {', '.join(needed)}")
         table = file.read(columns=wanted)
         table.validate(full=True)  # text that is none, offsets that lead nowhere
         return table

@@ -157,7 +157,7 @@ def provenance_record(
     commit, dirty = _git()
     return {
         "stage": stage,
-        "inputs": {_shown(path): file_digest(path) for path in sorted(map(os.fspath, inputs))},
+        "inputs": {_shown(path): file_digest(path) for path in sorted(map(str, inputs))},
         "config": _plain(config) if config is not None else {},
         "code_digest": code_digest(stage),
         "git_commit": commit,

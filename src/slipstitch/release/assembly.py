@@ -304,7 +304,7 @@ def _verification(folder: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     comparisons = json.loads(path.read_text(encoding="utf-8"))["comparisons"]
-    kinds = {"matte": [], "mirrors": []}
+    kinds: dict[str, list[dict]] = {"matte": [], "mirrors": []}
     for compared in comparisons:
         kinds["matte" if FLOORS[compared["floor"]].reflectance[1] == 0 else "mirrors"].append(
             compared

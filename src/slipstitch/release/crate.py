@@ -131,7 +131,7 @@ def _organised(crate: ROCrate, main, whole, actions: list):
     main["hasPart"] = list(
         {action["instrument"].id: action["instrument"] for action in actions}.values()
     )
-    steps = {}
+    steps: dict[str, ContextEntity] = {}
     for tool in main["hasPart"]:
         properties = {
             "@type": "HowToStep",
@@ -169,7 +169,7 @@ def _shards(entities: Mapping[str, Any]) -> list:
 
 def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
     """The job that wrote an artefact."""
-    record = artefact.provenance
+    record = artefact.record
     tool = _tool(crate, record["stage"], record)
     is_release = artefact.path == "."
     result = _shards(entities) if is_release else [entities[artefact.path]]

@@ -1,6 +1,5 @@
 """Whether artefacts are what code, configuration and catalogue would make now."""
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,10 +18,10 @@ ONE_VIEW = "viewpoint"
 CALIBRATION = "calibration.json"
 
 
-def current_digest(stage: str, root: str | os.PathLike | None = None) -> str | None:
+def current_digest(stage: str, root: str | Path | None = None) -> str | None:
     """Digest of the stage's code below `root`; None if there is no such stage."""
     try:
-        return code_digest(stage, root)
+        return code_digest(stage, root) if stage else None
     except ModuleNotFoundError:
         return None
 
@@ -49,11 +48,11 @@ def config_changes(
     list of str
         ``key: recorded -> now``. Only keys that the record holds are compared.
     """
-    recorded = (artefact.provenance or {}).get("config", {})
+    recorded = artefact.record.get("config", {})
     now = _plain(config)
     for path in artefact.inputs:
         now["simulation"] = {**now["simulation"], **calibrated.get(path, {})}
-    changes = []
+    changes: list[str] = []
     for section, value in recorded.items():
         if section in now:
             skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
@@ -85,7 +84,7 @@ def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dic
 
 def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
     """The entries of the catalogue that the artefact was made with, by kind and name."""
-    entries = (artefact.provenance or {}).get("config", {}).get("catalogue", {})
+    entries = artefact.record.get("config", {}).get("catalogue", {})
     kinds = entries.items() if isinstance(entries, Mapping) else ()
     return {kind: dict(of_kind) for kind, of_kind in kinds if isinstance(of_kind, Mapping)}
 

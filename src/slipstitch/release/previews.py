@@ -44,7 +44,9 @@ def reader(folder: Path) -> Show:
     return show
 
 
-def sheet(tiles: Sequence[Sequence[np.ndarray | None]], rows: Sequence[str], columns) -> Image:
+def sheet(
+    tiles: Sequence[Sequence[np.ndarray | None]], rows: Sequence[str], columns
+) -> Image.Image:
     """Tiles with words before the rows and above the columns; None leaves a gap."""
     side = next(tile for line in tiles for tile in line if tile is not None).shape[0]
     scale = max(1, -(-_SMALLEST_TILE_PX // side))

@@ -52,14 +52,19 @@ class Artefact:
     provenance: dict[str, Any] | None = None
 
     @property
-    def inputs(self) -> dict[str, str]:
-        """Path -> SHA-256 of what it was made from."""
-        return (self.provenance or {}).get("inputs", {})
+    def record(self) -> dict[str, Any]:
+        """Its record; empty for a file that no stage wrote."""
+        return self.provenance or {}
 
     @property
-    def stage(self) -> str | None:
-        """Name of the stage that wrote it."""
-        return (self.provenance or {}).get("stage")
+    def inputs(self) -> dict[str, str]:
+        """Path -> SHA-256 of what it was made from."""
+        return self.record.get("inputs", {})
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage that wrote it; empty if none did."""
+        return self.record.get("stage") or ""
 
 
 def rows_digest(path: str | os.PathLike) -> str:

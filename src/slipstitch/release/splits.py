@@ -6,7 +6,7 @@ parts, so that a split is a list of files and no image is stored twice.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,7 @@ def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, lis
         splits[column.removeprefix(PREFIX)] = [
             row[column] if trained else None for row, trained in zip(rows, trains, strict=True)
         ]
-    held = {
+    held: dict[str, tuple[str, Collection]] = {
         "unseen_friction": (
             "friction",
             unseen_frictions([row["friction"] for row in rows if may_train(row)], share),

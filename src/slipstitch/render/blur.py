@@ -109,7 +109,7 @@ def spread(light: np.ndarray, share: np.ndarray, blur: float) -> np.ndarray:
     values = np.moveaxis(light, 0, -1).astype(np.float32) * (share > 0)[..., None]
     whole = cv2.blur(share, (2 * _FAR_PX + 1,) * 2)[..., None]
     far = cv2.blur(values, (2 * _FAR_PX + 1,) * 2).reshape(values.shape)
-    far /= np.maximum(whole, 1e-3)
+    far = far / np.maximum(whole, 1e-3)
     reach = max(3, math.ceil(2 * blur))
     place = np.arange(-reach, reach + 1)
     flat = np.exp(-(place**2) / 2 / blur**2)

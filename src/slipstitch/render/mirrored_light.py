@@ -47,11 +47,11 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
     step, side = sight.rays // cells, (sight.camera.pixels + 2 * sight.margin) * cells
     y, x = np.divmod(sight.seen, side * step)
     cell = (y // step) * side + x // step
-    hits = [np.bincount(one, minlength=side**2) for one in (cell, cell[~sight.lying])]
+    hits = [np.bincount(hit, minlength=side**2) for hit in (cell, cell[~sight.lying])]
     of_floor = cv2.resize(sight.bare.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
-    shares = [*np.reshape(hits, (2, side, side)) / step**2, of_floor]
     width = cv2.resize(sight.width, (side, side), interpolation=cv2.INTER_LINEAR) * cells
-    shares = np.stack(shares, axis=-1).astype(np.float32)
+    shares = np.stack([*np.reshape(hits, (2, side, side)) / step**2, of_floor], axis=-1)
+    shares = shares.astype(np.float32)
     shares = blurred(shares, blur_weights(width, GGX), sight.squeeze)
     inside = np.s_[sight.margin * cells : -sight.margin * cells,] * 2
     shares = shares[inside]
@@ -83,11 +83,13 @@ def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) ->
     # Pixels that look over the horizon see no floor.
     depth = (floor_z_m - eye[2]) / np.minimum(ray[..., 2], -1e-6)
     to_lamp = np.array(surroundings.lamp_position_m) - (eye + depth[..., None] * ray)
-    view, lamp = (one / np.linalg.norm(one, axis=-1, keepdims=True) for one in (-ray, to_lamp))
+    view, lamp = (
+        vector / np.linalg.norm(vector, axis=-1, keepdims=True) for vector in (-ray, to_lamp)
+    )
     half = view + lamp
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     width2 = surroundings.roughness**4
-    steep, seen, lit = (np.clip(one[..., 2], 1e-6, 1) ** 2 for one in (half, view, lamp))
+    steep, seen, lit = (np.clip(vector[..., 2], 1e-6, 1) ** 2 for vector in (half, view, lamp))
     distribution = width2 / (math.pi * (steep * (width2 - 1) + 1) ** 2)
     hidden = sum((np.sqrt(1 + width2 * (1 - cosine) / cosine) - 1) / 2 for cosine in (seen, lit))
     mirrored = distribution / (1 + hidden) / (4 * np.sqrt(seen * lit))

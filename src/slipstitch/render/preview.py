@@ -147,7 +147,7 @@ def _write_video(path: Path, pictures, rate_hz: float) -> None:
             picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
             if writer is None:
                 size = (picture.shape[1], picture.shape[0])
-                codec = cv2.VideoWriter_fourcc(*"mp4v")
+                codec = cv2.VideoWriter.fourcc(*"mp4v")
                 writer = cv2.VideoWriter(str(path), codec, rate_hz, size)
                 if not writer.isOpened():
                     raise RuntimeError("OpenCV cannot write MP4 videos here")

@@ -153,7 +153,8 @@ def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight
     on_floor = (of_floor > 0.999) & (cover < 0.001)
     elsewhere = (of_floor < 0.001) & (cover < 0.001)
     cloth_light = _smooth_on_cloth(light, uv, on_cloth)
-    if glossy is None:
+    mirrored = None
+    if glossy is None or sight.mirrored is None:
         floor_light = sum(map(spread, light, (on_floor,) * 2, _FLOOR_BLUR))
     else:
         mirrored, floor_light = _light_of_mirror(light, separate(glossy), on_floor, sight.mirrored)
@@ -167,9 +168,8 @@ def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight
     background = np.median(light[:, 0].sum(axis=0)[elsewhere]) if elsewhere.any() else 0.0
     still[0] += background * _shrink(other, step)
     still = np.stack([_shrink(part, LIGHT_OVERSAMPLING) for part in still])
-    if glossy is None:
-        return Shading(still, cloth_light)
-    mirrored = np.stack([_shrink(part * share, LIGHT_OVERSAMPLING) for part in mirrored])
+    if mirrored is not None:
+        mirrored = np.stack([_shrink(part * share, LIGHT_OVERSAMPLING) for part in mirrored])
     return Shading(still, cloth_light, mirrored)
 
 
@@ -203,7 +203,7 @@ def _shrink(image: np.ndarray, step: int) -> np.ndarray:
 
 def _smooth_on_cloth(light: np.ndarray, uv: np.ndarray, on_cloth: np.ndarray) -> np.ndarray:
     """Light (2, 3, H, W) smoothed over pixels close both in the image and on the cloth, added."""
-    result = sum(map(spread, light, (on_cloth,) * 2, _CLOTH_BLUR))
+    result = np.sum([*map(spread, light, (on_cloth,) * 2, _CLOTH_BLUR)], axis=0)
     rows, columns = np.flatnonzero(on_cloth.any(axis=1)), np.flatnonzero(on_cloth.any(axis=0))
     if not len(rows):
         return result
@@ -227,9 +227,8 @@ def _smooth_along(
     size = inside.shape[axis]
     # Every pair of pixels that lie `step` apart, weighted both ways at once.
     for step in range(min(_CLOTH_RADIUS, size - 1) + 1):
-        one, other = [slice(None)] * 2, [slice(None)] * 2
-        one[axis], other[axis] = slice(0, size - step), slice(step, size)
-        one, other = (..., *one), (..., *other)
+        ends = slice(0, size - step), slice(step, size)
+        one, other = ((..., end) if axis == -1 else (..., end, slice(None)) for end in ends)
         apart = place[one] - place[other]
         near = np.exp(-(apart[0] ** 2 + apart[1] ** 2)) * share[one] * share[other]
         for k, blur in enumerate(_CLOTH_BLUR):

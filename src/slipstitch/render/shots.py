@@ -45,8 +45,8 @@ def shots(
     fixed = viewpoint_pose(viewpoint, settings)
     result = []
     for row in rows:
-        where = (x, z) if settings.crop == "fixed" else (x[row], z[row])
-        room = cloth_room(*where, width, length)
+        at_x, at_z = (x, z) if settings.crop == "fixed" else (x[row], z[row])
+        room = cloth_room(at_x, at_z, width, length)
         camera = crop_to(fixed, room, settings.pixels)
         result.append(Shot(int(row), int(trajectory.frame[row]), camera))
     return result

@@ -81,5 +81,5 @@ def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> S
         float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
     )
     moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
-    lamp = tuple(float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
-    return Surroundings(name, albedo, reflectance, roughness, lamp)
+    x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
+    return Surroundings(name, albedo, reflectance, roughness, (x, y, z))

@@ -166,7 +166,7 @@ def verify(
     """
     started = start_clock()
     rows = []
-    for path in sorted(map(os.fspath, shards)):
+    for path in sorted(map(str, shards)):
         with open_parquet(path) as file:
             if file.schema_arrow.names != SCHEMA.names:
                 raise BadInput(f"{path}: not an image shard")
@@ -182,11 +182,13 @@ def verify(
         inputs.update([path, *map(os.fspath, files)])
     worst = {
         "images": len(comparisons),
-        "lowest_psnr_db": min((one.psnr_db for one in comparisons), default=None),
-        "lowest_ssim": min((one.ssim for one in comparisons), default=None),
-        "comparisons": [{**asdict(one), "passed": one.passed} for one in comparisons],
+        "lowest_psnr_db": min((comparison.psnr_db for comparison in comparisons), default=None),
+        "lowest_ssim": min((comparison.ssim for comparison in comparisons), default=None),
+        "comparisons": [
+            {**asdict(comparison), "passed": comparison.passed} for comparison in comparisons
+        ],
     }
-    failed = [one for one in comparisons if not one.passed]
+    failed = [comparison for comparison in comparisons if not comparison.passed]
     if failed:
         raise SlipstitchError("; ".join(map(_complaint, failed)))
     with atomic_path(out) as temporary:
@@ -203,11 +205,12 @@ def verify(
     return comparisons
 
 
-def _complaint(one: Comparison) -> str:
-    where = f"{one.video} frame {one.frame}"
-    if not one.as_stored:
+def _complaint(shown: Comparison) -> str:
+    where = f"{shown.video} frame {shown.frame}"
+    if not shown.as_stored:
         return f"{where}: the stored image is not what its shading pack gives"
     return (
-        f"{where} (floor {one.floor}): {one.psnr_db:.1f} dB and SSIM {one.ssim:.3f} against the "
-        f"direct render, at least {one.least_psnr_db:g} dB and {LEAST_SSIM:g} are needed"
+        f"{where} (floor {shown.floor}): {shown.psnr_db:.1f} dB and SSIM {shown.ssim:.3f} "
+        f"against the direct render, at least {shown.least_psnr_db:g} dB and {LEAST_SSIM:g} "
+        "are needed"
     )

@@ -12,7 +12,7 @@ from slipstitch.evaluate.capture_scores import subsets, what_they_are
 from slipstitch.evaluate.metrics import (
     BY_NAME,
     CAPTURES,
-    Answers,
+    PredictionsAndTruth,
     distance,
     mean_over_seeds,
     metrics_of,
@@ -209,7 +209,7 @@ def _simulated_row(metrics, details, model, split, errors) -> list[dict[str, Any
     detail = details.get(split, {}).get(NETWORKS.get(model, model), {})
     metric = BY_NAME["within_0.1"]
     within = [
-        {metric.name: metric.compute(Answers(np.nan, off, np.zeros_like(off)))}
+        {metric.name: metric.compute(PredictionsAndTruth(np.nan, off, np.zeros_like(off)))}
         for off in errors.values()
     ]
     mean = entry | (mean_over_seeds(within) if within else {})

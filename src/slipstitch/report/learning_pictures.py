@@ -43,7 +43,7 @@ def training(histories: Sequence[History]) -> Figure | None:
     splits.sort(key=lambda name: list(SPLIT_NAMES).index(name) if name in SPLIT_NAMES else 9)
     figure = new_figure(3.2 * len(networks) + 0.4, 2.2 * len(splits) + 0.6)
     panels = figure.subplots(len(splits), len(networks), sharex=True, squeeze=False)
-    lines = {}
+    lines: dict[str, Any] = {}
     for history in histories:
         if history.network not in networks:
             continue
@@ -71,7 +71,7 @@ def training(histories: Sequence[History]) -> Figure | None:
             axes.set_ylim(0, None)
     figure.supxlabel("epoch", fontsize=9)
     figure.legend(
-        lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
+        [*lines.values()], [*lines], loc="outside upper center", ncols=3, frameon=False, fontsize=8
     )
     return figure
 
@@ -219,7 +219,7 @@ def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> Fig
     panels[0].set(title="exact step of friction (< 0.1); fabric", ylabel="share of test videos")
     panels[1].set_title("one step off at most (< 0.2)")
     figure.legend(
-        lines.values(), lines.keys(), loc="outside upper center", ncols=4, frameon=False, fontsize=8
+        [*lines.values()], [*lines], loc="outside upper center", ncols=4, frameon=False, fontsize=8
     )
     return figure
 
@@ -252,7 +252,7 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
         axes.set_axis_off()
     curves = [errors for panel in panels for errors in panel["curves"].values() if len(errors)]
     widest = max(0.3, *(float(errors.max()) for errors in curves))
-    lines = {}
+    lines: dict[str, Any] = {}
     for axes, panel in zip(drawn.flat, panels, strict=False):
         for name, errors in panel["curves"].items():
             if len(errors):
@@ -264,6 +264,6 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
     figure.supxlabel("error of µ; of captures, distance from the reference’s interval", fontsize=9)
     figure.supylabel("share of videos", fontsize=9)
     figure.legend(
-        lines.values(), lines.keys(), loc="outside upper center", ncols=3, frameon=False, fontsize=8
+        [*lines.values()], [*lines], loc="outside upper center", ncols=3, frameon=False, fontsize=8
     )
     return figure

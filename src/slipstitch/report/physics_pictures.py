@@ -76,7 +76,7 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     )
     reach = max(float(np.abs(run.centre_m[:, :, 0]).max()) for run in trajectories)
     reach = 1e3 * min(reach, 0.2) + 8
-    used = {}
+    used: dict[str, Any] = {}
     drawn = {(run.simulation.material, run.simulation.friction) for run in trajectories}
     for (row, column), axes in np.ndenumerate(panels):
         if (materials[row], frictions[column]) not in drawn:
@@ -108,7 +108,7 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
         row[0].set_ylabel(f"{material}\nheight, mm", fontsize=8)
     figure.supxlabel("ahead of the clamps, mm", fontsize=8)
     figure.legend(
-        used.values(), used.keys(), loc="outside upper center", ncols=5 if width > 9 else 3,
+        [*used.values()], [*used], loc="outside upper center", ncols=5 if width > 9 else 3,
         frameon=False, fontsize=8,
     )  # fmt: skip
     return figure
@@ -133,7 +133,7 @@ def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[len(materials) :]:
         axes.set_axis_off()
-    lines = {}
+    lines: dict[str, Any] = {}
     for run in trajectories:
         axes = panels.flat[materials.index(run.simulation.material)]
         (line,) = axes.plot(

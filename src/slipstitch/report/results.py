@@ -319,7 +319,7 @@ class Results:
 
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:
         """One record of each stage, with the artefact that carries it."""
-        candidates = {
+        candidates: dict[str, list[str | Path]] = {
             "calibrate": ["calibrate/calibration.json"],
             "simulate": [
                 f"simulate/{simulation.id}.parquet" for simulation in self.simulated()[:1]

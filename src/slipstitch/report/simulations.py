@@ -26,7 +26,7 @@ def simulation_section(results: Results) -> dict[str, Any]:
     frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
     shown = [simulation for simulation in done if simulation.friction in frictions]
     trajectories: list[SimulationSummary] = list(results.trajectories(shown))
-    first = {}
+    first: dict[tuple[str, float], SimulationSummary] = {}
     for run in trajectories:
         first.setdefault((run.simulation.material, run.simulation.friction), run)
     cpu = sorted(run.cpu_s for run in trajectories if run.cpu_s is not None)
@@ -62,6 +62,7 @@ def _sheets(results: Results, done: Sequence[Simulation]) -> list[dict[str, str]
     sheets = []
     for simulation in evenly(chosen, MOST_SHEETS_SHOWN):
         path = results.preview(simulation)
+        assert path is not None  # of such alone is `having` made
         try:
             with Image.open(path) as image:
                 small = image.convert("RGB")

@@ -34,10 +34,17 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     a test-only fabric or friction coefficient are test simulations in both.
     """
     grid = simulations(config)
-    trained = [one for one in grid if "test" not in (one.material_role, one.friction_role)]
+    trained = [
+        simulation
+        for simulation in grid
+        if "test" not in (simulation.material_role, simulation.friction_role)
+    ]
     fractions = (config.sample.validation_fraction, config.sample.test_fraction)
     of_simulation = split_by_simulation(
-        [(one.material_id, one.friction_id, one.replicate_id) for one in trained],
+        [
+            (simulation.material_id, simulation.friction_id, simulation.replicate_id)
+            for simulation in trained
+        ],
         *fractions,
         seed=config.seed,
         hold_out=config.sample.hold_out,
@@ -48,17 +55,19 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
         for view in viewpoints(config)
     }
     trainable = [
-        f"{one.id}_{texture}_{view}"
-        for one in trained
+        f"{simulation.id}_{texture}_{view}"
+        for simulation in trained
         for (texture, view), role in roles.items()
         if role == ("train", "train")
     ]
     of_video = split_by_video(trainable, *fractions, seed=config.seed)
     sides = {}
-    for one in grid:
-        side = of_simulation.get((one.material_id, one.friction_id, one.replicate_id), "test")
+    for simulation in grid:
+        side = of_simulation.get(
+            (simulation.material_id, simulation.friction_id, simulation.replicate_id), "test"
+        )
         for texture, view in roles:
-            video = f"{one.id}_{texture}_{view}"
+            video = f"{simulation.id}_{texture}_{view}"
             sides[video] = (of_video.get(video, "test"), side)
     return sides
 
@@ -90,9 +99,9 @@ def write_dataset(
     started = start_clock()
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     sides = manifest_sides(config)
-    grid = {one.id: one for one in simulations(config)}
+    grid = {simulation.id: simulation for simulation in simulations(config)}
     paths_of: dict[str, list[str]] = defaultdict(list)
-    for path in map(os.fspath, shards):
+    for path in map(str, shards):
         for name in simulations_of(path):
             if name not in grid:
                 raise BadInput(f"{path}: simulation {name!r} is not of the configured grid")
@@ -105,8 +114,10 @@ def write_dataset(
         )
 
     rows: list[dict[str, Any]] = []
-    for one in progress(grid.values(), "sample: ", unit="simulation"):
-        rows += _write_simulation(config, one, paths_of[one.id], frames, sides, Path(out_dir))
+    for simulation in progress(grid.values(), "sample: ", unit="simulation"):
+        rows += _write_simulation(
+            config, simulation, paths_of[simulation.id], frames, sides, Path(out_dir)
+        )
     check_no_simulation_on_both_sides(
         [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
     )
@@ -123,7 +134,7 @@ def write_dataset(
 
 def _write_simulation(
     config: Config,
-    one: Simulation,
+    simulation: Simulation,
     paths: list[str],
     frames: np.ndarray,
     sides: dict[str, tuple[str, str]],
@@ -136,10 +147,10 @@ def _write_simulation(
     for path in paths:
         # One simulation, one floor: the same in every shard.
         floor = read_metadata(path).get("surroundings") or MATTE.record()
-        for (simulation, texture, view), images in read_shard(path, frames).items():
-            if simulation != one.id:
+        for (name, texture, view), images in read_shard(path, frames).items():
+            if name != simulation.id:
                 continue
-            video = f"{one.id}_{texture}_{view}"
+            video = f"{simulation.id}_{texture}_{view}"
             if video not in sides:
                 raise BadInput(f"{path}: video {video!r} is not of the configured grid")
             if (texture, view) in videos:
@@ -147,8 +158,8 @@ def _write_simulation(
             videos[texture, view] = images
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
     rows, images = [], []
-    file = f"{one.id}.parquet"
-    for video in sorted(name for name in sides if name.startswith(f"{one.id}_")):
+    file = f"{simulation.id}.parquet"
+    for video in sorted(name for name in sides if name.startswith(f"{simulation.id}_")):
         texture, view = video.split("_")[3:]
         if (texture, view) not in videos:
             raise BadInput(f"no images of video {video} in {', '.join(paths)}")
@@ -159,11 +170,11 @@ def _write_simulation(
             images.append(
                 {
                     "video": video,
-                    "simulation": one.id,
+                    "simulation": simulation.id,
                     "texture": texture,
                     "viewpoint": view,
-                    "material": one.material,
-                    "friction": one.friction,
+                    "material": simulation.material,
+                    "friction": simulation.friction,
                     "position": position,
                     "frame": image.frame,
                     "time_s": image.time_s,
@@ -177,18 +188,18 @@ def _write_simulation(
         rows.append(
             {
                 "video": video,
-                "simulation": one.id,
-                "material_id": one.material_id,
-                "friction_id": one.friction_id,
-                "replicate_id": one.replicate_id,
+                "simulation": simulation.id,
+                "material_id": simulation.material_id,
+                "friction_id": simulation.friction_id,
+                "replicate_id": simulation.replicate_id,
                 "texture_id": texture,
                 "viewpoint_id": view,
-                "material": one.material,
-                "friction": one.friction,
+                "material": simulation.material,
+                "friction": simulation.friction,
                 "texture": catalogue[texture]["name"],
                 "viewpoint": view_name,
-                "material_role": one.material_role,
-                "friction_role": one.friction_role,
+                "material_role": simulation.material_role,
+                "friction_role": simulation.friction_role,
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
                 "viewpoint_turn_deg": turn,

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ MANIFEST_SCHEMA = pa.schema(
 )
 
 
-def dataset_digest(rows: Sequence[dict[str, Any]]) -> str:
+def dataset_digest(rows: Sequence[Mapping[str, Any]]) -> str:
     """SHA-256 of the manifest's rows; images enter by the digests of their decoded pixels."""
     return hashlib.sha256(json.dumps(list(rows), sort_keys=True).encode()).hexdigest()
 

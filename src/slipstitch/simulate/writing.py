@@ -38,15 +38,15 @@ def runs_of_the_grid(config: Config, names: Sequence[str]) -> list[RunWithIds]:
     found = [find_simulation(config, name) for name in names]
     return [
         (
-            DropAndDrag(one.material, one.friction, one.seed),
+            DropAndDrag(simulation.material, simulation.friction, simulation.seed),
             {
-                "simulation": one.id,
-                "material_id": one.material_id,
-                "friction_id": one.friction_id,
-                "replicate_id": one.replicate_id,
+                "simulation": simulation.id,
+                "material_id": simulation.material_id,
+                "friction_id": simulation.friction_id,
+                "replicate_id": simulation.replicate_id,
             },
         )
-        for one in found
+        for simulation in found
     ]
 
 

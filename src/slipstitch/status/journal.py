@@ -97,7 +97,7 @@ class Journal(logging.Handler):
             own, jobs = _cpu_s(resource.RUSAGE_SELF), _cpu_s(resource.RUSAGE_CHILDREN)
             self._write("end", success=success, own_cpu_s=own, jobs_cpu_s=jobs)
 
-    def emit(self, record: logging.LogRecord) -> None:
+    def emit(self, record: Any) -> None:
         """Take what concerns single jobs from Snakemake's log records."""
         if not self._begun:
             return

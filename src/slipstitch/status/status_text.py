@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from slipstitch.page.wording import duration, size
-from slipstitch.status.runs import Failure, failure_lines, last_lines
+from slipstitch.status.runs import Failure, Run, failure_lines, last_lines
 from slipstitch.status.state import Running, StageProgress, Status
 
 MOST_RUNNING = 8
@@ -44,8 +44,7 @@ def _table(stages: list[StageProgress]) -> list[str]:
     ]
 
 
-def _head(found: Status, now_s: float) -> str:
-    run = found.run
+def _head(found: Status, run: Run, now_s: float) -> str:
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head["time"]))
     if run.success is True:
         state = (
@@ -118,7 +117,7 @@ def text(folder: Path, found: Status, log_lines: int, now_s: float | None = None
         return f"{folder}: no run of snakemake has started a job here."
     lines = [
         *_failed(folder, found.failures, log_lines),
-        _head(found, now_s),
+        _head(found, found.run, now_s),
         "",
         *_table(found.stages),
         *_running(folder.parent, found.running, found.alive, now_s),

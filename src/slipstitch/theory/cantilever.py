@@ -66,7 +66,7 @@ def _from_the_tip(plumb_deficit: float, stations: int | None = None):
     def clamp(_, state):
         return state[0] - math.pi / 2
 
-    clamp.terminal = True
+    clamp.terminal = True  # type: ignore[attr-defined]  # how SciPy is told to stop there
     solution = solve_ivp(
         slope,
         (0.0, 50.0),

@@ -107,7 +107,7 @@ def _branch() -> tuple[np.ndarray, np.ndarray]:
     a, c = np.linalg.solve(system, (-1.0, 0.0))
     mode = np.array([c * wave, 0.0, a * load])
     angles = np.linspace(0.02, FLAT_FOOT_RAD, 40)
-    states = []
+    states: list[np.ndarray] = []
     for index, angle in enumerate(angles):
         if index == 0:
             guess = mode * angle + (0.0, load, 0.0)
@@ -149,7 +149,8 @@ def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
     if angle < angles[0]:
         guess = states[0] * (angle / angles[0], 1.0, angle / angles[0])
     unknowns = _solve(angle, guess)
-    solution = _integrate(*unknowns, stations=np.linspace(0.0, 1.0, 201))
+    curvature, vertical, horizontal = unknowns
+    solution = _integrate(curvature, vertical, horizontal, np.linspace(0.0, 1.0, 201))
     curve = solution.y[2:].T
     return StripState(
         strain=float(1.0 - curve[-1, 1]),

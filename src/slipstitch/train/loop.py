@@ -76,7 +76,6 @@ class Learner(Protocol):
     """
 
     name: str
-    network: nn.Module
     optimizer: torch.optim.Optimizer
     phases: Sequence[Phase]
     batch_size: int
@@ -87,6 +86,10 @@ class Learner(Protocol):
     plateau_epochs: int | None
     diverged_hint: str
     plateau_hint: str
+
+    @property
+    def network(self) -> nn.Module:
+        """What learns."""
 
     def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the videos that train in a phase, and of those that validate it."""

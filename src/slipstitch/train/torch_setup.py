@@ -12,7 +12,7 @@ def set_up_torch(threads: int) -> None:
     """Deterministic algorithms and a fixed number of threads (more of them, other roundings)."""
     torch.use_deterministic_algorithms(True)
     # Else every new tensor is filled with NaN first: an eighth of the time.
-    torch.utils.deterministic.fill_uninitialized_memory = False
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     _keep_freed_memory()
     torch.set_num_threads(threads)
 

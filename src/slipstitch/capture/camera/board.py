@@ -91,7 +91,9 @@ class Board:
 
     def find(self, grey: np.ndarray) -> Sighting | None:
         """The board in a grey image (H, W) uint8, None if it is not there."""
-        return self._find_charuco(grey) if self.marker_m else self._find_checkerboard(grey)
+        if self.marker_m and self.dictionary:
+            return self._find_charuco(grey, self.marker_m, self.dictionary)
+        return self._find_checkerboard(grey)
 
     def _find_checkerboard(self, grey: np.ndarray) -> Sighting | None:
         columns, rows = self.squares[0] - 1, self.squares[1] - 1
@@ -117,10 +119,10 @@ class Board:
             np.ascontiguousarray(corners.reshape(-1, 2), dtype=np.float32),
         )
 
-    def _find_charuco(self, grey: np.ndarray) -> Sighting | None:
-        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+    def _find_charuco(self, grey: np.ndarray, marker_m: float, dictionary: str) -> Sighting | None:
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
         try:
-            board = cv2.aruco.CharucoBoard(self.squares, self.square_m, self.marker_m, markers)
+            board = cv2.aruco.CharucoBoard(self.squares, self.square_m, marker_m, markers)
         except cv2.error:
             raise BadInput(
                 f"--dictionary: {self.dictionary} has too few markers for "
@@ -129,9 +131,9 @@ class Board:
         corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         if ids is None or len(ids) < _FEWEST_CORNERS:
             return None
-        points = board.getChessboardCorners()[ids.ravel()]
+        points = np.asarray(board.getChessboardCorners())[ids.ravel()]
         # This detector, unlike the rest of OpenCV, counts from the first pixel's corner.
-        margin = (1 - self.marker_m / self.square_m) / 2
+        margin = (1 - marker_m / self.square_m) / 2
         corners = _refine(grey, corners.reshape(-1, 2) - 0.5, margin)
         return Sighting(points.astype(np.float32), corners)
 
@@ -163,4 +165,4 @@ def _first_square_is_light(grey: np.ndarray, corners: np.ndarray) -> bool:
         ]
     )
     # Square (1, 1) of the board, the first between inner corners, is as dark as square (0, 0).
-    return difference > 0
+    return bool(difference > 0)

@@ -22,7 +22,7 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
         "png" or "svg".
     """
     figure = Figure(figsize=(11, 7), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(1.6, 1))
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1))[:, 0]
     places, scatter = upper.subplots(1, 2, width_ratios=(1.6, 1))
     bars = lower.subplots()
     corners = np.concatenate([view.sighting.corners_px for view in result.views])

@@ -90,10 +90,11 @@ def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:
     if any(is_video) and len(names) > 1:
         raise BadInput(f"{names[is_video.index(True)]}: a video must be the only file")
     images = _frames(names[0]) if is_video[0] else ((str(path), read_image(path)) for path in names)
-    views, looked_at = [], 0
+    views: list[View] = []
+    looked_at = 0
     for name, grey in images:
         looked_at += 1
-        size = grey.shape[::-1]
+        size = (grey.shape[1], grey.shape[0])
         sighting = board.find(grey)
         if sighting is None:
             continue

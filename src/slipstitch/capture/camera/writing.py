@@ -46,7 +46,7 @@ def calibrate_to_file(
         stage = result.stand(read_image(stage_view), board, place, str(stage_view))
     record = provenance_record(
         "capture",
-        inputs=[*views, *([stage_view] if stage else [])],
+        inputs=[*views, *([stage_view] if stage_view else [])],
         config={"board": board.record(), "place": stage and stage.place.record()},
         started=started,
     )

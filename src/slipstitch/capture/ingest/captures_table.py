@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.capture.csv_table import (
-    Column,
+    TableColumn,
     file_below,
     name,
     number,
@@ -65,11 +65,11 @@ class Capture:
 def read_references(path: str | os.PathLike) -> dict[tuple[str, str], tuple[float, float]]:
     """(material, substrate) -> (mu, error) of what `slipstitch capture reference` wrote as CSV."""
     friction = number(0, LARGEST_FRICTION)
-    columns = [Column("material", name), Column("substrate", name)]
-    columns += [Column("mu", friction), Column("error", friction)]
+    columns = [TableColumn("material", name), TableColumn("substrate", name)]
+    columns += [TableColumn("mu", friction), TableColumn("error", friction)]
     others = ("standard_error", "position_sd", "bench_error", "positions", "orientations",
               "measurements", "position_p", "orientation_p")  # fmt: skip
-    columns += [Column(one, number(), needed=False, may_be_empty=True) for one in others]
+    columns += [TableColumn(title, number(), needed=False, may_be_empty=True) for title in others]
     found = {}
     for row in read_table(path, columns):
         key = (row["material"], row["substrate"])
@@ -102,17 +102,17 @@ def read_captures(
     rows = read_table(
         path,
         [
-            Column("video", below),
-            Column("material", name),
-            Column("substrate", name),
-            Column("repeat", whole_number(0, 99)),
-            Column("mu_ref", friction, may_be_empty=reference is not None),
-            Column("mu_ref_error", friction, may_be_empty=reference is not None),
-            Column("reflective", yes_or_no),
-            Column("camera", below),
-            Column("start_s", number(0, 86400), needed=False, may_be_empty=True),
-            Column("frame_rate_hz", number(0, 1000, open_ends=True), False, True),
-            Column("surrogate", yes_or_no, needed=False),
+            TableColumn("video", below),
+            TableColumn("material", name),
+            TableColumn("substrate", name),
+            TableColumn("repeat", whole_number(0, 99)),
+            TableColumn("mu_ref", friction, may_be_empty=reference is not None),
+            TableColumn("mu_ref_error", friction, may_be_empty=reference is not None),
+            TableColumn("reflective", yes_or_no),
+            TableColumn("camera", below),
+            TableColumn("start_s", number(0, 86400), needed=False, may_be_empty=True),
+            TableColumn("frame_rate_hz", number(0, 1000, open_ends=True), False, True),
+            TableColumn("surrogate", yes_or_no, needed=False),
         ],
     )
     known = read_references(reference) if reference else {}
@@ -127,7 +127,7 @@ def read_captures(
         captures.append(Capture(id=f"{pair}_r{row['repeat']:02d}", **fields))
     _check_no_duplicates(path, rows, captures)
     _check_pairs_agree(path, rows, captures)
-    if len({one.surrogate for one in captures}) > 1:
+    if len({capture.surrogate for capture in captures}) > 1:
         raise BadInput(f"{path}: surrogate and real captures do not go into one table")
     return captures
 
@@ -150,27 +150,27 @@ def _fill(row: dict[str, Any], key, known, path, reference) -> None:
 def _check_no_duplicates(path, rows, captures: list[Capture]) -> None:
     lines: dict[str, int] = {}
     digests: dict[str, int] = {}
-    for row, one in zip(rows, captures, strict=True):
-        if one.id in lines:
+    for row, capture in zip(rows, captures, strict=True):
+        if capture.id in lines:
             raise BadInput(
-                f"{path} line {row['line']}: repeat {one.repeat} of {one.material} on "
-                f"{one.substrate} is in line {lines[one.id]} too"
+                f"{path} line {row['line']}: repeat {capture.repeat} of {capture.material} on "
+                f"{capture.substrate} is in line {lines[capture.id]} too"
             )
-        digest = file_digest(one.video)
+        digest = file_digest(capture.video)
         if digest in digests:
             raise BadInput(
                 f"{path} line {row['line']}, video: the same content as in line {digests[digest]}"
             )
-        lines[one.id] = digests[digest] = row["line"]
+        lines[capture.id] = digests[digest] = row["line"]
 
 
 def _check_pairs_agree(path, rows, captures: list[Capture]) -> None:
     first: dict[str, tuple[int, tuple]] = {}
-    for row, one in zip(rows, captures, strict=True):
-        said = (one.mu_ref, one.mu_ref_error, one.reflective)
-        line, before = first.setdefault(one.pair, (row["line"], said))
-        if said != before:
+    for row, capture in zip(rows, captures, strict=True):
+        reference = (capture.mu_ref, capture.mu_ref_error, capture.reflective)
+        line, before = first.setdefault(capture.pair, (row["line"], reference))
+        if reference != before:
             raise BadInput(
-                f"{path} line {row['line']}: {one.material} on {one.substrate} has another mu_ref, "
-                f"error or reflective than in line {line}"
+                f"{path} line {row['line']}: {capture.material} on {capture.substrate} has another "
+                f"mu_ref, error or reflective than in line {line}"
             )

@@ -81,20 +81,20 @@ def ingest(
     started = start_clock()
     captures = read_captures(table, reference)
     schedule = Schedule.of(config.simulation, config.render, config.sample)
-    lenses = {path: read_camera_file(path) for path in {one.camera for one in captures}}
+    lenses = {path: read_camera_file(path) for path in {capture.camera for capture in captures}}
     manifest, known = [], []
-    for one in progress(captures):
+    for capture in progress(captures):
         video = read_stage_video(
-            one.video,
-            lenses[one.camera],
+            capture.video,
+            lenses[capture.camera],
             schedule,
-            start_s=one.start_s,
-            frame_rate_hz=one.frame_rate_hz,
+            start_s=capture.start_s,
+            frame_rate_hz=capture.frame_rate_hz,
         )
-        manifest.append(_write_video(config, one, video, schedule, Path(out_dir)))
-        known.append(_known(one, video))
+        manifest.append(_write_video(config, capture, video, schedule, Path(out_dir)))
+        known.append(_known(capture, video))
     digest = dataset_digest(manifest)
-    inputs = [table, *filter(None, [reference]), *lenses, *(one.video for one in captures)]
+    inputs = [table, *filter(None, [reference]), *lenses, *(capture.video for capture in captures)]
     record = _record(config, inputs, started)
     write_manifest(manifest, out_dir, record)
     rows = [{**row, "dataset_digest": digest} for row in known]
@@ -109,18 +109,18 @@ def _record(config: Config, inputs: Sequence, started) -> dict[str, Any]:
 
 
 def _write_video(
-    config: Config, one: Capture, video: StageVideo, schedule: Schedule, out_dir: Path
+    config: Config, capture: Capture, video: StageVideo, schedule: Schedule, out_dir: Path
 ) -> dict[str, Any]:
     """Write one capture's frames; return its row of the manifest."""
     started = start_clock()
-    name = f"{one.id}_{_TEXTURE}_{_VIEW}"
+    name = f"{capture.id}_{_TEXTURE}_{_VIEW}"
     same = {
         "video": name,
-        "simulation": one.id,
+        "simulation": capture.id,
         "texture": _TEXTURE,
         "viewpoint": _VIEW,
-        "material": one.material,
-        "friction": one.mu_ref,
+        "material": capture.material,
+        "friction": capture.mu_ref,
     }
     images = [
         {
@@ -133,19 +133,19 @@ def _write_video(
         }
         for k, image in enumerate(video.frames)
     ]
-    file = f"{one.id}.parquet"
-    write_frames(images, out_dir / file, _record(config, [one.video, one.camera], started))
-    known = one.material in fabric_names()
+    file = f"{capture.id}.parquet"
+    write_frames(images, out_dir / file, _record(config, [capture.video, capture.camera], started))
+    known = capture.material in fabric_names()
     return {
         "video": name,
-        "simulation": one.id,
-        "material_id": material_id(one.material) if known else "other",
-        "friction_id": one.pair,
-        "replicate_id": f"r{one.repeat:02d}",
+        "simulation": capture.id,
+        "material_id": material_id(capture.material) if known else "other",
+        "friction_id": capture.pair,
+        "replicate_id": f"r{capture.repeat:02d}",
         "texture_id": _TEXTURE,
         "viewpoint_id": _VIEW,
-        "material": one.material,
-        "friction": one.mu_ref,
+        "material": capture.material,
+        "friction": capture.mu_ref,
         "texture": "its own",
         "viewpoint": "calibrated",
         "material_role": "test",
@@ -153,7 +153,7 @@ def _write_video(
         "texture_role": "test",
         "viewpoint_role": "test",
         "viewpoint_turn_deg": 0.0,
-        "floor": one.substrate,
+        "floor": capture.substrate,
         "floor_reflectance": None,
         "floor_roughness": None,
         "split_by_video": "test",
@@ -165,17 +165,17 @@ def _write_video(
     }
 
 
-def _known(one: Capture, video: StageVideo) -> dict[str, Any]:
+def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
     return {
-        "video": f"{one.id}_{_TEXTURE}_{_VIEW}",
-        "pair": one.pair,
-        "material": one.material,
-        "substrate": one.substrate,
-        "repeat": one.repeat,
-        "mu_ref": one.mu_ref,
-        "mu_ref_error": one.mu_ref_error,
-        "reflective": one.reflective,
-        "surrogate": one.surrogate,
+        "video": f"{capture.id}_{_TEXTURE}_{_VIEW}",
+        "pair": capture.pair,
+        "material": capture.material,
+        "substrate": capture.substrate,
+        "repeat": capture.repeat,
+        "mu_ref": capture.mu_ref,
+        "mu_ref_error": capture.mu_ref_error,
+        "reflective": capture.reflective,
+        "surrogate": capture.surrogate,
         "start_s": video.start.time_s,
         "start_found": video.start.found,
         "start_residual_m": video.start.residual_m,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.capture.csv_table import Column, name, number, read_table, whole_number
+from slipstitch.capture.csv_table import TableColumn, name, number, read_table, whole_number
 from slipstitch.errors import BadInput
 
 
@@ -44,19 +44,19 @@ def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
     rows = read_table(
         path,
         [
-            Column("material", name),
-            Column("substrate", name),
-            Column("position", name),
-            Column("orientation", name),
-            Column("repeat", whole_number(0, 9999)),
-            Column("angle_deg", number(0, 85, open_ends=True)),
-            Column("bench_error_deg", number(0, 10)),
+            TableColumn("material", name),
+            TableColumn("substrate", name),
+            TableColumn("position", name),
+            TableColumn("orientation", name),
+            TableColumn("repeat", whole_number(0, 9999)),
+            TableColumn("angle_deg", number(0, 85, open_ends=True)),
+            TableColumn("bench_error_deg", number(0, 10)),
         ],
     )
     lines: dict[tuple, int] = {}
     pairs: dict[tuple[str, str], list[dict]] = defaultdict(list)
     for row in rows:
-        key = tuple(row[one] for one in ("material", "substrate", "position", "orientation"))
+        key = tuple(row[title] for title in ("material", "substrate", "position", "orientation"))
         key += (row["repeat"],)
         if key in lines:
             raise BadInput(f"{path} line {row['line']}: the same measurement as line {lines[key]}")

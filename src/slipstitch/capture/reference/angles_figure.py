@@ -47,7 +47,8 @@ def draw_references(
                 [reference.mu], [row], xerr=[reference.error], color="black", capsize=3, lw=1.2
             )
         axes.set_yticks(
-            range(len(measured)), [f"{one.material}\non {one.substrate}" for one, _ in measured]
+            range(len(measured)),
+            [f"{angles.material}\non {angles.substrate}" for angles, _ in measured],
         )
         axes.set_ylim(len(measured) - 0.2, -0.4)
         axes.set_xlabel("friction coefficient (tan of the slip angle)")

@@ -128,7 +128,7 @@ def _means(values, number, names: list[str]) -> dict[str, tuple[float, int]]:
 
 def _f_test(values: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float | None:
     """Probability of what the columns of `full` beyond `reduced` explain, by chance alone."""
-    ranks = [np.linalg.matrix_rank(one) for one in (full, reduced)]
+    ranks = [np.linalg.matrix_rank(design) for design in (full, reduced)]
     left, extra = len(values) - ranks[0], ranks[0] - ranks[1]
     if extra < 1 or left < 1:
         return None
@@ -182,7 +182,7 @@ class _Mixed:
         by_design = weighted(self.design)
         information = self.design.T @ by_design
         coefficients = np.linalg.solve(information, by_design.T @ self.values)
-        left = self.values - self.design @ coefficients
+        left: np.ndarray = self.values - self.design @ coefficients
         free = len(self.values) - self.design.shape[1]
         sigma2 = max(float(left @ weighted(left)) / free, 1e-300)
         cost = np.log(scale).sum() + np.linalg.slogdet(information)[1] + free * np.log(sigma2)

@@ -39,19 +39,19 @@ def reference_to_files(
     """
     started = start_clock()
     found = [(angles, estimate(angles)) for angles in read_angles(table)]
-    references = [one for _, one in found]
+    references = [pair for _, pair in found]
     record = provenance_record("capture", inputs=[table], started=started)
     with atomic_path(out) as temporary, open(temporary, "w", newline="") as stream:
         writer = csv.DictWriter(stream, COLUMNS, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
-        for one in references:
-            counts = {"positions": len(one.by_position), "orientations": len(one.by_orientation)}
-            values = asdict(one) | counts
+        for pair in references:
+            counts = {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
+            values = asdict(pair) | counts
             writer.writerow({key: _shown(values[key]) for key in COLUMNS})
     write_sidecar(out, record)
     if details:
         with atomic_path(details) as temporary:
-            text = json.dumps([asdict(one) for one in references], indent=1, allow_nan=False)
+            text = json.dumps([asdict(pair) for pair in references], indent=1, allow_nan=False)
             temporary.write_text(text + "\n", encoding="utf-8")
         write_sidecar(details, record)
     if picture:

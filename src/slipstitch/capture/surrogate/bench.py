@@ -132,11 +132,11 @@ def surroundings(config: Config, pair: PairSettings) -> Surroundings:
     """Floor and lamp of a pair, drawn from what such floors look like."""
     rng = generator(config.seed, "surrogate", pair.material, pair.substrate)
     floor = FLOORS[pair.substrate]
-    drawn = [
+    albedo, reflectance, roughness = (
         float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
-    ]
-    lamp = tuple(np.array(LAMP_POSITION_M) + rng.uniform(-0.15, 0.15, 3))
-    return Surroundings(pair.substrate, *drawn, lamp_position_m=lamp)
+    )
+    x, y, z = np.array(LAMP_POSITION_M) + rng.uniform(-0.15, 0.15, 3)
+    return Surroundings(pair.substrate, albedo, reflectance, roughness, (x, y, z))
 
 
 def slip_angles(config: Config) -> list[dict]:

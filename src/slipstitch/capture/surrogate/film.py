@@ -98,7 +98,7 @@ def _pinhole(lens: LensCamera) -> tuple[Camera, np.ndarray]:
     # One focal length: what the renderer draws has square pixels.
     matrix[1, 1] = matrix[0, 0]
     matrix[0, 2] += (side - camera.pixels) / 2
-    matrix[1, 2] += (side - camera.rows) / 2
+    matrix[1, 2] += (side - (camera.rows or camera.pixels)) / 2
     pinhole = Camera(camera.rotation, camera.translation_m, matrix, side)
     y, x = np.mgrid[: camera.rows, : camera.pixels].astype(np.float64)
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)

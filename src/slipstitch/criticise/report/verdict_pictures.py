@@ -31,7 +31,7 @@ def telling_covariate(analysis: Analysis) -> str:
         return MECHANISMS[chosen.causes[0]].covariate or QUANTITY
     outcome = analysis.left_over or analysis.null_outcome
     strongest = outcome.strongest("generic")
-    return outcome.tests[strongest].covariate if strongest is not None else QUANTITY
+    return QUANTITY if strongest is None else outcome.tests[strongest].covariate or QUANTITY
 
 
 def drawn(analysis: Analysis, name: str) -> np.ndarray:
@@ -203,7 +203,7 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
     if extended is not None:
         fits.append((extended, EXTENDED_COLOUR, "extended"))
-    edges = np.linspace(-6, 6, 41)
+    edges = [*np.linspace(-6, 6, 41)]
     for fitted, colour, label in fits:
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]

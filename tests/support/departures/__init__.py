@@ -1,0 +1,9 @@
+"""A second bench for the criticism: other numerics, honest faults, laws that no library holds.
+
+It shares neither formula nor constant with the package ``slipstitch`` nor with
+``support.hidden_effects``: all is derived anew from docs/measurements.md.
+"""
+
+from support.departures.campaign import FAMILIES, draw_plan, make_case
+
+__all__ = ["FAMILIES", "draw_plan", "make_case"]
