@@ -55,7 +55,7 @@ class Contents:
     @cached_property
     def calibrated(self) -> dict[str, dict[str, Any]]:
         """Settings that the calibrations chose, by path; nothing of one that cannot be read."""
-        settings = {}
+        settings: dict[str, dict[str, Any]] = {}
         for path in self.artefacts:
             with contextlib.suppress(BadInput):
                 settings |= calibrated_by([path], lambda name: self.folder / carried_file(name))

@@ -116,7 +116,10 @@ class StageFollower:
         away_m = abs(self._x_m - self._commanded_m(time_s))
         near = np.flatnonzero(away_m <= self._reach_m(time_s))
         grey, maps = self._part(image, self._maps(self._x_m[near]))
-        patches = np.stack([cv2.remap(grey, one, None, cv2.INTER_LINEAR) for one in maps])
+        x, y = maps[..., 0], maps[..., 1]
+        patches = np.stack(
+            [cv2.remap(grey, x[k], y[k], cv2.INTER_LINEAR) for k in range(len(maps))]
+        )
         if abs(time_s - self._path.drop_duration_s) <= _REST_S:
             self._rest.append(patches[np.argmin(abs(self._x_m[near]))])
             return

@@ -73,4 +73,5 @@ def flexible_gmres(
         weights[k] = weights[k] / columns[k][k] if columns[k][k] else 0.0
         for row in range(k):
             weights[row] -= weights[k] * columns[k][row]
-    return sum(weight * one for weight, one in zip(weights, solutions, strict=True))
+    terms = (weight * solution for weight, solution in zip(weights, solutions, strict=True))
+    return sum(terms, start=np.zeros_like(basis[0]))
