@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_threads, check_at_least
+from slipstitch.cli.options import add_threads, check_at_least, output_path
 
 SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
 EXAMPLE = (
@@ -32,8 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="configuration that the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="page (HTML) to write")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers, to write")
+    parser.add_argument("--out", type=output_path, metavar="FILE", help="page (HTML) to write")
+    parser.add_argument("--json", type=output_path, metavar="FILE", help="all numbers, to write")
     parser.add_argument(
         "--start-s",
         type=float,
