@@ -94,6 +94,18 @@ def test_replicates_differ_in_what_a_bench_cannot_hold_constant(run):
     assert np.abs(trajectory.positions_m[0] - other.positions_m[0]).max() > 1e-5
 
 
+def test_before_the_cloth_touches_the_floor_nothing_tells_the_coefficient():
+    """The same bench at every coefficient: to a hundredth of a pixel, the same images."""
+    hanging = SMALL.model_copy(update={"frames": 2})
+    low, high = (
+        simulate_drop_and_drag("11oz-black-denim", friction, 3, hanging)[0]
+        for friction in (0.1, 1.5)
+    )
+    assert low.metadata["perturbation"] == high.metadata["perturbation"]
+    assert low.positions_m[:, :, 2].min() > 5e-3
+    assert np.abs(low.positions_m - high.positions_m).max() < 5e-5
+
+
 def test_perturbations_have_the_stated_spread():
     drawn = [draw_perturbation(SMALL, seed) for seed in range(2000)]
     assert np.std([p.yaw_deg for p in drawn]) == pytest.approx(SMALL.yaw_sd_deg, rel=0.1)

@@ -54,15 +54,19 @@ def config(**sections) -> Config:
     )
 
 
-def write(config: Config, folder: Path) -> Path:
-    """Write ``results/`` in `folder`, as the workflow does, up to the dataset; return it."""
+def write(config: Config, folder: Path, chosen: dict | None = None) -> Path:
+    """Write ``results/`` in `folder`, as the workflow does, up to the dataset; return it.
+
+    `chosen`: settings of simulations that the calibration chose instead of the configured ones.
+    """
     results = folder / "results"
     with contextlib.chdir(folder), contextlib.redirect_stderr(sys.stdout):
         here = Path("results")
         write_config(config, here / "config.json")
         write_grid(config, here / "grid.parquet")
-        synthetic_results.write_calibrate(config, here)
-        _write_simulate(config, here)
+        synthetic_results.write_calibrate(config, here, chosen)
+        told = config.simulation.model_copy(update=chosen or {})
+        _write_simulate(config.model_copy(update={"simulation": told}), here)
         shards = _write_render(config, here)
         _write_verification(config, here, shards[:2])
         write_dataset(config, shards, here / "sample")

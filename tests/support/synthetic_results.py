@@ -90,15 +90,17 @@ def protocol_answer(name, options, settings):
     return found | {key: 1.004 * getattr(drag, key) for key in keys}
 
 
-def write_calibrate(config: Config, folder: Path) -> None:
-    """calibrate/calibration.json."""
+def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) -> None:
+    """calibrate/calibration.json; `chosen`: settings that it chose instead of the configured."""
     path = folder / "calibrate" / "calibration.json"
     path.parent.mkdir(parents=True)
     result = calibrate(config.calibrate, config.simulation, protocol_answer)
-    sections = config.calibrate, config.simulation
-    trials = [one for key in (BASE, *KEYS) for one in sweep(key, *sections, protocol_answer)]
-    result["strip"] = strip_calibration(*sections, trials, protocol_answer)
-    write_calibration(result, path, provenance_record("calibrate", config=config.simulation))
+    both = config.calibrate, config.simulation
+    trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
+    result["strip"] = strip_calibration(*both, trials, protocol_answer)
+    result["settings"] |= chosen or {}
+    sections = {"simulation": config.simulation, "calibrate": config.calibrate}
+    write_calibration(result, path, provenance_record("calibrate", config=sections))
 
 
 def write_simulate(config: Config, folder: Path) -> None:

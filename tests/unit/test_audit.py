@@ -378,8 +378,13 @@ def test_forged_configuration_contradicts_the_records(release):
     content["simulation"]["time_step_s"] = 0.01
     path.write_text(json.dumps(content))
     reseal(release)
+    # The calibration chose among such settings, and every simulation was made from it.
     broken = found(release, Kind.BROKEN)
-    assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
+    assert broken["records/calibrate/calibration.json.record.json"] >= {CLIP}
+    content["simulation"]["yaw_sd_deg"] = 2.0
+    path.write_text(json.dumps(content))
+    reseal(release)
+    assert "records/simulate/m05_f01_r00.parquet.record.json" in found(release, Kind.BROKEN)
 
 
 def test_forged_sources_do_not_have_the_digest_of_the_records(release):
@@ -409,9 +414,28 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     (finding,) = audit.findings
     assert finding.where == "sample"
     assert "sample.test_fraction: 0.1 -> 0.2" in finding.what
-    slower = synthetic_chain.config(simulation={"frames": 60, "time_step_s": 0.01})
+    slower = synthetic_chain.config(
+        simulation={"frames": 60, "vertices_per_side": 11, "time_step_s": 0.01}
+    )
+    # Simulations are told the step by the calibration: that is what has to be made anew first.
     stages = {finding.where for finding in audit_release(original, slower).findings}
-    assert stages == {"simulate"}
+    assert stages == {"calibrate"}
+    wider = synthetic_chain.config(simulation={"frames": 60, "yaw_sd_deg": 2.0})
+    stages = {finding.where for finding in audit_release(original, wider).findings}
+    assert "simulate" in stages
+
+
+def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
+    """The chain's calibration chose other settings than configured: released, intact, not stale."""
+    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0, "halvings_max": 9})
+    out = tmp_path / "release"
+    write_release(CONFIG, results, out, ROOT)
+    contents = read_contents(out)
+    told = next(part for part in contents.artefacts.values() if part.stage == "simulate")
+    assert told.provenance["config"]["simulation"]["damping_s"] == 0.0
+    assert CONFIG.simulation.damping_s == 0.002
+    assert audit_release(out).verdict == "intact"
+    assert audit_release(out, CONFIG).verdict == "intact"
 
 
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):

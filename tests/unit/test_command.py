@@ -167,3 +167,31 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
     assert answer.returncode == 1
     assert answer.stderr.count("\n") == 1
     assert "limited to 585 MiB (ulimit -v), at least 2048 are needed" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["criticise", "{folder}", "--out", "{folder}"], "a folder; name a file in it"),
+        (["criticise", "{folder}", "--out", "/dev/full"], "a device or a pipe; name a file"),
+        (
+            ["report", "--config", "x.yaml", "--out", "{file}/x.html"],
+            "{file} is a file, not a folder",
+        ),
+        (["predict", "x.json", "{folder}", "--out", "{file}/a/x.csv"], "{file} is a file"),
+        (["protocol", "incline", "--out", "{folder}"], "a folder; name a file in it"),
+        (
+            ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
+            "a file; a folder is to be written",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("kept")
+    named = {"folder": tmp_path, "file": file}
+    assert command.main([word.format(**named) for word in words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason.format(**named) in line
+    assert file.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [file]

@@ -7,6 +7,7 @@ import pytest
 
 from slipstitch.config import resolve_config
 from slipstitch.config.grid import (
+    bench_of,
     find_simulation,
     grid_rows,
     simulations,
@@ -37,10 +38,20 @@ def test_unknown_simulation_is_bad_input():
         find_simulation(grid(materials=["gray-interlock"]), "m09_f00_r00")
 
 
-def test_every_simulation_has_a_seed_of_its_own():
-    seeds = {one.seed for one in simulations(grid(replicates=20))}
-    assert len(seeds) == 3 * 4 * 20
+def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficient():
+    """Common random numbers: the bench says nothing of the coefficient."""
+    drawn = simulations(grid(replicates=20))
+    benches = {
+        (simulation.material, simulation.replicate_id, simulation.seed) for simulation in drawn
+    }
+    seeds = {seed for *_, seed in benches}
+    assert len(benches) == len(seeds) == 3 * 20
     assert all(0 <= seed < 2**31 for seed in seeds)
+
+
+def test_the_bench_of_a_simulation_leaves_out_its_coefficient():
+    assert bench_of("m05_f01_r00") == bench_of("m05_f13_r00") == "m05_r00"
+    assert len({bench_of(one.id) for one in simulations(grid(replicates=20))}) == 3 * 20
 
 
 def test_seeds_follow_the_configured_seed():

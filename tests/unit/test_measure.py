@@ -8,6 +8,7 @@ from support import analytic_stage as stage
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
+from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument, untrained_instrument
@@ -49,7 +50,7 @@ def measure(bench, *words):
 
 def test_result_numbers_and_page(bench, capsys):
     page, numbers = bench / "page.html", bench / "numbers.json"
-    assert measure(bench, "--out", str(page), "--json", str(numbers)) == 0
+    assert measure(bench, "--out", str(page), "--json", str(numbers)) == ALARM_EXIT_CODE
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
     assert "90 % interval 0.000 ... 1.500" in said[0]
@@ -65,16 +66,21 @@ def test_result_numbers_and_page(bench, capsys):
     assert f"{told['friction_coefficient']:.3f}" in content
 
 
+def test_an_alarm_has_an_exit_code_of_its_own():
+    assert ALARM_EXIT_CODE == 3
+
+
 def test_the_same_video_gives_the_same_numbers(bench, capsys):
     answers = []
     for _ in range(2):
-        assert measure(bench) == 0
+        assert measure(bench) == ALARM_EXIT_CODE
         answers.append(capsys.readouterr().out)
     assert answers[0] == answers[1]
 
 
 def test_a_stated_start(bench, capsys):
-    assert measure(bench, "--start-s", "2.9", "--json", str(bench / "stated.json")) == 0
+    words = ["--start-s", "2.9", "--json", str(bench / "stated.json")]
+    assert measure(bench, *words) == ALARM_EXIT_CODE
     told = json.loads((bench / "stated.json").read_text())
     assert told["stage_start_s"] == 2.9
     assert not told["stage_start_found"]

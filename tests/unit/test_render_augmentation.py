@@ -5,7 +5,7 @@ import pytest
 
 from slipstitch.catalogue import FLOORS
 from slipstitch.config.render import AugmentationSettings, RenderSettings
-from slipstitch.render.augmentation import Augmentation, draw_augmentation
+from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 
@@ -86,3 +86,21 @@ def test_compression_costs_detail_and_little_else():
     fine = Augmentation(jpeg_quality=95).photograph(LIGHT, rng()).astype(int)
     assert np.abs(rough - image).mean() > np.abs(fine - image).mean() > 0
     assert np.abs(rough.mean((0, 1)) - image.mean((0, 1))).max() < 3
+
+
+def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
+    looks = RenderSettings(
+        floors=list(FLOORS),
+        augmentation={"lamp_m": 0.3, "exposure_stops": 1.0, "colour_cast": 0.2, "noise": 0.1},
+    )
+    first, *others = (f"m03_f{k:02d}_r01" for k in range(16))
+    for other in others:
+        assert draw_surroundings(looks, 3, other) == draw_surroundings(looks, 3, first)
+        drawn = [
+            draw_augmentation(looks.augmentation, 3, name, "dots", "side")
+            for name in (first, other)
+        ]
+        assert drawn[0] == drawn[1]
+        noise = [pixel_noise(3, name, "dots", "side", 7).random() for name in (first, other)]
+        assert noise[0] == noise[1]
+    assert draw_surroundings(looks, 3, "m03_f00_r02") != draw_surroundings(looks, 3, first)

@@ -1,5 +1,6 @@
 """What lies in a release, read as far as it can be read."""
 
+import contextlib
 import hashlib
 import json
 from dataclasses import dataclass, field
@@ -16,8 +17,16 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata
 from slipstitch.release.assembly import CONFIG, RELEASE_RECORD
 from slipstitch.release.checksums import SUMS, read_sums
+from slipstitch.release.currency import calibrated_by
 from slipstitch.release.manifest import MANIFEST
-from slipstitch.release.records import RECORD_SUFFIX, RECORDS, Artefact, read_record, record_file
+from slipstitch.release.records import (
+    RECORD_SUFFIX,
+    RECORDS,
+    Artefact,
+    carried_file,
+    read_record,
+    record_file,
+)
 
 
 @dataclass
@@ -42,6 +51,15 @@ class Contents:
     def row_of(self) -> dict[str, dict[str, Any]]:
         """Video -> its row of the manifest."""
         return {row["video"]: row for row in self.rows}
+
+    @cached_property
+    def calibrated(self) -> dict[str, dict[str, Any]]:
+        """Settings that the calibrations chose, by path; nothing of one that cannot be read."""
+        settings: dict[str, dict[str, Any]] = {}
+        for path in self.artefacts:
+            with contextlib.suppress(BadInput):
+                settings |= calibrated_by([path], lambda name: self.folder / carried_file(name))
+        return settings
 
     @property
     def name(self) -> str:

@@ -140,7 +140,11 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
     sources = contents.folder / SOURCES
     for artefact in _ours(lineage):
         where, clips = record_file(artefact.path), lineage.clips(artefact.path)
-        changes = config_changes(artefact, contents.config) if contents.config else []
+        changes = (
+            config_changes(artefact, contents.config, contents.calibrated)
+            if contents.config
+            else []
+        )
         if changes:
             what = f"made with another configuration than records/config.json: {changes[0]}"
             yield Finding(Kind.BROKEN, where, what, clips)

@@ -42,7 +42,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
             reason = f"the catalogue has changed: {change}"
             touched[artefact.stage, reason].update(lineage.clips(path))
         if config is not None:
-            for change in config_changes(artefact, config):
+            for change in config_changes(artefact, config, contents.calibrated):
                 reason = f"its configuration has changed: {change}"
                 touched[artefact.stage, reason].update(lineage.clips(path))
     own = contents.release.get("provenance", {}).get("code_digest")

@@ -66,9 +66,11 @@ def choose(
     settings: CalibrateSettings,
     run: Callable[[Mapping[str, Any]], Trial],
 ) -> Trial:
-    """The cheapest settings that meet the demand.
+    """The configured settings if they meet the demand, else the cheapest that do.
 
-    Of every key the cheapest value that meets the demand on its own, all taken together if that
+    What may be chosen instead of the configured settings is tighter, so that the grid costs more
+    with it, whatever a single push costs: it is taken only where the configured settings fail. Then
+    of every key the cheapest value that meets the demand on its own, all taken together if that
     meets it too; else the cheapest single change. Cost is counted in Newton iterations times
     vertices, which is the same on every machine and every time.
 
@@ -92,6 +94,8 @@ def choose(
         If nothing that may be chosen meets the demand; names what came closest.
     """
     base = next(trial for trial in trials if trial["key"] == BASE)
+    if base["meets"]:
+        return base
     allowed = [trial for trial in trials if may_be_chosen(trial, base["settings"])]
     meeting = [trial for trial in allowed if trial["meets"]]
     if not meeting:
@@ -99,7 +103,7 @@ def choose(
     cheapest = min(meeting, key=lambda trial: trial["work"])
     changes = {}
     for trial in sorted(meeting, key=lambda trial: -trial["work"]):
-        if trial["key"] != BASE and (not base["meets"] or trial["work"] < base["work"]):
+        if trial["key"] != BASE:
             changes[trial["key"]] = trial["settings"][trial["key"]]
     if len(changes) > 1:
         together = run(base["settings"] | changes)

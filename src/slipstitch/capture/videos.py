@@ -9,6 +9,7 @@ from slipstitch.capture.recording import Recording
 from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.stage_start import StageStart, find_start
+from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
@@ -19,6 +20,13 @@ _NEAR_S = 0.25
 _LARGEST_GAP_S = 1.0
 _FAR_VIEW_DEG = 5.0
 _LEAST_INSIDE = 0.8
+# A film's clock: corrected from here on if it is told that closely, noted, refused; and how far the
+# stage may stand from the path at any time.
+_CORRECTED_RATE, _NOTED_RATE, _REFUSED_RATE = 0.001, 0.005, 0.02
+_CERTAIN = 3.0
+_NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.004, 0.008
+# A shorter part of the drag does not tell a clock, and is not spoilt by a wrong one.
+_SHORTEST_DRAG_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +41,8 @@ class StageVideo:
         Of each frame, from the start of the stage's motion.
     stage_x_m : ndarray (n,)
     start : StageStart
+    time_base : TimeBase or None
+        The film's clock as the stage tells it; None where too little of the drag was recognised.
     frame_interval_s, longest_gap_s : float
         Median and largest time between frames of the file, while the protocol ran.
     view_angle_deg : float
@@ -47,6 +57,7 @@ class StageVideo:
     time_s: np.ndarray
     stage_x_m: np.ndarray
     start: StageStart
+    time_base: TimeBase | None
     frame_interval_s: float
     longest_gap_s: float
     view_angle_deg: float
@@ -89,10 +100,17 @@ def read_stage_video(
     else:
         found = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
         start = _checked_start(path, found)
-    chosen, intervals = _choose(recording, start.time_s + schedule.time_s, start.time_s)
+    follower = None
+    if schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
+        follower = StageFollower(lens, schedule.crop(0.0), schedule.path)
+    chosen, intervals = _choose(recording, schedule.time_s, start.time_s, follower)
+    time_base = follower.time_base() if follower else None
+    rate = _checked_rate(path, time_base)
+    if rate != 1.0:
+        chosen, intervals = _choose(recording, schedule.time_s / rate, start.time_s)
     frames, inside, time_s = [], [], []
     for moment_s, image in chosen:
-        at_s = moment_s - start.time_s
+        at_s = rate * (moment_s - start.time_s)
         crop = schedule.crop(max(at_s, 0.0))
         x_m, _ = schedule.path.position_m(max(at_s, 0.0))
         picture, share = rectify(image, lens, crop, stage_plane(crop, float(x_m)))
@@ -110,12 +128,13 @@ def read_stage_video(
         time_s=np.array(time_s),
         stage_x_m=schedule.path.position_m(np.maximum(time_s, 0.0))[0],
         start=start,
+        time_base=time_base,
         frame_interval_s=float(np.median(intervals)),
         longest_gap_s=float(np.max(intervals)),
         view_angle_deg=_view_angle_deg(lens, schedule),
         inside=np.array(inside),
     )
-    video.notes.extend(_notes(video, schedule))
+    video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
     return video
 
 
@@ -146,10 +165,39 @@ def _checked_start(path, start: StageStart | None) -> StageStart:
     return start
 
 
+def _checked_rate(path, time_base: TimeBase | None) -> float:
+    """The stage's speed in the film's time that frames are chosen by; BadInput if it is wrong."""
+    if time_base is None:
+        return 1.0
+    off = time_base.rate - 1
+    if abs(off) > _REFUSED_RATE:
+        raise BadInput(
+            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast "
+            f"as the protocol says, at most {100 * _REFUSED_RATE:g} % off is allowed; is the frame "
+            "rate wrong? State it (--frame-rate-hz)"
+        )
+    worst_m = time_base.worst_offset_m()
+    if worst_m > _REFUSED_OFFSET_M:
+        raise BadInput(
+            f"{path}: for 10 s the stage stands {1e3 * worst_m:.0f} mm from where the protocol has "
+            f"it, at most {1e3 * _REFUSED_OFFSET_M:g} mm are allowed: was the film cut, or the "
+            "stage stopped?"
+        )
+    certain = abs(off) > max(_CERTAIN * time_base.rate_sd, _CORRECTED_RATE)
+    return time_base.rate if certain else 1.0
+
+
 def _choose(
-    recording: Recording, wanted_s: np.ndarray, start_s: float
+    recording: Recording,
+    protocol_s: np.ndarray,
+    start_s: float,
+    follower: StageFollower | None = None,
 ) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
-    """The frame nearest to each wanted time, and the times between frames from the start on."""
+    """The frame nearest to each wanted time, and the times between frames from the start on.
+
+    A follower is shown the frames that it wants on the way.
+    """
+    wanted_s = start_s + protocol_s
     chosen: list[tuple[float, np.ndarray]] = []
     best: tuple[float, np.ndarray] | None = None
     last_s, intervals = None, []
@@ -158,6 +206,10 @@ def _choose(
         if last_s is not None and now_s >= start_s:
             intervals.append(now_s - last_s)
         last_s = now_s
+        if follower and follower.wants(now_s - start_s):
+            image = moment.image()
+            if image is not None:
+                follower.add(now_s - start_s, image)
         while len(chosen) < len(wanted_s):
             target_s = wanted_s[len(chosen)]
             near_s = np.inf if best is None else abs(best[0] - target_s)
@@ -195,7 +247,7 @@ def _view_angle_deg(lens: LensCamera, schedule: Schedule) -> float:
     return float(np.degrees(np.arccos(np.clip(directions[0] @ directions[1], -1, 1))))
 
 
-def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
+def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
     notes = []
     off_s = np.abs(video.time_s - schedule.time_s)
     if off_s.max() > _NEAR_S:
@@ -203,6 +255,7 @@ def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
             f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s away from the "
             "wanted moment, because frames are missing"
         )
+    notes += _clock_notes(video.time_base, schedule, corrected)
     if video.inside.min() < 0.999:
         notes.append(
             f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest is black"
@@ -211,5 +264,29 @@ def _notes(video: StageVideo, schedule: Schedule) -> list[str]:
         notes.append(
             f"the camera stands {video.view_angle_deg:.0f} degrees away from the viewpoint that "
             "was trained for"
+        )
+    return notes
+
+
+def _clock_notes(time_base: TimeBase | None, schedule: Schedule, corrected: bool) -> list[str]:
+    if time_base is None:
+        if schedule.time_s[-1] < schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
+            return []
+        return [
+            "the film's clock could not be verified: the cloth's upper edge was recognised in too "
+            "few frames; friction is wrong if the frame rate is"
+        ]
+    notes = []
+    # As far off as it may well be.
+    if abs(time_base.rate - 1) + time_base.rate_sd >= _NOTED_RATE:
+        notes.append(
+            f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as the "
+            f"protocol says; the moments were {'' if corrected else 'not '}corrected for it: check "
+            "the frame rate"
+        )
+    worst_m = time_base.worst_offset_m()
+    if worst_m > _NOTED_OFFSET_M:
+        notes.append(
+            f"for 10 s the stage stands {1e3 * worst_m:.1f} mm from where the protocol has it"
         )
     return notes

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least
+from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
 
 SUMMARY = "change one thing in the training at a time, at an equal budget: what it is worth"
 EXAMPLE = (
@@ -18,7 +18,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from slipstitch.config.ablate import QUESTIONS
 
     add_config(parser)
-    parser.add_argument("--out", required=True, help="the answer, or the summary (JSON)")
+    parser.add_argument(
+        "--out", type=output_file, required=True, help="the answer, or the summary (JSON)"
+    )
     single = parser.add_argument_group("one question, one seed")
     single.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
     single.add_argument("--question", choices=QUESTIONS)
@@ -28,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     every.add_argument(
         "--summary", metavar="FOLDER", help="of the answers: {question}/seed{seed}.json"
     )
-    every.add_argument("--page", help="sentences, pictures, tables (HTML)")
+    every.add_argument("--page", type=output_file, help="sentences, pictures, tables (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:

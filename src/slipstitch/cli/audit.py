@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_file
 
 SUMMARY = "check a release to the last pixel, tell a clip's story, make a clip again"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
@@ -33,8 +33,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exit with 0 if nothing but code or configuration has changed since",
     )
-    parser.add_argument("--json", metavar="FILE", help="write the outcome as JSON; - for stdout")
-    parser.add_argument("--page", metavar="FILE", help="write the outcome as an HTML page")
+    parser.add_argument(
+        "--json", type=output_file, metavar="FILE", help="write the outcome as JSON; - for stdout"
+    )
+    parser.add_argument(
+        "--page", type=output_file, metavar="FILE", help="write the outcome as an HTML page"
+    )
     parser.add_argument(
         "--jobs",
         type=int,

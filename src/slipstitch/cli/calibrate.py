@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, check_picture
+from slipstitch.cli.options import add_config, check_picture, output_file
 
 SUMMARY = "choose numerical settings by the pushed strip, and check them against theory"
 EXAMPLE = (
@@ -15,7 +15,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser)
     parser.add_argument(
-        "--out", required=True, help="JSON file of settings and checks (with --sweep: of its runs)"
+        "--out",
+        type=output_file,
+        required=True,
+        help="JSON file of settings and checks (with --sweep: of its runs)",
     )
     parser.add_argument(
         "--sweep",
@@ -24,9 +27,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "friction_tolerance, newton_iterations_max or damping_s",
     )
     parser.add_argument("--sweeps", nargs="+", help="files that --sweep wrote; else made now")
-    parser.add_argument("--picture", help="PNG or SVG: the checks, measured against theory")
-    parser.add_argument("--strip-picture", help="PNG or SVG: slip strain, and shapes of the strip")
-    parser.add_argument("--settings-picture", help="PNG or SVG: what goes wrong with which setting")
+    parser.add_argument(
+        "--picture", type=output_file, help="PNG or SVG: the checks, measured against theory"
+    )
+    parser.add_argument(
+        "--strip-picture", type=output_file, help="PNG or SVG: slip strain, and shapes of the strip"
+    )
+    parser.add_argument(
+        "--settings-picture",
+        type=output_file,
+        help="PNG or SVG: what goes wrong with which setting",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

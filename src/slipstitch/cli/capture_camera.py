@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture
+from slipstitch.cli.options import check_picture, output_path
 
 SUMMARY = "calibrate a camera from pictures or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
@@ -53,8 +53,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--thickness-mm", type=float, default=0.0, help="height of the board's face above the floor"
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="camera file")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="the residuals (PNG or SVG)")
+    parser.add_argument(
+        "--out", required=True, type=output_path, metavar="FILE", help="camera file"
+    )
+    parser.add_argument(
+        "--picture", type=output_path, metavar="FILE", help="the residuals (PNG or SVG)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_folder_path
 
 SUMMARY = "bring videos of a bench into the form of the dataset: synchronised, rectified, cropped"
 EXAMPLE = (
@@ -32,7 +32,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="what slipstitch capture reference wrote, for rows whose mu_ref is empty",
     )
-    parser.add_argument("--out-dir", required=True, type=Path, help="folder of the dataset")
+    parser.add_argument(
+        "--out-dir", required=True, type=output_folder_path, help="folder of the dataset"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture
+from slipstitch.cli.options import check_picture, output_path
 
 SUMMARY = "friction of each fabric and substrate from slip angles on an inclined plane"
 EXAMPLE = (
@@ -21,9 +21,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="columns material, substrate, position, orientation, repeat, angle_deg, "
         "bench_error_deg (the largest error of the bench's angle)",
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="CSV, a row a pair")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the same with all details")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="PNG or SVG")
+    parser.add_argument(
+        "--out", required=True, type=output_path, metavar="FILE", help="CSV, a row a pair"
+    )
+    parser.add_argument(
+        "--json", type=output_path, metavar="FILE", help="the same with all details"
+    )
+    parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -4,7 +4,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_path
 
 SUMMARY = (
     "make surrogate captures: films of simulations unlike the training data, never called real"
@@ -26,7 +26,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="write camera.json, slip_angles.csv and captures.csv there",
     )
     what.add_argument("--film", metavar="ID", help="simulate and film one capture: c00_r01 ...")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="with --film: the video (MP4)")
+    parser.add_argument(
+        "--out", type=output_path, metavar="FILE", help="with --film: the video (MP4)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ it is kept, and its summary where simulations look it up for their own record.
 import argparse
 import sys
 
-from slipstitch.cli.options import add_calibration, add_config
+from slipstitch.cli.options import add_calibration, add_config, output_file, output_folder
 
 SUMMARY = "simulate cases of the convergence study, compare them, publish the comparison"
 EXAMPLE = (
@@ -26,13 +26,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         verb.set_defaults(action=action)
     publish = verbs.add_parser("publish")
     publish.add_argument("--study", default="results/convergence/convergence.json")
-    publish.add_argument("--out", default="results/published/convergence", help="folder")
+    publish.add_argument(
+        "--out", type=output_folder, default="results/published/convergence", help="folder"
+    )
     publish.set_defaults(action=_publish)
     run.add_argument("--case", required=True, help="id of the case, e.g. m05_f01_n41_h1")
-    run.add_argument("--out", required=True, help="Parquet file, one row a frame")
+    run.add_argument("--out", type=output_file, required=True, help="Parquet file, one row a frame")
     compare.add_argument("--runs", required=True, help="folder of the cases' files")
-    compare.add_argument("--out", required=True, help="JSON file")
-    compare.add_argument("--picture", help="PNG file")
+    compare.add_argument("--out", type=output_file, required=True, help="JSON file")
+    compare.add_argument("--picture", type=output_file, help="PNG file")
 
 
 def run(arguments: argparse.Namespace) -> None:

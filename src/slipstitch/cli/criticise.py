@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from slipstitch.cli.options import output_file
+
 SUMMARY = "say what the model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
 
@@ -13,11 +15,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
     )
-    parser.add_argument("--out", required=True, metavar="FILE", help="verdict as JSON")
-    parser.add_argument("--report", metavar="FILE", help="the verdict as an HTML page")
-    parser.add_argument("--model", metavar="FILE", help="the extended model as YAML")
+    parser.add_argument(
+        "--out", type=output_file, required=True, metavar="FILE", help="verdict as JSON"
+    )
+    parser.add_argument(
+        "--report", type=output_file, metavar="FILE", help="the verdict as an HTML page"
+    )
+    parser.add_argument(
+        "--model", type=output_file, metavar="FILE", help="the extended model as YAML"
+    )
     parser.add_argument(
         "--resimulate",
+        type=output_file,
         metavar="FILE",
         help="simulate the drop-and-drag runs again with null and extended law in the cloth "
         "simulator (about a second a run); errors and gain as JSON, and on the page",

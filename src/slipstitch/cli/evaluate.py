@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least
+from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
 
 SUMMARY = "test the trained networks: metrics, confusion, predictions"
 EXAMPLE = (
@@ -18,10 +18,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
-    parser.add_argument("--out", required=True, help="metrics.json")
-    parser.add_argument("--predictions", required=True, help="predictions.parquet")
+    parser.add_argument("--out", type=output_file, required=True, help="metrics.json")
     parser.add_argument(
-        "--details", help="chance, seeds, viewpoints, confusion; details.json beside --out"
+        "--predictions", type=output_file, required=True, help="predictions.parquet"
+    )
+    parser.add_argument(
+        "--details",
+        type=output_file,
+        help="chance, seeds, viewpoints, confusion; details.json beside --out",
     )
     add_threads(parser)
     captures = parser.add_argument_group("on captures, real or surrogate")
@@ -30,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the dataset is what `slipstitch capture ingest` wrote",
     )
-    captures.add_argument("--page", help="tables and plots (HTML)")
+    captures.add_argument("--page", type=output_file, help="tables and plots (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:

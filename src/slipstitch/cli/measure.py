@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_threads, check_at_least
+from slipstitch.cli.options import add_threads, check_at_least, output_path
 
 SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
 EXAMPLE = (
@@ -32,8 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="configuration that the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="page (HTML) to write")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="all numbers, to write")
+    parser.add_argument("--out", type=output_path, metavar="FILE", help="page (HTML) to write")
+    parser.add_argument("--json", type=output_path, metavar="FILE", help="all numbers, to write")
     parser.add_argument(
         "--start-s",
         type=float,
@@ -49,8 +49,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_threads(parser, default=2)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Measure, write the page, print the result."""
+# An alarm is an answer, but no program should take it for a measurement.
+ALARM_EXIT_CODE = 3
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, write the page, print the result; exit code 3 if the instrument raised its alarm."""
     import math
 
     from slipstitch.errors import BadInput
@@ -74,3 +78,4 @@ def run(arguments: argparse.Namespace) -> None:
     )
     for line in result.lines():
         print(line)
+    return ALARM_EXIT_CODE if result.measurement.alarm else 0

@@ -8,6 +8,43 @@ from slipstitch.errors import BadInput
 PICTURES = (".png", ".svg")
 
 
+def _refuse_target(text: str, folder: bool) -> None:
+    """Refuse what cannot be written before any work is done for it."""
+    path = Path(text)
+    if folder and path.exists() and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: a file; a folder is to be written")
+    if not folder and path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: a folder; name a file in it")
+    if not folder and path.exists() and not path.is_file():
+        raise argparse.ArgumentTypeError(f"{text}: a device or a pipe; name a file")
+    above = next((parent for parent in path.absolute().parents if parent.exists()), path)
+    if not above.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: {above} is a file, not a folder")
+
+
+def output_file(text: str) -> str:
+    """The type of an option that names a file to write; ``-`` stands for the terminal."""
+    if text != "-":
+        _refuse_target(text, folder=False)
+    return text
+
+
+def output_path(text: str) -> Path:
+    """The type of an option that names a file to write, as a path."""
+    return Path(output_file(text))
+
+
+def output_folder(text: str) -> str:
+    """The type of an option that names a folder to write."""
+    _refuse_target(text, folder=True)
+    return text
+
+
+def output_folder_path(text: str) -> Path:
+    """The type of an option that names a folder to write, as a path."""
+    return Path(output_folder(text))
+
+
 def add_config(
     parser: argparse.ArgumentParser,
     description: str = "YAML or JSON configuration; later files override earlier ones key by key",
@@ -46,7 +83,7 @@ def add_training(parser: argparse.ArgumentParser, out: str) -> None:
     parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
     parser.add_argument("--split", required=True, choices=SPLITS)
     parser.add_argument("--seed", required=True, type=int)
-    parser.add_argument("--out-dir", required=True, help=out)
+    parser.add_argument("--out-dir", type=output_folder, required=True, help=out)
     add_threads(parser)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from slipstitch.cli.options import output_file
+
 SUMMARY = "predict a new case with a verdict's null and extended models"
 EXAMPLE = "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv"
 
@@ -16,7 +18,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="CASE_DIR",
         help="folder of the new case; measured values in it are not looked at",
     )
-    parser.add_argument("--out", required=True, metavar="FILE", help="predictions as CSV")
+    parser.add_argument(
+        "--out", type=output_file, required=True, metavar="FILE", help="predictions as CSV"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -2,6 +2,8 @@
 
 import argparse
 
+from slipstitch.cli.options import output_file
+
 SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
 EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
 OPTIONS = (
@@ -21,7 +23,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
     )
-    parser.add_argument("--out", required=True, help="JSON file of measured and theory's values")
+    parser.add_argument(
+        "--out", type=output_file, required=True, help="JSON file of measured and theory's values"
+    )
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
     parser.add_argument(

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_folder
 
 SUMMARY = "write the dataset as a folder to hand out: shards, splits, card, metadata, records"
 EXAMPLE = (
@@ -15,7 +15,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
-    parser.add_argument("--out-dir", required=True, help="the release; must not exist yet")
+    parser.add_argument(
+        "--out-dir", type=output_folder, required=True, help="the release; must not exist yet"
+    )
     parser.add_argument(
         "--project",
         default=Path(__file__).resolve().parents[3],

@@ -5,7 +5,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_folder_path, output_path
 
 SUMMARY = "render a simulation from one viewpoint with every texture; verify; make previews"
 EXAMPLE = (
@@ -30,13 +30,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=output_path,
         metavar="FILE",
         help="image shard to write (Parquet); with --verify the comparisons (JSON)",
     )
     halves = parser.add_argument_group("in two steps: the light in Blender, textures without it")
     halves.add_argument(
-        "--shading", type=Path, metavar="FILE", help="shading pack to write, instead of images"
+        "--shading",
+        type=output_path,
+        metavar="FILE",
+        help="shading pack to write, instead of images",
     )
     halves.add_argument(
         "--from-shading",
@@ -46,7 +49,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="take the light from these packs of the trajectory, without Blender",
     )
     halves.add_argument(
-        "--out-dir", type=Path, metavar="DIR", help="folder of their image shards, named as they"
+        "--out-dir",
+        type=output_folder_path,
+        metavar="DIR",
+        help="folder of their image shards, named as they",
     )
     verification = parser.add_argument_group("verification, of finished shards")
     verification.add_argument(
@@ -62,8 +68,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     previews = parser.add_argument_group("previews, from finished shards and without Blender")
     previews.add_argument("--preview", action="store_true", help="make previews of SHARDS")
-    previews.add_argument("--out-sheet", type=Path, metavar="FILE", help="contact sheet (PNG)")
-    previews.add_argument("--out-video", type=Path, metavar="FILE", help="video (MP4)")
+    previews.add_argument(
+        "--out-sheet", type=output_path, metavar="FILE", help="contact sheet (PNG)"
+    )
+    previews.add_argument("--out-video", type=output_path, metavar="FILE", help="video (MP4)")
     previews.add_argument("shards", type=Path, nargs="*", metavar="SHARDS", help="image shards")
 
 

@@ -3,7 +3,7 @@
 import argparse
 from collections import Counter
 
-from slipstitch.cli.options import add_config
+from slipstitch.cli.options import add_config, output_folder
 
 SUMMARY = "choose frames of the rendered videos, split them, write the dataset"
 EXAMPLE = (
@@ -15,7 +15,9 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser, one_each=True)
-    parser.add_argument("--out-dir", required=True, help="folder of the dataset")
+    parser.add_argument(
+        "--out-dir", type=output_folder, required=True, help="folder of the dataset"
+    )
     parser.add_argument("shards", nargs="+", metavar="SHARD", help="image shards, all of the grid")
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_calibration, add_config
+from slipstitch.cli.options import add_calibration, add_config, output_file
 
 SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
 EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
@@ -11,7 +11,11 @@ EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--out", required=True, nargs="+", help="Parquet file, one row a frame; one a simulation"
+        "--out",
+        type=output_file,
+        required=True,
+        nargs="+",
+        help="Parquet file, one row a frame; one a simulation",
     )
     add_config(parser, required=False)
     add_calibration(parser)

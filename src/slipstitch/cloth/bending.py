@@ -16,7 +16,7 @@ import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.tangent import Entries, add_entry
-from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_DIRECTIONS
+from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, FOLD_DIRECTIONS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +24,11 @@ mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
+LAST_NODE = wp.constant(wp.float64(FOLD_CURVATURES - 1))
+
+OF_END = wp.constant(0)
+OF_START = wp.constant(1)
+STIFFNESS_RULES = {"end": 0, "start": 1, "rising": 2}
 
 
 def hinge_geometry(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,7 +75,7 @@ class Hinges:
     rest_angle: wp.array(dtype=wp.float64)
     angle_before: wp.array(dtype=wp.float64)  # at the beginning of the step
     table: wp.array(dtype=wp.float64, ndim=2)  # ke (N m), one sheet's rows after another's
-    stiffness_of_start: wp.array(dtype=wp.int32)  # by sheet: 1 if ke is that of angle_before
+    stiffness_rule: wp.array(dtype=wp.int32)  # by sheet: which curvature in a step ke follows
     damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
 
 
@@ -84,42 +89,58 @@ def dihedral_angle(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> wp
 
 
 @wp.func
-def hinge_stiffness(
-    table: wp.array(dtype=wp.float64, ndim=2),
-    member: int,
-    direction: wp.float64,
-    curvature: wp.float64,
-) -> wp.float64:
-    row = wp.min(int(direction), 1)
-    fr = direction - wp.float64(row)
-    row += FOLD_DIRECTIONS * member
-    position = wp.min(curvature * PER_CURVATURE, wp.float64(4.0))
-    column = wp.min(int(position), 3)
-    fc = position - wp.float64(column)
-    low = table[row, column] * (ONE - fc) + table[row, column + 1] * fc
-    high = table[row + 1, column] * (ONE - fc) + table[row + 1, column + 1] * fc
-    return wp.max(low * (ONE - fr) + high * fr, ZERO)
+def nodal_stiffness(hinges: Hinges, h: int, column: int) -> wp.float64:
+    """Of a hinge at one of the table's curvatures: ke, interpolated over directions."""
+    row = wp.min(int(hinges.direction[h]), 1)
+    part = hinges.direction[h] - wp.float64(row)
+    row += FOLD_DIRECTIONS * hinges.members[h]
+    ke = hinges.table[row, column] * (ONE - part) + hinges.table[row + 1, column] * part
+    return wp.max(ke, ZERO)
 
 
 @wp.func
-def hinge_tangent_stiffness(
-    table: wp.array(dtype=wp.float64, ndim=2),
-    member: int,
-    direction: wp.float64,
-    curvature: wp.float64,
-) -> wp.float64:
-    """d(ke alpha)/d alpha, kept positive."""
-    ke = hinge_stiffness(table, member, direction, curvature)
-    tangent = ke
-    if curvature * PER_CURVATURE < wp.float64(4.0):
-        row = wp.min(int(direction), 1)
-        fr = direction - wp.float64(row)
-        row += FOLD_DIRECTIONS * member
-        column = wp.min(int(curvature * PER_CURVATURE), 3)
-        low = table[row, column + 1] - table[row, column]
-        high = table[row + 1, column + 1] - table[row + 1, column]
-        tangent = ke + (low * (ONE - fr) + high * fr) * PER_CURVATURE * curvature
-    return wp.max(tangent, wp.float64(0.1) * ke)
+def stiffness_at(hinges: Hinges, h: int, curvature: wp.float64) -> wp.vec2d:
+    """Stiffness ke at a curvature, and its slope there (zero beyond the table)."""
+    position = wp.min(curvature * PER_CURVATURE, LAST_NODE)
+    column = wp.min(int(position), int(LAST_NODE) - 1)
+    part = position - wp.float64(column)
+    low = nodal_stiffness(hinges, h, column)
+    high = nodal_stiffness(hinges, h, column + 1)
+    slope = ZERO
+    if position < LAST_NODE:
+        slope = (high - low) * PER_CURVATURE
+    return wp.vec2d(low * (ONE - part) + high * part, slope)
+
+
+@wp.func
+def stiffness_in_step(
+    hinges: Hinges, h: int, before: wp.float64, curvature: wp.float64
+) -> wp.vec2d:
+    """Stiffness and slope at a curvature in a step from another.
+
+    Taken at the start of the step, a stiffness that grows faster than in proportion to curvature
+    never settles: under a given moment M the curvature M / ke(curvature before) jumps to and fro.
+    Taken at the end, one that falls faster leaves the step without a stable solution nearby. The
+    third rule takes neither: its moment always grows with curvature.
+    """
+    rule = hinges.stiffness_rule[hinges.members[h]]
+    if rule == OF_END:
+        return stiffness_at(hinges, h, curvature)
+    start = stiffness_at(hinges, h, before)
+    passed = wp.vec2d(start[0], ZERO)
+    if rule == OF_START:
+        return passed
+    # The largest on the way up, the smallest on the way down.
+    end = stiffness_at(hinges, h, curvature)
+    for column in range(FOLD_CURVATURES):
+        node = wp.float64(column) / PER_CURVATURE
+        if before < node and node < curvature:
+            passed[0] = wp.max(passed[0], stiffness_at(hinges, h, node)[0])
+        if curvature < node and node < before:
+            passed[0] = wp.min(passed[0], stiffness_at(hinges, h, node)[0])
+    if (end[0] - passed[0]) * (curvature - before) > ZERO:
+        return end
+    return passed
 
 
 @wp.func
@@ -175,14 +196,12 @@ def bending_force(
         return
     p = corners_of(x, hinges, h)
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
-    bent = theta
-    if hinges.stiffness_of_start[member] == 1:
-        bent = hinges.angle_before[h]
+    before = hinges.angle_before[h]
     length = hinges.length_m[h]
-    curvature = wp.abs(bent) * length / (wp.float64(2.0) * hinges.area_m2[h])
-    c = hinge_stiffness(hinges.table, member, hinges.direction[h], curvature) * length * length
-    c = c / (wp.float64(4.0) * hinges.area_m2[h])
-    viscous = hinges.damping_ratio[member] * (theta - hinges.angle_before[h])
+    per_angle = length / (wp.float64(2.0) * hinges.area_m2[h])
+    ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
+    c = ke[0] * length * length / (wp.float64(4.0) * hinges.area_m2[h])
+    viscous = hinges.damping_ratio[member] * (theta - before)
     moment = c * (theta - hinges.rest_angle[h] + viscous)
     d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
@@ -204,15 +223,14 @@ def bending_stiffness(
     p = corners_of(x, hinges, h)
     length = hinges.length_m[h]
     per_angle = length / (wp.float64(2.0) * hinges.area_m2[h])
-    direction = hinges.direction[h]
-    if hinges.stiffness_of_start[member] == 1:
-        bent = wp.abs(hinges.angle_before[h])
-        ke = hinge_stiffness(hinges.table, member, direction, bent * per_angle)
-    else:
-        bent = wp.abs(dihedral_angle(p[0], p[1], p[2], p[3]))
-        ke = hinge_tangent_stiffness(hinges.table, member, direction, bent * per_angle)
-    c = ke * length * length
-    c = c / (wp.float64(4.0) * hinges.area_m2[h]) * (ONE + hinges.damping_ratio[member])
+    theta = dihedral_angle(p[0], p[1], p[2], p[3])
+    before = hinges.angle_before[h]
+    ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
+    viscous = ONE + hinges.damping_ratio[member]
+    angle = theta - hinges.rest_angle[h] + hinges.damping_ratio[member] * (theta - before)
+    tangent = ke[0] * viscous + ke[1] * per_angle * wp.sign(theta) * angle
+    tangent = wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)
+    c = tangent * length * length / (wp.float64(4.0) * hinges.area_m2[h])
     d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
         for b in range(4):

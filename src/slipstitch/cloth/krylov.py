@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import hypot
 
 import numpy as np
 
@@ -40,20 +41,37 @@ def flexible_gmres(
     """
     size = float(np.linalg.norm(right))
     basis, solutions = [right / size], []
-    hessenberg = np.zeros((products_max + 1, products_max))
-    for count in range(1, products_max + 1):
+    # Column by column, the Hessenberg matrix is made triangular by Givens rotations.
+    columns: list[list[float]] = []
+    rotations: list[tuple[float, float]] = []
+    turned = [size]  # the right-hand side, rotated likewise: its last entry is the residual
+    for _ in range(products_max):
         solutions.append(solve(basis[-1]))
         # The product is orthogonalised in place.
         vector = np.array(product(basis[-1], solutions[-1]))
-        for row, earlier in enumerate(basis):
-            hessenberg[row, count - 1] = np.dot(vector, earlier)
-            vector -= hessenberg[row, count - 1] * earlier
-        rest = hessenberg[count, count - 1] = float(np.linalg.norm(vector))
-        parts = hessenberg[: count + 1, :count]
-        wanted = size * np.eye(count + 1)[0]
-        weights = np.linalg.lstsq(parts, wanted, rcond=None)[0]
-        left = float(np.linalg.norm(wanted - parts @ weights))
-        if left <= accuracy * size or rest <= LEAST_NEW * size:
+        column = []
+        for earlier in basis:
+            column.append(float(np.dot(vector, earlier)))
+            vector -= column[-1] * earlier
+        rest = float(np.linalg.norm(vector))
+        for row, (cosine, sine) in enumerate(rotations):
+            above, below = column[row], column[row + 1]
+            column[row] = cosine * above + sine * below
+            column[row + 1] = cosine * below - sine * above
+        radius = hypot(column[-1], rest)
+        cosine, sine = (column[-1] / radius, rest / radius) if radius else (1.0, 0.0)
+        rotations.append((cosine, sine))
+        column[-1] = radius
+        columns.append(column)
+        turned.append(-sine * turned[-1])
+        turned[-2] *= cosine
+        if abs(turned[-1]) <= accuracy * size or rest <= LEAST_NEW * size:
             break
         basis.append(vector / rest)
-    return sum(weight * one for weight, one in zip(weights, solutions, strict=True))
+    weights = list(turned[:-1])
+    for k in reversed(range(len(weights))):
+        weights[k] = weights[k] / columns[k][k] if columns[k][k] else 0.0
+        for row in range(k):
+            weights[row] -= weights[k] * columns[k][row]
+    terms = (weight * solution for weight, solution in zip(weights, solutions, strict=True))
+    return sum(terms, start=np.zeros_like(basis[0]))

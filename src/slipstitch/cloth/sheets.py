@@ -95,7 +95,7 @@ class Sheets:
         )
         hinges.rest_angle, hinges.angle_before = zeros(count * H), zeros(count * H)
         hinges.table = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
-        hinges.stiffness_of_start = zeros(count, dtype=wp.int32)
+        hinges.stiffness_rule = zeros(count, dtype=wp.int32)
         hinges.damping_ratio = self.damping_ratio
         nodes = self.nodes = contact.Nodes()
         nodes.members, nodes.mass_kg = members(V), zeros(count * V)

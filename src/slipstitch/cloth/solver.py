@@ -60,8 +60,9 @@ class SolverSettings:
     step_error_m : float
         A step whose time discretisation moves the vertices by more than this (root of the
         mean square) is halved, up to three times.
-    bending_stiffness_at : {"start", "end"}
-        The end of the step whose curvature the stiffness of a hinge follows.
+    bending_stiffness_at : {"start", "end", "rising"}
+        The end of the step whose curvature the stiffness of a hinge follows; ``rising``: the end
+        where the stiffness grows with curvature, the start where it falls.
     damping_s : float
         Stiffness-proportional damping time.
     penetration_m : float
@@ -82,7 +83,7 @@ class SolverSettings:
     newton_iterations_max: int = 30
     halvings_max: int = 8
     step_error_m: float = np.inf
-    bending_stiffness_at: Literal["start", "end"] = "end"
+    bending_stiffness_at: Literal["start", "end", "rising"] = "end"
     damping_s: float = 0.002
     penetration_m: float = 5.0e-7
     self_contact: bool = False
@@ -250,8 +251,8 @@ class ClothSolver:
         self._free.assign((~self.fixed).astype(float))
         self.set_gravity(gravity)
         self._inverse_step_squared.fill_(1.0)
-        of_start = self.settings.bending_stiffness_at == "start"
-        sheets.hinges.stiffness_of_start[own].fill_(int(of_start))
+        rule = bending.STIFFNESS_RULES[self.settings.bending_stiffness_at]
+        sheets.hinges.stiffness_rule[own].fill_(rule)
         ground = sheets.ground
         ground.curvature[own].fill_(self.ground_curvature_per_m)
         ground.normal_stiffness[own].fill_(self.normal_stiffness_N_m)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -105,14 +106,24 @@ def material_id(name: str) -> str:
     return f"m{fabric_names().index(name):02d}"
 
 
-def simulation_seed(seed: int, material: str, friction: float, replicate: int) -> int:
-    """Seed of one simulation, in [0, 2^31).
+def simulation_seed(seed: int, material: str, replicate: int) -> int:
+    """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
-    A hash of what the simulation is, not of where it stands in the grid: adding a material or a
-    friction coefficient leaves the other simulations as they are.
+    A hash of what the bench is, not of where it stands in the grid: adding a material or a
+    replicate leaves the others as they are. The friction coefficient is no part of it: the bench is
+    the same at every coefficient (common random numbers), so that nothing but contact tells them
+    apart.
     """
-    text = f"{seed}|{material}|{friction!r}|{replicate}"
+    text = f"{seed}|{material}|{replicate}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") & 0x7FFFFFFF
+
+
+def bench_of(simulation: str) -> str:
+    """The bench of a simulation by its id, ``m05_f01_r00`` -> ``m05_r00``.
+
+    What is drawn for floor, lamp and camera is drawn by this: the same at every coefficient.
+    """
+    return re.sub(r"_f\d+(?=_|$)", "", simulation)
 
 
 def simulations(config: Config) -> list[Simulation]:
@@ -137,7 +148,7 @@ def simulations(config: Config) -> list[Simulation]:
             replicate_id=f"r{r:02d}",
             material=material,
             friction=friction,
-            seed=simulation_seed(config.seed, material, friction, r),
+            seed=simulation_seed(config.seed, material, r),
             material_role=material_role,
             friction_role=friction_role,
         )

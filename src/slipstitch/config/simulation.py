@@ -60,10 +60,11 @@ class SimulationSettings(Section):
         30, ge=1, le=1000, description="a step that needs more is halved"
     )
     halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
-    bending_stiffness_at: Literal["start", "end"] = Field(
+    bending_stiffness_at: Literal["start", "end", "rising"] = Field(
         "start",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
-        "as ARCSim does, or implicitly the end, which costs up to three times more",
+        "as ARCSim does, implicitly the end, or (rising) the end where it grows with curvature and "
+        "the start where it falls",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"

@@ -87,6 +87,8 @@ class MeasuredVideo:
             "moments": np.asarray(measured.attention_weights).tolist(),
             "stage_start_s": video.start.time_s,
             "stage_start_found": video.start.found,
+            "stage_speed": video.time_base and video.time_base.rate,
+            "stage_speed_sd": video.time_base and video.time_base.rate_sd,
             "notes": video.notes,
             "instrument": self.instrument,
         }

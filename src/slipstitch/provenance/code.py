@@ -126,7 +126,7 @@ def _is_settings(name: str) -> bool:
     """Whether a module is one of the configuration's types."""
     if _is_in(name, NOT_PART_OF_A_RESULT):
         return False
-    return _is_in(name, [CONFIGURATION]) or name.endswith(".settings")
+    return _is_in(name, [CONFIGURATION])
 
 
 def _modules(stage: str, base: Path) -> dict[str, Path]:

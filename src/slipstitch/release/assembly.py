@@ -21,7 +21,12 @@ from slipstitch.provenance import atomic_path, file_digest, provenance_record, s
 from slipstitch.release.card import write_card
 from slipstitch.release.checksums import SUMS, files_below, write_sums
 from slipstitch.release.code import check_project, copy_code
-from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
+from slipstitch.release.currency import (
+    calibrated_by,
+    catalogue_changes,
+    config_changes,
+    current_digest,
+)
 from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
 from slipstitch.release.previews import write_previews
 from slipstitch.release.records import (
@@ -86,14 +91,18 @@ def _facts(config: Config, project: Path) -> dict[str, Any]:
     }
 
 
-def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
+def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path) -> None:
     """Refuse to release what code, configuration or catalogue would not make now.
+
+    Simulations are held against what they were told to use: the configuration with the settings
+    that the calibration (below `root`) chose.
 
     Raises
     ------
     BadInput
         Names the first such file and what changed.
     """
+    calibrated = calibrated_by(artefacts, lambda path: root / path)
     for artefact in artefacts.values():
         if artefact.provenance is None:
             continue
@@ -102,7 +111,7 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config) -> None:
                 f"{artefact.path}: made by other code of the stage {artefact.stage}; bring the "
                 "results up to date with: snakemake --cores 2 sample"
             )
-        changes = config_changes(artefact, config)
+        changes = config_changes(artefact, config, calibrated)
         if changes:
             raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
         changes = catalogue_changes(artefact)
@@ -173,7 +182,7 @@ def write_release(
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
     artefacts = collect(made, results.parent, _outside(config))
-    check_current(artefacts, config)
+    check_current(artefacts, config, results.parent)
     _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
     try:
         with atomic_path(out) as folder:

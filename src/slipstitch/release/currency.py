@@ -1,11 +1,12 @@
 """Whether artefacts are what code, configuration and catalogue would make now."""
 
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config
+from slipstitch.config.load import calibrated_settings
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import code_digest
 from slipstitch.release.records import Artefact
@@ -14,6 +15,7 @@ from slipstitch.release.records import Artefact
 # (rules/render.smk); a shard's own viewpoint is compared by its id.
 NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints"})
 ONE_VIEW = "viewpoint"
+CALIBRATION = "calibration.json"
 
 
 def current_digest(stage: str, root: str | Path | None = None) -> str | None:
@@ -28,8 +30,18 @@ def _plain(config: Config) -> dict[str, Any]:
     return config.model_dump(mode="json")
 
 
-def config_changes(artefact: Artefact, config: Config) -> list[str]:
+def config_changes(
+    artefact: Artefact, config: Config, calibrated: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
     """Configuration values that the artefact was made with and that are others now.
+
+    Parameters
+    ----------
+    artefact : Artefact
+    config : Config
+    calibrated : mapping
+        Path of a calibration, as records call it -> the settings that it chose. A simulation that
+        was made from it was told to use these instead of those of `config`.
 
     Returns
     -------
@@ -38,12 +50,36 @@ def config_changes(artefact: Artefact, config: Config) -> list[str]:
     """
     recorded = artefact.record.get("config", {})
     now = _plain(config)
+    for path in artefact.inputs:
+        now["simulation"] = {**now["simulation"], **calibrated.get(path, {})}
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now:
             skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
             changes += _differences(section, value, now[section], skip)
     return changes
+
+
+def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
+    """The settings that calibrations among artefacts chose, by path.
+
+    Parameters
+    ----------
+    artefacts : iterable of str
+        Paths as records call them.
+    place : callable
+        Where the file of such a path is.
+
+    Raises
+    ------
+    BadInput
+        If a calibration is missing or damaged.
+    """
+    return {
+        path: calibrated_settings(place(path))
+        for path in artefacts
+        if PurePosixPath(path).name == CALIBRATION
+    }
 
 
 def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import cv2
 import numpy as np
 
+from slipstitch.config.grid import bench_of
 from slipstitch.config.render import AugmentationSettings
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.surroundings import generator
@@ -68,8 +69,8 @@ class Augmentation:
 def draw_augmentation(
     settings: AugmentationSettings, seed: int, simulation: str, texture: str, viewpoint: str
 ) -> Augmentation:
-    """The camera of one video, named by simulation id, texture and viewpoint."""
-    rng = generator(seed, simulation, texture, viewpoint, "augmentation")
+    """The camera of one video, by the simulation's fabric and replicate, texture and viewpoint."""
+    rng = generator(seed, bench_of(simulation), texture, viewpoint, "augmentation")
     exposure, red, blue = rng.uniform(-1, 1, 3)
     noise, compression = rng.uniform(0, 1, 2)
     return Augmentation(
@@ -79,3 +80,10 @@ def draw_augmentation(
         float(noise * settings.noise),
         round(100 - compression * (100 - settings.jpeg_quality)),
     )
+
+
+def pixel_noise(
+    seed: int, simulation: str, texture: str, viewpoint: str, frame: int
+) -> np.random.Generator:
+    """The random numbers of one image's noise, the same at every friction coefficient."""
+    return generator(seed, bench_of(simulation), texture, viewpoint, str(frame))

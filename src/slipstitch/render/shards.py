@@ -10,12 +10,11 @@ import pyarrow as pa
 
 from slipstitch.config import Config
 from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
-from slipstitch.render.augmentation import Augmentation, draw_augmentation
+from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
 from slipstitch.render.shots import Shot
-from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -52,8 +51,8 @@ def composed_images(
     for shot, shading, sight in pack.frames(trajectory):
         composed = compose_light(join(shading, sight), list(names.values()))
         for (identity, name), light in zip(names.items(), composed, strict=True):
-            words = (job.simulation, name, job.viewpoint, str(shot.frame))
-            yield shot, identity, of[name].photograph(light, generator(job.seed, *words))
+            noise = pixel_noise(job.seed, job.simulation, name, job.viewpoint, shot.frame)
+            yield shot, identity, of[name].photograph(light, noise)
 
 
 def render_shard(

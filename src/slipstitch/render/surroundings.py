@@ -1,7 +1,8 @@
 """What a simulation is rendered on and by: the floor's look and the lamp's place.
 
-Drawn once a simulation, the same for all its viewpoints and textures, from the configuration's seed
-and the simulation's id: adding a viewpoint or a simulation changes no other.
+Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
+textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no
+look tells a coefficient.
 """
 
 import hashlib
@@ -10,6 +11,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slipstitch.catalogue import FLOORS
+from slipstitch.config.grid import bench_of
 from slipstitch.config.render import RenderSettings
 
 # Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
@@ -63,7 +65,7 @@ def generator(seed: int, *names: str) -> np.random.Generator:
 
 
 def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> Surroundings:
-    """Floor and lamp of a simulation.
+    """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> S
     simulation : str
         Its id.
     """
-    rng = generator(seed, simulation, "surroundings")
+    rng = generator(seed, bench_of(simulation), "surroundings")
     name = settings.floors[int(rng.integers(len(settings.floors)))]
     floor = FLOORS[name]
     albedo, reflectance, roughness = (

@@ -18,6 +18,7 @@ from slipstitch.provenance import (
     start_clock,
     write_json,
 )
+from slipstitch.render.augmentation import pixel_noise
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.packing import Job, read_pack, usable_trajectory
@@ -110,8 +111,8 @@ def compare(
     )
     camera = cameras(job)[name]
     (light,) = compose_light(join(shading, sight), [name])
-    words = (job.simulation, name, job.viewpoint, str(shot.frame))
-    again = camera.photograph(light, generator(config.seed, *words))
+    noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
+    again = camera.photograph(light, noise)
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
     scene.wear(texture(name))
     # Another seed than the shading render's: the two share no noise.

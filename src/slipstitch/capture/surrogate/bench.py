@@ -62,7 +62,7 @@ def films(config: Config) -> list[Film]:
         repeat = int(name[-2:])
         rng = generator(config.seed, "surrogate", pair.material, pair.substrate, str(repeat))
         friction = pair.friction * float(np.exp(settings.friction_sd_rel * rng.standard_normal()))
-        seed = simulation_seed(config.seed + 1, f"surrogate {name}", friction, repeat)
+        seed = simulation_seed(config.seed + 1, f"surrogate {name}", repeat)
         made.append(Film(name, pair, repeat, friction, seed))
     return made
 

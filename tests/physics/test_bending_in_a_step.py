@@ -1,0 +1,98 @@
+"""Which curvature in a step a fold's stiffness follows: no chatter, a moment that only grows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.cloth.bending import hinge_geometry
+from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.material.catalogue import fabric_names
+from slipstitch.material.law import CURVATURE_SPACING_PER_M
+
+SPACING_M = 0.005
+# Two rows are held, the third hangs on the fold between: one hinge along u.
+MESH = rectangle(3, 2, 2 * SPACING_M, SPACING_M)
+FLAT_M = np.column_stack([MESH.rest_uv_m, np.zeros(6)])
+ABOVE = np.array([0.0, 0.0, 1.0])  # the floor is far below
+HELD = np.repeat(np.arange(6)[:, None] < 4, 3, axis=1)
+# Its own curvature follows from how far the third row is down.
+PER_ANGLE = SPACING_M / (2 * SPACING_M**2)
+
+
+def folded(angle_rad: float) -> np.ndarray:
+    x = FLAT_M.copy()
+    x[4:, 1] = SPACING_M * (1 + np.cos(angle_rad))
+    x[4:, 2] = -SPACING_M * np.sin(angle_rad)
+    return x
+
+
+def fold(fabric: str, rule: str, start_m=FLAT_M, gravity_m_s2=0.0) -> ClothSolver:
+    tables = ElasticTables.of_fabric(load_fabric(fabric))
+    bending_N_m = tables.bending_N_m.copy()
+    bending_N_m[1] = 1000 * bending_N_m[1].max()  # the third row's own diagonal stays flat
+    solver = ClothSolver(
+        MESH,
+        replace(tables, bending_N_m=bending_N_m),
+        start_m,
+        friction=0.0,
+        fixed=HELD,
+        settings=SolverSettings(bending_stiffness_at=rule, damping_s=0.0),
+        gravity_m_s2=(0.0, 0.0, -gravity_m_s2),
+    )
+    solver.start()
+    return solver
+
+
+def curvatures_under_weight(fabric: str, rule: str, curvature_per_m: float, steps: int):
+    """Curvature of the fold, step by step, under what holds a given one in balance."""
+    table = load_fabric(fabric).bending_N_m[0]
+    stiffness_N_m = np.interp(curvature_per_m, CURVATURE_SPACING_PER_M * np.arange(5), table)
+    length_m, area_m2, _ = (one[along_u()] for one in hinge_geometry(MESH))
+    angle = curvature_per_m / PER_ANGLE
+    moment_Nm = stiffness_N_m * length_m**2 / (4 * area_m2) * angle
+    mass_kg = fold(fabric, rule).mass_kg[4:].sum()
+    gravity = moment_Nm / (mass_kg * SPACING_M * np.cos(angle))
+    solver = fold(fabric, rule, folded(0.9 * angle) + ABOVE, gravity)
+    found = []
+    for _ in range(steps):
+        solver.advance(1.0, lambda time_s: folded(0.0) + ABOVE)
+        drop_m = 1.0 - solver.positions_m[4:, 2].mean()
+        found.append(PER_ANGLE * np.arcsin(drop_m / SPACING_M))
+    return np.array(found)
+
+
+def along_u() -> int:
+    (hinge,) = np.flatnonzero(hinge_geometry(MESH)[2] == 0)
+    return hinge
+
+
+def test_stiffness_of_the_start_jumps_to_and_fro_where_it_grows_fast():
+    """Softly bent tango-red-jet-set: 8.9 to 30 uN m from 5 to 10 1/m."""
+    found = curvatures_under_weight("tango-red-jet-set", "start", 7.5, 40)
+    assert np.abs(np.diff(found[-10:])).min() > 3.0
+    assert np.abs(found[-1] - found[-3]) < 0.1
+
+
+@pytest.mark.parametrize("curvature_per_m", [3.0, 7.5, 12.0])
+@pytest.mark.parametrize("fabric", ["tango-red-jet-set", "gray-interlock", "pink-ribbon-brown"])
+def test_the_rising_rule_settles_at_the_law_of_the_fabric(fabric, curvature_per_m):
+    found = curvatures_under_weight(fabric, "rising", curvature_per_m, 40)
+    assert found[-1] == pytest.approx(curvature_per_m, rel=2e-3)
+
+
+@pytest.mark.parametrize("fabric", fabric_names())
+def test_within_a_step_the_moment_grows_with_the_fold(fabric):
+    """From any curvature, whatever the table does; at the beginning it is the fabric's own."""
+    angles = np.linspace(-0.3, 0.3, 121)
+    for start in (0.0, 0.03, 0.08, 0.13, 0.16, 0.19, 0.25):
+        solver, fabrics_own = (
+            fold(fabric, rule, folded(start) + ABOVE) for rule in ("rising", "end")
+        )
+        down = [solver._evaluate(folded(angle) + ABOVE)[4:] for angle in angles]
+        tangents = [np.array([0.0, -np.sin(angle), -np.cos(angle)]) for angle in angles]
+        moments = [SPACING_M * (f @ t).sum() for f, t in zip(down, tangents, strict=True)]
+        assert np.diff(moments).min() > 0
+        here = folded(start) + ABOVE
+        assert solver._evaluate(here) == pytest.approx(fabrics_own._evaluate(here), abs=1e-15)
