@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -382,7 +383,7 @@ class ClothSolver:
 
     def _relative(self, residual: np.ndarray) -> float:
         """Largest nodal out-of-balance force over friction coefficient times nodal weight."""
-        return float(np.sqrt((residual**2).sum(axis=1).max())) / self.force_scale_N
+        return sqrt(np.einsum("ij,ij->i", residual, residual).max()) / self.force_scale_N
 
     def _search(self, x, residual, correction):
         """Move along a correction to where the work of the out-of-balance forces on it is small.
