@@ -433,8 +433,7 @@ class ClothSolver:
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
         self._damping_ratio.fill_(self.settings.damping_s / step_s)
-        # As if the acceleration of the last steps went on: nearer than the target where it does.
-        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
+        guess = self._guess(target, step_s)
         if prescribed is not None:
             guess[self.fixed] = prescribed[self.fixed]
         x, error = self._solve_apart(guess)
@@ -451,6 +450,22 @@ class ClothSolver:
         self.record.largest_residual = max(self.record.largest_residual, error)
         self._accept(x, step_s)
         return Outcome.ACCEPTED
+
+    def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
+        """Where to start to solve from, given where inertia alone would lead.
+
+        As if the acceleration of the last steps went on: nearer than the target where it does. But
+        nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth
+        of micrometres, extrapolated, is a load many times the cloth's.
+        """
+        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
+        curvature = self.ground_curvature_per_m
+        gap = contact.ground_coordinates(self.positions_m, curvature)[0][:, 2]
+        place, frames = contact.ground_coordinates(guess, curvature)
+        touching = (gap < 0) | (place[:, 2] < 0)
+        lift = np.minimum(gap[touching], 0.0) - place[touching, 2]
+        guess[touching] += ~self.fixed[touching] * (lift[:, None] * frames[touching, 2])
+        return guess
 
     def _accept(self, x: np.ndarray, step_s: float) -> None:
         """Move the state on to positions that were just evaluated."""
