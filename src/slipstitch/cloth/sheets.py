@@ -113,11 +113,21 @@ class Sheets:
         self._active = zeros(count, dtype=wp.int32)
         self._asked: tuple[int, ...] = ()
         self.extended = [False] * count
-        # The host's copies: placed positions, and the last forces and contact states.
+        # The host's placed positions, and the last forces and contact states: on the CPU the
+        # device's arrays themselves.
         self._host_x = np.zeros((count * V, 3))
         self._placed = wp.array(self._host_x, dtype=wp.vec3d, device="cpu", copy=False)
-        self._host_residual = np.zeros((count * V, 3))
-        self._host_state = np.zeros(count * V, dtype=np.int32)
+        self._shared = self._placed.device == wp.get_device(self.device)
+        if self._shared:
+            self._x = self._placed
+        self._host_residual, self._host_state = self._residual.numpy(), self._state.numpy()
+        # Each sheet's part of arrays that all share.
+        entries = self.assembly.pattern.entry_count
+        self._positions = [self._x[self.nodes_of(member)] for member in range(count)]
+        self._forces = [self._minus_force[self.nodes_of(member)] for member in range(count)]
+        self._tangents = [
+            self._values[member * entries : (member + 1) * entries] for member in range(count)
+        ]
 
     def _launch(self, kernel: wp.Kernel, inputs: list, elements: int) -> wp.Launch:
         """Record a launch over the elements of all sheets."""
@@ -209,18 +219,17 @@ class Sheets:
 
     def positions(self, member: int) -> wp.array:
         """A sheet's positions (V,) on the device, where its forces were last evaluated."""
-        return self._x[self.nodes_of(member)]
+        return self._positions[member]
 
     def tangent_values(self, member: int) -> wp.array:
         """Entries of a sheet's tangent on the device."""
-        entries = self.assembly.pattern.entry_count
-        return self._values[member * entries : (member + 1) * entries]
+        return self._tangents[member]
 
     # -- launches -------------------------------------------------------------------------
 
     def run(self, work: Work, members: Sequence[int]) -> None:
         """Do one kind of work for some sheets."""
-        if work in (Work.FORCES, Work.STRAINS):
+        if work in (Work.FORCES, Work.STRAINS) and not self._shared:
             wp.copy(self._x, self._placed)
         if work is Work.FORCES and self.layers:
             self._add_layers(members)
@@ -234,15 +243,14 @@ class Sheets:
             launch.launch()
         if work in (Work.FORCES, Work.STIFFNESS):
             self._run_nodes(work, members)
-        if work is Work.FORCES:
+        if work is Work.FORCES and not self._shared:
             self._host_residual = self._residual.numpy()
             self._host_state = self._state.numpy()
 
     def _add_layers(self, members: Sequence[int]) -> None:
         for member in members:
             if member in self.layers:
-                force = self._minus_force[self.nodes_of(member)]
-                self.layers[member].add_forces(self.positions(member), force)
+                self.layers[member].add_forces(self.positions(member), self._forces[member])
 
     def _run_nodes(self, work: Work, members: Sequence[int]) -> None:
         for extended in (False, True):

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -40,6 +41,8 @@ KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
 REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
+TRUSTED_AFTER = 3  # iterations from which a step is given up that is clearly too long
+CLEARLY = 1.5  # times the error that is allowed
 COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
 
 
@@ -104,6 +107,10 @@ class Outcome(Enum):
     ACCEPTED = auto()
     INACCURATE = auto()
     UNSOLVED = auto()
+
+
+class _TooLong(Exception):  # noqa: N818 - not an error: the step is halved
+    """The step under way will not be accurate."""
 
 
 @dataclass
@@ -382,7 +389,7 @@ class ClothSolver:
 
     def _relative(self, residual: np.ndarray) -> float:
         """Largest nodal out-of-balance force over friction coefficient times nodal weight."""
-        return float(np.sqrt((residual**2).sum(axis=1).max())) / self.force_scale_N
+        return sqrt(np.einsum("ij,ij->i", residual, residual).max()) / self.force_scale_N
 
     def _search(self, x, residual, correction):
         """Move along a correction to where the work of the out-of-balance forces on it is small.
@@ -432,15 +439,21 @@ class ClothSolver:
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
         self._damping_ratio.fill_(self.settings.damping_s / step_s)
-        # As if the acceleration of the last steps went on: nearer than the target where it does.
-        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
+        guess = self._guess(target, step_s)
         if prescribed is not None:
             guess[self.fixed] = prescribed[self.fixed]
-        x, error = self._solve_apart(guess)
+        self._give_up = None
+        if may_refine:
+            largest_m = CLEARLY * self.settings.step_error_m
+            self._give_up = lambda x: self._step_error_m(x, target) > largest_m
+        try:
+            x, error = self._solve_apart(guess)
+        except _TooLong:
+            self._accurate_step_s = step_s / 2
+            return Outcome.INACCURATE
         if not error <= self.settings.friction_tolerance:
             return Outcome.UNSOLVED
-        # Of implicit Euler: half the squared step times the acceleration.
-        step_error_m = 0.5 * float(np.sqrt(np.square(x - target).sum(axis=1).mean()))
+        step_error_m = self._step_error_m(x, target)
         if step_error_m > self.settings.step_error_m:
             self._accurate_step_s = step_s / 2
             if may_refine:
@@ -450,6 +463,26 @@ class ClothSolver:
         self.record.largest_residual = max(self.record.largest_residual, error)
         self._accept(x, step_s)
         return Outcome.ACCEPTED
+
+    def _step_error_m(self, x: np.ndarray, target: np.ndarray) -> float:
+        """Of implicit Euler, root mean square: half the squared step times the acceleration."""
+        return 0.5 * sqrt(np.einsum("ij,ij->", x - target, x - target) / len(x))
+
+    def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
+        """Where to start to solve from, given where inertia alone would lead.
+
+        As if the acceleration of the last steps went on: nearer than the target where it does. But
+        nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth
+        of micrometres, extrapolated, is a load many times the cloth's.
+        """
+        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
+        curvature = self.ground_curvature_per_m
+        gap = contact.ground_coordinates(self.positions_m, curvature)[0][:, 2]
+        place, frames = contact.ground_coordinates(guess, curvature)
+        touching = (gap < 0) | (place[:, 2] < 0)
+        lift = np.minimum(gap[touching], 0.0) - place[touching, 2]
+        guess[touching] += ~self.fixed[touching] * (lift[:, None] * frames[touching, 2])
+        return guess
 
     def _accept(self, x: np.ndarray, step_s: float) -> None:
         """Move the state on to positions that were just evaluated."""
@@ -508,7 +541,9 @@ class ClothSolver:
         rate = 0.0
         exact = False
         self._products = 0
-        for _ in range(settings.newton_iterations_max):
+        for count in range(settings.newton_iterations_max):
+            if count >= TRUSTED_AFTER and self._give_up and self._give_up(x):
+                raise _TooLong
             if error <= settings.friction_tolerance or not np.isfinite(error):
                 break
             if (
