@@ -7,8 +7,7 @@ import pytest
 
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
-from slipstitch.material import ElasticTables, load_fabric
-from slipstitch.material.catalogue import fabric_names
+from slipstitch.material import ElasticTables, fabric_names, load_fabric
 from slipstitch.material.law import CURVATURE_SPACING_PER_M
 
 SPACING_M = 0.005
