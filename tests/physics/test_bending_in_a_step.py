@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slipstitch.material.catalogue import fabric_names
 
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
 from slipstitch.material import ElasticTables, load_fabric
-from slipstitch.material.catalogue import fabric_names
 from slipstitch.material.law import CURVATURE_SPACING_PER_M
 
 SPACING_M = 0.005

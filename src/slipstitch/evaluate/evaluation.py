@@ -424,12 +424,9 @@ def write_evaluation(
     predictions_out: str | os.PathLike,
     details_out: str | os.PathLike,
     *,
-    calibrated: str,
     train: TrainSettings | None = None,
-    frames: int | None = None,
     instruments_folder: str | os.PathLike | None = None,
-    instrument_seeds: list[int] | None = None,
-    threads: int = 1,
+    **options: Any,
 ) -> dict[str, Any]:
     """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
     started = start_clock()
@@ -437,12 +434,9 @@ def write_evaluation(
         settings,
         dataset,
         models_folder,
-        calibrated=calibrated,
         train=train,
-        frames=frames,
         instruments_folder=instruments_folder,
-        instrument_seeds=instrument_seeds,
-        threads=threads,
+        **options,
     )
     inputs = [Path(dataset) / "manifest.parquet"]
     inputs += [
