@@ -15,11 +15,7 @@ import pyarrow as pa
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.instruments import (
-    alarm_rates,
-    evaluate_instruments,
-    find_instruments,
-)
+from slipstitch.evaluate.instruments import alarm_rates, evaluate_instruments, find_instruments
 from slipstitch.evaluate.metrics import (
     chance,
     check_probabilities,
@@ -255,8 +251,7 @@ def evaluate(
     if len(pixels) > 1:
         raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
     videos = read_videos(
-        dataset,
-        lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test",
+        dataset, lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test"
     )
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
