@@ -258,11 +258,7 @@ def table(records):
             ),
         ),
         ("ambiguous designs: truth in the set", ">= 0.80", rate(in_answer, ambiguous)),
-        (
-            "ambiguous designs: overclaimed",
-            "<= 0.05",
-            rate(false_single, ambiguous),
-        ),
+        ("ambiguous designs: overclaimed", "<= 0.05", rate(false_single, ambiguous)),
         ("pairs (both >= 16): truth in the set", ">= 0.70", rate(in_answer, pairs)),
         ("pairs (both >= 16): exact", ">= 0.50", rate(exact, pairs)),
         (

@@ -212,12 +212,7 @@ MEASURES = (
         of(*EFFECTS, low=100),
         lambda r: r["verdict"] == "none",
     ),
-    (
-        "sorted session named singly",
-        "<= .05",
-        of("sorted"),
-        lambda r: r["verdict"] == "cause",
-    ),
+    ("sorted session named singly", "<= .05", of("sorted"), lambda r: r["verdict"] == "cause"),
     ("uneven track in (e): static friction named", "<= .05", of("track"), blames_static),
     (
         "one sensor wrong: false alarm on null data",

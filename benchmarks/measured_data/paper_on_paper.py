@@ -59,14 +59,7 @@ def read_runs(folder: Path) -> list[Run]:
         time = float(row["t0_s"]) + np.arange(len(force)) / rate
         place = slider.speed_m_s * time - force * weight / slider.spring_N_m
         runs.append(
-            Run(
-                row["array"],
-                slider,
-                weight,
-                place,
-                force,
-                measured_events(force, place, rate),
-            )
+            Run(row["array"], slider, weight, place, force, measured_events(force, place, rate))
         )
     return runs
 

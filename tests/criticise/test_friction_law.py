@@ -85,8 +85,7 @@ def test_a_law_survives_being_written_down():
 
 
 @pytest.mark.parametrize(
-    "mechanisms, word",
-    [({"stickiness": {}}, "stickiness"), ({"wear": {"wear": 0.1}}, "wear_r0")],
+    "mechanisms, word", [({"stickiness": {}}, "stickiness"), ({"wear": {"wear": 0.1}}, "wear_r0")]
 )
 def test_unknown_mechanisms_and_parameters_are_refused(mechanisms, word):
     with pytest.raises(BadInput, match=word):

@@ -26,19 +26,12 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.material import ElasticTables, load_fabric
-from slipstitch.simulate.drop_and_drag import (
-    DropAndDrag,
-    simulate_batch,
-    simulate_drop_and_drag,
-)
+from slipstitch.simulate.drop_and_drag import DropAndDrag, simulate_batch, simulate_drop_and_drag
 
 # Lowered at once to a heap, so that soft cloth comes to lie on itself.
 HEAP = SimulationSettings(vertices_per_side=9, frames=14, frame_rate_hz=4, settle_s=0.2)
 HEAP_PATH = StagePath(drop_m=0.18, speed_m_s=0.05, acceleration_m_s2=0.05, strokes=0)
-HEAPS = [
-    DropAndDrag("gray-interlock", 0.5, 1),
-    DropAndDrag("royal-target", 0.1, 2),
-]
+HEAPS = [DropAndDrag("gray-interlock", 0.5, 1), DropAndDrag("royal-target", 0.1, 2)]
 
 
 @pytest.fixture(scope="module")
@@ -67,12 +60,7 @@ def test_among_those_runs_are_halved_steps_and_touching_layers(heaps):
 MESH = rectangle(5, 5, 0.04, 0.04)
 FREE = np.zeros((MESH.vertex_count, 3), dtype=bool)
 FLAT_M = np.column_stack([MESH.rest_uv_m, np.full(MESH.vertex_count, -3e-7)])
-LAWS = [
-    0.3,
-    FrictionLaw(0.4, {"load_power": {"load_power": -0.1}}),
-    FrictionLaw(0.2),
-    0.1,
-]
+LAWS = [0.3, FrictionLaw(0.4, {"load_power": {"load_power": -0.1}}), FrictionLaw(0.2), 0.1]
 FABRICS = ["gray-interlock", "royal-target", "camel-ponte-roma", "11oz-black-denim"]
 
 

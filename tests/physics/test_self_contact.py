@@ -108,10 +108,7 @@ def _potential(layers, x):
     for number, (nodes, kind) in enumerate(
         zip(layers.nodes, layers.pairs.kinds.numpy(), strict=True)
     ):
-        arrays = [
-            wp.array(x, dtype=wp.vec3d),
-            wp.array(nodes[None], dtype=wp.vec4i),
-        ]
+        arrays = [wp.array(x, dtype=wp.vec3d), wp.array(nodes[None], dtype=wp.vec4i)]
         wp.launch(_closest, dim=1, inputs=[int(kind), *arrays, at, gap])
         d, d0 = gap.numpy()[0], layers.pairs.thicknesses.numpy()[number]
         if d < d0:

@@ -66,11 +66,7 @@ def floor_place() -> tuple[np.ndarray, np.ndarray]:
     """Rotation and translation, board to camera, of the board on the floor."""
     angle = np.radians(ANGLE_DEG)
     to_stage = np.array(
-        [
-            [np.cos(angle), np.sin(angle), 0],
-            [np.sin(angle), -np.cos(angle), 0],
-            [0, 0, -1.0],
-        ]
+        [[np.cos(angle), np.sin(angle), 0], [np.sin(angle), -np.cos(angle), 0], [0, 0, -1.0]]
     )
     corner = np.array([*PLACE_MM, THICKNESS_MM]) / 1e3
     rotation, translation = camera_pose()

@@ -39,11 +39,7 @@ from slipstitch.config.load import calibrated_settings, read_mapping, resolve_co
 from slipstitch.criticise.case import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
-from slipstitch.instrument.measuring import (
-    load_instrument,
-    save_instrument,
-    untrained_instrument,
-)
+from slipstitch.instrument.measuring import load_instrument, save_instrument, untrained_instrument
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
@@ -393,10 +389,7 @@ def _release(add, config, results: Path, folder: Path) -> None:
     for name in ("manifest.parquet", "SHA256SUMS", "release.json", "config.json"):
         if (out / name).is_file():
             add(f"audit, {name}", out / name, lambda: audit_release(out, jobs=1))
-    for path in (
-        next((out / "data").glob("*.parquet")),
-        next((out / "records").rglob("*.json")),
-    ):
+    for path in (next((out / "data").glob("*.parquet")), next((out / "records").rglob("*.json"))):
         add(f"audit, {path.name}", path, lambda: audit_release(out, jobs=1))
 
 

@@ -142,8 +142,7 @@ def write_train(folder: Path) -> None:
             path.parent.mkdir(parents=True)
             with path.open("w", newline="") as stream:
                 writer = csv.DictWriter(
-                    stream,
-                    ["epoch", "stage", "train_loss", "validation_loss", "chance_loss"],
+                    stream, ["epoch", "stage", "train_loss", "validation_loss", "chance_loss"]
                 )
                 writer.writeheader()
                 for epoch in range(1, 19):

@@ -21,11 +21,7 @@ from slipstitch.render.camera import pose
 from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(
-    {
-        "simulation": {"frames": 24},
-        "sample": {"frames": 6},
-        "render": {"pixels": 64},
-    }
+    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
 )
 SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
 CALIBRATED = VIEWPOINTS["calibrated"]

@@ -120,9 +120,7 @@ def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys)
             "sample": {"frames": 3},
             "render": {"pixels": 32},
             "captures": {
-                "pairs": [
-                    {"material": "royal-target", "substrate": "matte", "friction": 0.45},
-                ],
+                "pairs": [{"material": "royal-target", "substrate": "matte", "friction": 0.45}],
                 "repeats": 1,
                 "vertices_per_side": 9,
                 "time_step_s": 0.084,

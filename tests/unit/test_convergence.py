@@ -10,13 +10,7 @@ from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
-from slipstitch.convergence.study import (
-    SHIFT_MAX_S,
-    common_vertices,
-    compare,
-    describe,
-    events,
-)
+from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import Trajectory

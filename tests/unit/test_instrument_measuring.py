@@ -67,13 +67,7 @@ def test_larger_frames_are_brought_to_the_networks_size(folder):
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        frames(count=5),
-        frames()[:, :, :20],
-        frames().astype(np.float32),
-        frames()[..., 0],
-        "frames",
-    ],
+    [frames(count=5), frames()[:, :, :20], frames().astype(np.float32), frames()[..., 0], "frames"],
 )
 def test_other_arrays_are_refused(folder, wrong):
     with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is needed"):

@@ -18,12 +18,7 @@ from slipstitch.instrument import load_instrument
 from slipstitch.instrument import training as training_module
 from slipstitch.instrument.augmentation import disordered, phased
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.training import (
-    chance_score,
-    losses,
-    train_instrument,
-    training_views,
-)
+from slipstitch.instrument.training import chance_score, losses, train_instrument, training_views
 from slipstitch.provenance import attach_metadata
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.sample.manifest import dataset_digest

@@ -17,11 +17,7 @@ from slipstitch.render.camera import pose
 START_S = 3.1
 LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))
 CONFIG = resolve_config(
-    {
-        "simulation": {"frames": 24},
-        "sample": {"frames": 6},
-        "render": {"pixels": 64},
-    }
+    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
 )
 
 

@@ -12,12 +12,7 @@ from slipstitch.page.palette import BAD, FAINT, GOOD, PALE, SOFT
 from slipstitch.page.templates import render
 
 _TEMPLATE = Path(__file__).with_name("ablations.html.j2")
-_COLOURS = {
-    "better": GOOD,
-    "worse": BAD,
-    "not told apart": SOFT,
-    "nothing learnt": PALE,
-}
+_COLOURS = {"better": GOOD, "worse": BAD, "not told apart": SOFT, "nothing learnt": PALE}
 
 
 def ablations_page(summary: Mapping[str, Any]) -> str:

@@ -159,9 +159,7 @@ def diversity(videos: Candidates, views: list[str], settings: AblateSettings, ge
         viewpoints=views,
         variants=[
             Variant(
-                "replicates",
-                f"{count} replicates in one texture each",
-                _ids(videos.training, many),
+                "replicates", f"{count} replicates in one texture each", _ids(videos.training, many)
             ),
             Variant(
                 "textures", f"one replicate in {count} textures", _ids(videos.training, first_only)

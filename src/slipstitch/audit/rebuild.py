@@ -50,9 +50,7 @@ class Rebuilt:
 def _run(*words: str) -> None:
     """Run a verb of Slipstitch; Blender wants a process of its own."""
     answer = subprocess.run(
-        [sys.executable, "-m", "slipstitch", *words],
-        capture_output=True,
-        text=True,
+        [sys.executable, "-m", "slipstitch", *words], capture_output=True, text=True
     )
     if answer.returncode:
         errors = answer.stderr.strip().splitlines()

@@ -202,10 +202,7 @@ def strip_calibration(
     except DemandNotMet as error:
         raise DemandNotMet(str(error), judged) from None
     return {
-        "demand": {
-            "slip_strain": settings.strip_slip_strain,
-            "friction": settings.strip_friction,
-        },
+        "demand": {"slip_strain": settings.strip_slip_strain, "friction": settings.strip_friction},
         "trials": [
             _without_shapes(trial) | {"may_be_chosen": may_be_chosen(trial, base["settings"])}
             for trial in judged

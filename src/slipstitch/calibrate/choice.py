@@ -62,9 +62,7 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
 
 
 def choose(
-    trials: Sequence[Trial],
-    settings: CalibrateSettings,
-    run: Callable[[Mapping[str, Any]], Trial],
+    trials: Sequence[Trial], settings: CalibrateSettings, run: Callable[[Mapping[str, Any]], Trial]
 ) -> Trial:
     """The configured settings if they meet the demand, else the cheapest that do.
 

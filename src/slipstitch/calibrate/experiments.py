@@ -166,10 +166,7 @@ class Experiment:
 
 def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:
     def at(multiple: float, judge) -> Experiment:
-        options = {
-            "friction": friction,
-            "slope_deg": math.degrees(math.atan(multiple * friction)),
-        }
+        options = {"friction": friction, "slope_deg": math.degrees(math.atan(multiple * friction))}
         return Experiment("incline", options, lambda result: judge(options, result))
 
     def sticks(options, result):
@@ -230,10 +227,7 @@ def _flat_drag(friction: float, settings: CalibrateSettings) -> Experiment:
 
 
 def _strip_drag(friction: float, settings: CalibrateSettings) -> Experiment:
-    options = {
-        "friction": friction,
-        "gravity_length_m": settings.strip_drag_gravity_length_m,
-    }
+    options = {"friction": friction, "gravity_length_m": settings.strip_drag_gravity_length_m}
 
     def judge(result):
         return [

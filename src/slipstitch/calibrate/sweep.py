@@ -128,10 +128,7 @@ def _theory(friction: float) -> tuple[float | None, str]:
 
 
 def sweep(
-    key: str,
-    settings: CalibrateSettings,
-    simulation: SimulationSettings,
-    run_protocol: RunProtocol,
+    key: str, settings: CalibrateSettings, simulation: SimulationSettings, run_protocol: RunProtocol
 ) -> list[dict[str, Any]]:
     """Run all settings of one key (see `variations`); one line each on standard error."""
     tried = variations(key, settings, simulation)

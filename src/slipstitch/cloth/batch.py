@@ -93,9 +93,7 @@ class Meeting:
     """
 
     def __init__(
-        self,
-        work_for: Callable[[Work, Sequence[int]], None],
-        tasks: Sequence[Callable[[], Any]],
+        self, work_for: Callable[[Work, Sequence[int]], None], tasks: Sequence[Callable[[], Any]]
     ):
         self._work_for = work_for
         self._turns = [_Turn(task) for task in tasks]

@@ -152,11 +152,7 @@ def corners_of(x: wp.array(dtype=wp.vec3d), hinges: Hinges, h: int) -> mat43d:
 
 
 @wp.kernel
-def dihedral_angles(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    hinges: Hinges,
-):
+def dihedral_angles(active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), hinges: Hinges):
     """Note the dihedral angle of each hinge, in radians."""
     h = wp.tid()
     if active[hinges.members[h]] == 0:
@@ -210,10 +206,7 @@ def bending_force(
 
 @wp.kernel
 def bending_stiffness(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    hinges: Hinges,
-    entries: Entries,
+    active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), hinges: Hinges, entries: Entries
 ):
     """Add each hinge's stiffness, without the curvature of theta, to the lower triangle."""
     h = wp.tid()

@@ -210,11 +210,7 @@ def contact_kernels(extended: bool) -> ContactKernels:
 
     @wp.func
     def touched(
-        node: int,
-        point: GroundPoint,
-        nodes: Nodes,
-        ground: Ground,
-        law: FrictionState,
+        node: int, point: GroundPoint, nodes: Nodes, ground: Ground, law: FrictionState
     ) -> Touch:
         """What a node bears at a point below the ground's surface."""
         member = nodes.members[node]

@@ -86,11 +86,7 @@ class Deformation:
 
 
 @wp.func
-def deformation(
-    x: wp.array(dtype=wp.vec3d),
-    faces: Faces,
-    t: int,
-) -> Deformation:
+def deformation(x: wp.array(dtype=wp.vec3d), faces: Faces, t: int) -> Deformation:
     f0 = wp.vec3d()
     f1 = wp.vec3d()
     for a in range(3):
@@ -108,11 +104,7 @@ def deformation(
 
 
 @wp.kernel
-def green_strains(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    faces: Faces,
-):
+def green_strains(active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), faces: Faces):
     """Note the Green strain (G00, G11, G01) of each face."""
     t = wp.tid()
     if active[faces.members[t]] == 0:
@@ -151,10 +143,7 @@ def stretching_force(
 
 @wp.kernel
 def stretching_stiffness(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    faces: Faces,
-    entries: Entries,
+    active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), faces: Faces, entries: Entries
 ):
     """Add each face's stiffness to the lower triangle of the matrix, kept positive definite.
 

@@ -196,14 +196,7 @@ class _Boxes:
         wp.launch(
             swept_boxes,
             dim=self.elements.shape[0],
-            inputs=[
-                x,
-                move,
-                self.elements,
-                inflation_m + rounding_m,
-                self.lower,
-                self.upper,
-            ],
+            inputs=[x, move, self.elements, inflation_m + rounding_m, self.lower, self.upper],
             device=self.device,
         )
 

@@ -96,9 +96,7 @@ def stretched(kind: int, p: Corners, pair: Touch, anchor: wp.vec2d) -> wp.vec3d:
 
 @wp.kernel
 def self_contact_force(
-    x: wp.array(dtype=wp.vec3d),
-    pairs: Pairs,
-    minus_force: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d), pairs: Pairs, minus_force: wp.array(dtype=wp.vec3d)
 ):
     i = wp.tid()
     n = pairs.nodes[i]
@@ -166,9 +164,7 @@ def self_contact_stiffness(
 
 @wp.kernel
 def move_self_anchors(
-    x: wp.array(dtype=wp.vec3d),
-    pairs: Pairs,
-    touching: wp.array(dtype=wp.int32),
+    x: wp.array(dtype=wp.vec3d), pairs: Pairs, touching: wp.array(dtype=wp.int32)
 ):
     """After an accepted step: slipping pairs drag their memory along, open ones forget."""
     i = wp.tid()
@@ -347,10 +343,7 @@ class SelfContact:
 
     def add_stiffness(self, x, free, place, column_length, values) -> None:
         """Add the contact's stiffness to the entries of the tangent, in N/m."""
-        self._launch(
-            self_contact_stiffness,
-            [x, self.pairs, free, place, column_length, values],
-        )
+        self._launch(self_contact_stiffness, [x, self.pairs, free, place, column_length, values])
 
     def move_anchors(self, x: wp.array) -> int:
         """Update the memory after an accepted step; number of pairs that touch."""

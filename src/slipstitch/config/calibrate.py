@@ -39,9 +39,7 @@ class CalibrateSettings(Section):
         description="pushed strip: largest error of the friction coefficient read off that strain",
     )
     strip_frictions: tuple[Friction, ...] = Field(
-        (0.05, 0.2, 0.35, 0.4, 0.6),
-        min_length=1,
-        description="pushed strip: friction coefficients",
+        (0.05, 0.2, 0.35, 0.4, 0.6), min_length=1, description="pushed strip: friction coefficients"
     )
     strip_young_moduli_Pa: tuple[StripModulus, ...] = Field(
         (6.5e8, 6.5e9),
@@ -58,8 +56,7 @@ class CalibrateSettings(Section):
         (8, 15, 41), description="vertices tried besides strip_vertices"
     )
     sweep_friction_tolerance: tuple[StripTolerance, ...] = Field(
-        (1e-2, 1.0, 10.0),
-        description="tolerances tried besides simulation.friction_tolerance",
+        (1e-2, 1.0, 10.0), description="tolerances tried besides simulation.friction_tolerance"
     )
     sweep_newton_iterations_max: tuple[StripIterations, ...] = Field(
         (3, 10), description="limits tried besides simulation.newton_iterations_max"

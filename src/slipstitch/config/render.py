@@ -4,13 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.catalogue import (
-    FLOORS,
-    TEST_ONLY_TEXTURES,
-    TEXTURES,
-    VIEWPOINTS,
-    is_texture_file,
-)
+from slipstitch.catalogue import FLOORS, TEST_ONLY_TEXTURES, TEXTURES, VIEWPOINTS, is_texture_file
 from slipstitch.config.section import Section
 
 
@@ -76,8 +70,7 @@ class RenderSettings(Section):
         [], description="viewpoints kept for testing; their ids follow those of `viewpoints`"
     )
     frames: Literal["sampled", "all"] = Field(
-        "sampled",
-        description="render only the frames that the sample stage uses, or every frame",
+        "sampled", description="render only the frames that the sample stage uses, or every frame"
     )
     crop: Literal["follow", "fixed"] = Field(
         "follow",

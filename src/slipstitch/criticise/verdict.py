@@ -62,10 +62,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             }
             for p, s in analysis.state.scatters.items()
         },
-        "models": {
-            "null": _model(analysis, analysis.null),
-            "extended": _model(analysis, fitted),
-        },
+        "models": {"null": _model(analysis, analysis.null), "extended": _model(analysis, fitted)},
         "nominal": case.nominal,
         "ignored_files": list(case.ignored_files),
         "seed": seed,

@@ -8,12 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.evaluate import paper
-from slipstitch.evaluate.capture_scores import (
-    Predictions,
-    pair_medians,
-    subsets,
-    what_they_are,
-)
+from slipstitch.evaluate.capture_scores import Predictions, pair_medians, subsets, what_they_are
 from slipstitch.evaluate.cumulative import draw_cumulative
 from slipstitch.evaluate.metrics import CAPTURES, distance, metrics_of
 from slipstitch.page.figures import new_figure, png_uri, styled, svg_uri

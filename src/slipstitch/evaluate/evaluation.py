@@ -15,11 +15,7 @@ import pyarrow as pa
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.instruments import (
-    alarm_rates,
-    evaluate_instruments,
-    find_instruments,
-)
+from slipstitch.evaluate.instruments import alarm_rates, evaluate_instruments, find_instruments
 from slipstitch.evaluate.metrics import (
     chance,
     check_probabilities,
@@ -255,8 +251,7 @@ def evaluate(
     if len(pixels) > 1:
         raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
     videos = read_videos(
-        dataset,
-        lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test",
+        dataset, lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test"
     )
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
@@ -424,12 +419,9 @@ def write_evaluation(
     predictions_out: str | os.PathLike,
     details_out: str | os.PathLike,
     *,
-    calibrated: str,
     train: TrainSettings | None = None,
-    frames: int | None = None,
     instruments_folder: str | os.PathLike | None = None,
-    instrument_seeds: list[int] | None = None,
-    threads: int = 1,
+    **options: Any,
 ) -> dict[str, Any]:
     """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
     started = start_clock()
@@ -437,12 +429,9 @@ def write_evaluation(
         settings,
         dataset,
         models_folder,
-        calibrated=calibrated,
         train=train,
-        frames=frames,
         instruments_folder=instruments_folder,
-        instrument_seeds=instrument_seeds,
-        threads=threads,
+        **options,
     )
     inputs = [Path(dataset) / "manifest.parquet"]
     inputs += [

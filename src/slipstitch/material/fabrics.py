@@ -89,10 +89,7 @@ def _fabric(path: Path, name: str, entry: dict) -> Fabric:
     if (arrays["stretching_N_m"][0, [0, 2]] <= 0).any():
         raise BadInput(f"{where}: stretching_N_m row 0 must have positive c11 and c22")
     return Fabric(
-        name,
-        float(arrays["areal_density_kg_m2"]),
-        arrays["stretching_N_m"],
-        arrays["bending_N_m"],
+        name, float(arrays["areal_density_kg_m2"]), arrays["stretching_N_m"], arrays["bending_N_m"]
     )
 
 

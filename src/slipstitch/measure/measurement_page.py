@@ -74,8 +74,7 @@ def _distribution(result: MeasuredVideo) -> dict:
     height = _HEIGHT - 30 - probability / probability.max() * (_HEIGHT - 55)
     x = across(grid)
     shape = _points(
-        np.concatenate([x[:1], x, x[-1:]]),
-        np.concatenate([[_HEIGHT - 30], height, [_HEIGHT - 30]]),
+        np.concatenate([x[:1], x, x[-1:]]), np.concatenate([[_HEIGHT - 30], height, [_HEIGHT - 30]])
     )
     ticks = [t for t in np.arange(0, highest + 1e-9, 0.1 if highest < 1.2 else 0.2) if t >= lowest]
     low, high = across(result.measurement.interval_90)

@@ -37,11 +37,7 @@ PROTOCOLS: dict[str, KnownAnswer] = {
     ),
     "flat-drag": KnownAnswer(flat_drag, {"friction": _FRICTION}),
     "strip-drag": KnownAnswer(
-        strip_drag,
-        {
-            "friction": _FRICTION,
-            "gravity_length_m": _GRAVITY_LENGTH,
-        },
+        strip_drag, {"friction": _FRICTION, "gravity_length_m": _GRAVITY_LENGTH}
     ),
     "strip": KnownAnswer(
         strip,

@@ -12,9 +12,7 @@ STEPS_MAX = 400
 
 
 def bring_to_rest(
-    solver: ClothSolver,
-    step_s: float,
-    prescribed: Callable[[float], np.ndarray] | None = None,
+    solver: ClothSolver, step_s: float, prescribed: Callable[[float], np.ndarray] | None = None
 ) -> None:
     """Step until nothing moves.
 

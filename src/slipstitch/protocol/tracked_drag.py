@@ -16,10 +16,7 @@ from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
 from slipstitch.friction_law import FrictionLaw
 from slipstitch.friction_law.contact import REFERENCE_HUMIDITY_PCT
-from slipstitch.protocol.specimen import (
-    cylindrical_strip_tables,
-    hanging_with_tail,
-)
+from slipstitch.protocol.specimen import cylindrical_strip_tables, hanging_with_tail
 
 MEMBRANE_STIFFNESS_N_M = 2000.0  # stretches the cloth by less than 0.01 mm
 PENETRATION_M = 2.0e-8

@@ -49,10 +49,7 @@ NOT_PART_OF_A_RESULT = (
     "slipstitch.progress",
     "slipstitch.provenance",
 )
-CATALOGUES = (
-    "slipstitch.catalogue",
-    "slipstitch.material.fabrics",
-)
+CATALOGUES = ("slipstitch.catalogue", "slipstitch.material.fabrics")
 CONFIGURATION = "slipstitch.config"
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")
 

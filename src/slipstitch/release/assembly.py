@@ -145,10 +145,7 @@ def _check_room(out: Path, needed: float) -> None:
 
 
 def write_release(
-    config: Config,
-    results: str | os.PathLike,
-    out: str | os.PathLike,
-    project: str | os.PathLike,
+    config: Config, results: str | os.PathLike, out: str | os.PathLike, project: str | os.PathLike
 ) -> Released:
     """Write a release of the sampled dataset.
 

@@ -7,9 +7,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.provenance import (
-    attach_metadata,
-)
+from slipstitch.provenance import attach_metadata
 from slipstitch.release.splits import PREFIX, question
 from slipstitch.sample.manifest import dataset_digest
 
@@ -95,10 +93,7 @@ def released_schema(sampled: pa.Schema, splits: Sequence[str]) -> pa.Schema:
 
 
 def write_manifest(
-    rows: Sequence[Mapping[str, Any]],
-    sampled: pa.Schema,
-    splits: Sequence[str],
-    folder: Path,
+    rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str], folder: Path
 ) -> None:
     """Write ``manifest.parquet``; nothing in it differs between equal runs."""
     table = pa.Table.from_pylist(list(rows), schema=released_schema(sampled, splits))

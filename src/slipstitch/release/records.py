@@ -11,12 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import (
-    file_digest,
-    read_metadata,
-    read_parquet,
-    read_provenance,
-)
+from slipstitch.provenance import file_digest, read_metadata, read_parquet, read_provenance
 
 RECORDS = "records"
 #: Written beside the dataset: a sample of its images against direct renders.

@@ -309,12 +309,7 @@ class ClothScene:
         tree.links.new(node.outputs["Color"], self._cloth_colour)
 
     def render(
-        self,
-        positions_m: np.ndarray,
-        camera: Camera,
-        *,
-        samples: int,
-        seed: int = 0,
+        self, positions_m: np.ndarray, camera: Camera, *, samples: int, seed: int = 0
     ) -> Rendering:
         """Render the cloth with these vertices through this camera.
 

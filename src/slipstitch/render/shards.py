@@ -56,11 +56,7 @@ def composed_images(
 
 
 def render_shard(
-    job: Job,
-    out: str | os.PathLike,
-    *,
-    pack_path: str | os.PathLike | None = None,
-    progress=iter,
+    job: Job, out: str | os.PathLike, *, pack_path: str | os.PathLike | None = None, progress=iter
 ) -> dict:
     """Make the image shard of one simulation from one viewpoint, with every texture.
 
@@ -116,10 +112,7 @@ def render_shard(
 
 
 def render_shards_from_packs(
-    config: Config,
-    trajectory_path: str | os.PathLike,
-    pack_paths: Iterable[Path],
-    folder: Path,
+    config: Config, trajectory_path: str | os.PathLike, pack_paths: Iterable[Path], folder: Path
 ) -> Iterator[tuple[Path, dict]]:
     """Make the image shards of one simulation without Blender, from the light of its viewpoints.
 

@@ -25,10 +25,7 @@ def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.
     2013, which keeps slanting edges well resolved too).
     """
     shuffle = _SHUFFLE[tile]
-    return (
-        x + (shuffle[y % tile] + 0.5) / tile - 0.5,
-        y + (shuffle[x % tile] + 0.5) / tile - 0.5,
-    )
+    return (x + (shuffle[y % tile] + 0.5) / tile - 0.5, y + (shuffle[x % tile] + 0.5) / tile - 0.5)
 
 
 @dataclass(frozen=True)

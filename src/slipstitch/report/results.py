@@ -15,12 +15,7 @@ import pyarrow.parquet as pq
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import (
-    read_json,
-    read_provenance,
-    read_sidecar,
-    reading,
-)
+from slipstitch.provenance import read_json, read_provenance, read_sidecar, reading
 from slipstitch.sample.images import read_frames
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory

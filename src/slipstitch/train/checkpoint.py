@@ -81,10 +81,7 @@ def _text(progress: Progress) -> str:
 
 
 def load_checkpoint(
-    path: Path,
-    identity: dict[str, Any],
-    network: nn.Module,
-    optimizer: torch.optim.Optimizer,
+    path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
 ) -> tuple[Progress | None, str]:
     """Put a training back where a checkpoint left it.
 

@@ -295,11 +295,7 @@ def write_record(
     shards = sorted({row["file"] for row in videos.rows})
     inputs = [Path(dataset) / name for name in (MANIFEST, *shards)]
     record = provenance_record(
-        stage,
-        inputs=[*inputs, *other_inputs],
-        config={stage: settings},
-        seed=seed,
-        started=started,
+        stage, inputs=[*inputs, *other_inputs], config={stage: settings}, seed=seed, started=started
     )
     record["threads"] = threads
     for name in (*model_files, HISTORY):

@@ -55,11 +55,7 @@ SHOWS = {
 # Designs that cannot tell: protocols, fixed columns, tie set.
 AMBIGUOUS = (
     (("drop_drag",), {}, ("bending_error", "mass_error")),
-    (
-        ("incline",),
-        {"added_mass_g": (5.0, 60.0), "area_cm2": 25.0},
-        ("load_power", "adhesion"),
-    ),
+    (("incline",), {"added_mass_g": (5.0, 60.0), "area_cm2": 25.0}, ("load_power", "adhesion")),
     (("drag",), {"dwell_s": 10.0}, ("static_kinetic", "ageing")),
     (("incline",), {"locked": True}, ("nap", "tilt")),
     (("incline",), {"humid_by_repeat": True}, ("wear", "humidity")),

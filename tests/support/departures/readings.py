@@ -75,14 +75,7 @@ def _drag(plan, rng, table, faults):
     grain = _grain(plan, rng, len(table), STROKE_MM)
     mu = scattered(plan, "drag", rng)
     trace = drag.strokes(
-        values,
-        mu,
-        plan.effects,
-        plan.nominal,
-        STROKE_MM,
-        step,
-        grain,
-        plan.tracks.get("drag"),
+        values, mu, plan.effects, plan.nominal, STROKE_MM, step, grain, plan.tracks.get("drag")
     )
     u = plan.noise["drag"]
     half = len(trace["stage_mm"]) // 2
@@ -207,11 +200,7 @@ def _spring_slider(plan, rng, table, faults):
                 rng, "force_mN", force[index, k] * 1e3, u * plan.understated, run["clock_min"]
             )
             frames[j] = pd.DataFrame(
-                {
-                    "run_id": run["run_id"],
-                    "t_s": time[index].round(5),
-                    "force_mN": reading.round(3),
-                }
+                {"run_id": run["run_id"], "t_s": time[index].round(5), "force_mN": reading.round(3)}
             )
     table["u_force_mN"] = u
     trace = pd.concat([frames[j] for j in sorted(frames)], ignore_index=True)

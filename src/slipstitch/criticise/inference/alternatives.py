@@ -104,10 +104,7 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
 
 
 def rich_columns(
-    tests: list[Test],
-    group: Group,
-    variance: np.ndarray,
-    fixed: np.ndarray,
+    tests: list[Test], group: Group, variance: np.ndarray, fixed: np.ndarray
 ) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 

@@ -6,17 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.inference.alternatives import (
-    alternatives,
-    rich_columns,
-    sensitivity_of,
-)
-from slipstitch.criticise.inference.covariance import (
-    Group,
-    Scatter,
-    estimate_scatter,
-    make_groups,
-)
+from slipstitch.criticise.inference.alternatives import alternatives, rich_columns, sensitivity_of
+from slipstitch.criticise.inference.covariance import Group, Scatter, estimate_scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, Weights
 from slipstitch.criticise.inference.structure import Outcome, Test, run_tests
 from slipstitch.criticise.measurements import Measurements
@@ -70,11 +61,7 @@ def level_column(group: Group, sensitivity: np.ndarray) -> np.ndarray:
 
 
 def test_at(
-    measurements: Measurements,
-    fitted: Fit,
-    state: State,
-    rng: np.random.Generator,
-    replicates: int,
+    measurements: Measurements, fitted: Fit, state: State, rng: np.random.Generator, replicates: int
 ) -> Outcome:
     """Tests of everything beyond the fitted model."""
     residual = measurements.y - fitted.prediction

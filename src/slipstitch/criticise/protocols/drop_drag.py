@@ -216,10 +216,7 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     rows["static"] = static
     rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
     rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
-    contact = {
-        "normal_force_N": np.nan,
-        **conditions_of(common),
-    }
+    contact = {"normal_force_N": np.nan, **conditions_of(common)}
     weight = nominal["rho_kg_m2"] * GRAVITY_M_S2
     rows["load_ratio"] = weight / 50.0
     return DropDragBlock(

@@ -112,12 +112,7 @@ INCLINE = Protocol(
     nominal=("rho_kg_m2",),
     quantities=(Quantity("angle_deg", "slip angle"),),
     features=features,
-    usual_settings={
-        "azimuth_deg": 0.0,
-        "area_cm2": 50.0,
-        "added_mass_g": 20.0,
-        "u_angle_deg": 0.3,
-    },
+    usual_settings={"azimuth_deg": 0.0, "area_cm2": 50.0, "added_mass_g": 20.0, "u_angle_deg": 0.3},
     varied=(
         ("added_mass_g", (0, 5, 20, 50, 200)),
         ("area_cm2", (12.5, 25, 50, 100)),
