@@ -21,7 +21,6 @@ from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
     pooled_texture,
-    sliding,
     trace_features,
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
@@ -63,7 +62,6 @@ class DragBlock(Block):
         "backlash_m",
         "force_offset_N",
         "force_gain",
-        "stage_zero_m",
     )
 
     at_rest: Contact
@@ -75,7 +73,6 @@ class DragBlock(Block):
     grid_step: np.ndarray
     grid_point: np.ndarray
     ramp_mN: np.ndarray
-    spring_mN_mm: float
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
@@ -94,7 +91,6 @@ class DragBlock(Block):
         seen = sampled(seen, self.grid_step, self.grid_point)
         result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
         relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
-        relaxed = relaxed - 1e3 * bench.stage_zero_m * self.spring_mN_mm
         result = np.where(quantity == "relaxed_mN", relaxed, result)
         result = np.where(quantity == "stiffness", 1.0 + bench.force_gain, result)
         return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m, result)
@@ -126,10 +122,7 @@ def features(tables, nominal, measured) -> DragBlock | None:
         ]
         plateaus, steps = [], []
         for (out, _), u in zip(pairs, common["u_mN"], strict=True):
-            if not len(out):
-                continue
-            force, x = out["force_mN"].to_numpy(), out["x_stage_mm"].to_numpy()
-            force = force[sliding(x, force, spring)]
+            force = out["force_mN"].to_numpy()[len(out) // 3 :]
             if len(force):
                 plateaus.append((force, u, float(np.median(force))))
                 steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
@@ -173,7 +166,6 @@ def features(tables, nominal, measured) -> DragBlock | None:
         np.array([feature.grid_step for feature in found]),
         np.array([feature.grid_point for feature in found]),
         np.array([feature.ramp_mN for feature in found]),
-        nominal["k_tether_N_m"],
     )
 
 
