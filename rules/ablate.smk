@@ -32,7 +32,7 @@ rule ablate_one:
         *settings("train", "instrument", "ablate", ablate={"seeds"}),
         frames=CONFIG.sample.frames,
         view_order=CONFIG.view_order,
-        code=code_of("ablate.training"),
+        code=code_of("ablate.answering"),
         config=CONFIG_FILE,
     message:
         "Ablation: {wildcards.question}, seed {wildcards.seed}"

@@ -162,7 +162,7 @@ rule captures_evaluate:
         runtime=30,
     params:
         *settings("evaluate"),
-        code=code_of("evaluate.captures"),
+        code=code_of("evaluate.capture_evaluation"),
         config=CONFIG_FILE,
     message:
         "Evaluate networks and instruments on the captures"

@@ -1,6 +1,7 @@
 """Imports only point downwards: the floors of the package, and every import held against them."""
 
 import ast
+import re
 from pathlib import Path
 
 import slipstitch
@@ -85,3 +86,17 @@ def test_every_package_has_a_floor():
 def test_imports_point_downwards():
     upwards = {pair: files for pair, files in imports().items() if FLOOR[pair[0]] <= FLOOR[pair[1]]}
     assert not upwards
+
+
+def test_every_rule_digests_code_that_is_there():
+    """A renamed module would leave a rule that no dry run can read."""
+    rules = SOURCE.parents[1] / "rules"
+    named = {
+        name
+        for rule in rules.glob("*.smk")
+        for name in re.findall(r'code_of\("(.*?)"\)', rule.read_text())
+    }
+    assert named
+    for name in named:
+        place = SOURCE / name.replace(".", "/")
+        assert place.is_dir() or place.with_suffix(".py").is_file(), name

@@ -113,7 +113,7 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "using", "others"),
     [
-        ("wp.max(tangent, wp.float64(0.1) * ke)", "wp.max(tangent, ke)", OF_CLOTH, ...),
+        ("wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)", "tangent", OF_CLOTH, ...),
         ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
         ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"sample", "capture"}, {"render", "calibrate"}),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
@@ -136,8 +136,8 @@ def test_what_computes_changes_the_stages_that_use_it(changed, old, new, using, 
     [
         ("report.css", {"report"}),
         # One look of every page.
-        ("style.css", {"ablate", "criticise", "evaluate.captures", "release", "report"}),
-        ("captures.html.j2", {"evaluate.captures"}),
+        ("style.css", {"ablate", "criticise", "evaluate.capture_evaluation", "release", "report"}),
+        ("captures.html.j2", {"evaluate.capture_evaluation"}),
         ("ablations.html.j2", {"ablate"}),
         ("card.md.j2", {"release"}),
     ],
