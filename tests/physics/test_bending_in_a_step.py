@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slipstitch.material.catalogue import fabric_names
 
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
