@@ -17,7 +17,7 @@ from slipstitch.provenance import atomic_path, file_digest
 from slipstitch.train.network import build_network
 from slipstitch.train.settings import NETWORKS, SPLITS, TrainSettings
 
-FORMAT = "slipstitch-lrcn-1"
+FORMAT = "slipstitch-lrcn-2"
 WEIGHTS = "model.safetensors"
 CARD = "model.json"
 
