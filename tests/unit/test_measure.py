@@ -145,3 +145,30 @@ def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
     write_config(other, tmp_path / "config.json")
     assert measure(bench, "--config", str(tmp_path / "config.json")) == 2
     assert "sample.frames is 4, the instrument" in capsys.readouterr().err
+
+
+def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path, capsys):
+    damaged = tmp_path / "damaged.mp4"
+    _text(bench, damaged)
+    files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged)]
+    words = ["--camera", str(bench / "camera.json")]
+    words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
+    out = [f"--{kind}={tmp_path / kind}" for kind in ("out", "json", "csv")]
+    assert main(["measure", *files, *words, *out]) == 2  # one could not be measured
+    said = capsys.readouterr().out
+    assert said.count("video.mp4: friction ") == 2
+    assert "not measured: " in said and "damaged.mp4: a text file" in said
+    assert "ALARM in every video: no combined value" in said
+    told = json.loads((tmp_path / "json").read_text())
+    assert len(told["videos"]) == 2 and len(told["refused"]) == 1
+    assert told["combined"] is None
+    assert len((tmp_path / "csv").read_text().splitlines()) == 3
+    content = (tmp_path / "out").read_text()
+    assert "No measurement" in content and content.count("data:image/png;base64,") == 10
+
+
+def test_a_stated_start_belongs_to_one_video(bench, capsys):
+    files = [str(bench / "video.mp4")] * 2 + ["--camera", str(bench / "camera.json")]
+    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
+    assert main(["measure", *files, *model, "--start-s", "2.9"]) == 2
+    assert "state it for one video only" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""slipstitch measure: a video in, friction with its error bar out."""
+"""slipstitch measure: videos of a pair in, friction with its error bar out."""
 
 import argparse
 from pathlib import Path
@@ -14,7 +14,14 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("video", type=Path, metavar="VIDEO", help="the whole protocol, filmed")
+    parser.add_argument(
+        "videos",
+        nargs="+",
+        type=Path,
+        metavar="VIDEO",
+        help="the whole protocol, filmed; several: repeats of one pair of fabric and substrate, "
+        "measured one by one and together",
+    )
     parser.add_argument(
         "--camera",
         required=True,
@@ -35,6 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=output_path, metavar="FILE", help="page (HTML) to write")
     parser.add_argument("--json", type=output_path, metavar="FILE", help="all numbers, to write")
     parser.add_argument(
+        "--csv", type=output_path, metavar="FILE", help="table to write: a row a video"
+    )
+    parser.add_argument(
         "--start-s",
         type=float,
         metavar="S",
@@ -51,31 +61,40 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 # An alarm is an answer, but no program should take it for a measurement.
 ALARM_EXIT_CODE = 3
+BAD_INPUT_EXIT_CODE = 2
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, write the page, print the result; exit code 3 if the instrument raised its alarm."""
+    """Measure, write the page, print the result.
+
+    Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
+    """
     import math
 
     from slipstitch.errors import BadInput
     from slipstitch.measure.measurement_files import measure_to_files
+    from slipstitch.measure.measuring import measuring_bench
 
     check_at_least(arguments, threads=1)
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
             raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
-    result = measure_to_files(
-        arguments.video,
+    if arguments.start_s is not None and len(arguments.videos) > 1:
+        raise BadInput("--start-s: each video starts at another time; state it for one video only")
+    bench = measuring_bench(arguments.camera, arguments.model, arguments.config, arguments.threads)
+    pair = measure_to_files(
+        arguments.videos,
+        bench,
         arguments.camera,
-        arguments.model,
-        arguments.config,
         page_path=arguments.out,
         numbers_path=arguments.json,
+        table_path=arguments.csv,
         start_s=arguments.start_s,
         frame_rate_hz=arguments.frame_rate_hz,
-        threads=arguments.threads,
     )
-    for line in result.lines():
+    for line in pair.videos[0].lines() if len(arguments.videos) == 1 else pair.lines():
         print(line)
-    return ALARM_EXIT_CODE if result.measurement.alarm else 0
+    if pair.refused:
+        return BAD_INPUT_EXIT_CODE
+    return ALARM_EXIT_CODE if any(v.measurement.alarm for v in pair.videos) else 0

@@ -17,12 +17,12 @@ _DECISIVE = 5
 _WIDTH, _HEIGHT = 920, 190
 
 
-def page(result: MeasuredVideo) -> str:
-    """The page as HTML; it needs no other file."""
-    measured, video = result.measurement, result.video
-    weights = np.asarray(measured.attention_weights, dtype=float)
+def _frames(result: MeasuredVideo) -> list[dict]:
+    """Every frame with its weight in the decision."""
+    video = result.video
+    weights = np.asarray(result.measurement.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
-    frames = [
+    return [
         {
             "image": _enlarged(image),
             "time": f"{max(time_s, 0):.1f} s",
@@ -34,6 +34,18 @@ def page(result: MeasuredVideo) -> str:
             zip(video.frames, video.time_s, weights, strict=True)
         )
     ]
+
+
+def decisive_frames(result: MeasuredVideo) -> list[dict]:
+    """The frames of the largest weights, in their order in time."""
+    return [frame for frame in _frames(result) if frame["decisive"]]
+
+
+def page(result: MeasuredVideo) -> str:
+    """The page as HTML; it needs no other file."""
+    measured, video = result.measurement, result.video
+    weights = np.asarray(measured.attention_weights, dtype=float)
+    frames = _frames(result)
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
     return render(
         _TEMPLATE,
@@ -44,7 +56,7 @@ def page(result: MeasuredVideo) -> str:
         materials=materials,
         alarm=measured.alarm_reason if measured.alarm else None,
         frames=frames,
-        decisive=[f"{max(video.time_s[k], 0):.1f} s" for k in sorted(ranks)],
+        decisive=[frame["time"] for frame in frames if frame["decisive"]],
         distribution=_distribution(result),
         timeline=_timeline(result, weights),
         start=video.start,

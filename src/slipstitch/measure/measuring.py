@@ -1,4 +1,4 @@
-"""One video measured: what the instrument says, and what it looked at."""
+"""Videos measured: what the instrument says, and what it looked at."""
 
 import os
 from dataclasses import dataclass, replace
@@ -14,8 +14,8 @@ from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
-from slipstitch.instrument import Measurement, load_instrument
-from slipstitch.render.camera_file import read_camera_file
+from slipstitch.instrument import Instrument, Measurement, load_instrument
+from slipstitch.render.camera_file import LensCamera, read_camera_file
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
@@ -94,32 +94,80 @@ class MeasuredVideo:
         }
 
 
-def measure_video(
-    path: str | os.PathLike,
+@dataclass(frozen=True)
+class MeasuringBench:
+    """An instrument behind a camera: what all videos of one place share.
+
+    Attributes
+    ----------
+    lens : LensCamera
+    instrument : Instrument
+    config_path : path
+        The configuration that told which frames to take.
+    schedule : Schedule
+    """
+
+    lens: LensCamera
+    instrument: Instrument
+    config_path: Path
+    schedule: Schedule
+
+    def measure(
+        self,
+        path: str | os.PathLike,
+        *,
+        start_s: float | None = None,
+        frame_rate_hz: float | None = None,
+    ) -> MeasuredVideo:
+        """Measure one video.
+
+        Parameters
+        ----------
+        path : path
+        start_s, frame_rate_hz : float, optional
+            See `slipstitch.capture.videos.read_stage_video`.
+
+        Raises
+        ------
+        BadInput
+            If the video cannot be used, or does not show the protocol.
+        """
+        video = read_stage_video(
+            path, self.lens, self.schedule, start_s=start_s, frame_rate_hz=frame_rate_hz
+        )
+        measured = self.instrument.measure(video.frames, np.random.default_rng(0))
+        grid, probability = map(np.asarray, measured.distribution)
+        return MeasuredVideo(
+            Path(path).name,
+            video,
+            measured,
+            _half_width(grid, probability),
+            str(self.instrument.card.get("weights_sha256") or "unknown"),
+            self.config_path,
+            self.schedule.path,
+        )
+
+
+def measuring_bench(
     camera: str | os.PathLike,
     model: str | os.PathLike,
     config: str | os.PathLike | None = None,
-    *,
-    start_s: float | None = None,
-    frame_rate_hz: float | None = None,
     threads: int = 2,
-) -> MeasuredVideo:
-    """Measure one video.
+) -> MeasuringBench:
+    """Read the camera, the instrument and what it was trained with.
 
     Parameters
     ----------
-    path, camera, model : path
-        The video, the camera file, the instrument's folder.
+    camera, model : path
+        The camera file, the instrument's folder.
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
-    start_s, frame_rate_hz : float, optional
-        See `slipstitch.capture.videos.read_stage_video`.
     threads : int
 
     Raises
     ------
     BadInput
-        If a file cannot be used, or the video does not show the protocol.
+        If a file cannot be used.
     """
     lens = read_camera_file(camera)
     instrument = load_instrument(Path(model))
@@ -134,21 +182,10 @@ def measure_video(
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
     schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
-    video = read_stage_video(path, lens, schedule, start_s=start_s, frame_rate_hz=frame_rate_hz)
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
     torch.set_num_threads(threads)
-    measured = instrument.measure(video.frames, np.random.default_rng(0))
-    grid, probability = map(np.asarray, measured.distribution)
-    return MeasuredVideo(
-        Path(path).name,
-        video,
-        measured,
-        _half_width(grid, probability),
-        str(instrument.card.get("weights_sha256") or "unknown"),
-        config_path,
-        schedule.path,
-    )
+    return MeasuringBench(lens, instrument, config_path, schedule)
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
