@@ -19,7 +19,7 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
     assert main(["doctor"]) == 0
     shown = capsys.readouterr().out
     assert "MISSING" not in shown
-    assert "Everything that Slipstitch needs is here." in shown
+    assert "All requirements of Slipstitch are met." in shown
     assert len(shown.splitlines()) <= 24  # one screen
 
 

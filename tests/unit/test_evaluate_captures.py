@@ -193,7 +193,7 @@ def test_surrogates_are_named_so_and_real_ones_so(bench):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ([], "--captures needs --models or --instruments, or both"),
+        ([], "--captures requires --models, --instruments or both"),
         (["--instruments", "."], ".: no trained model for captures in it"),
         (["--models", "nowhere"], "nowhere: no model in it"),
     ],

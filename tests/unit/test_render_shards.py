@@ -265,8 +265,8 @@ def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message)
     ("words", "message"),
     [
         (["--viewpoint", "v07"], "no viewpoint 'v07'; the configuration has v00 (side)"),
-        ([], "rendering needs --viewpoint"),
-        (["--viewpoint", "v00", "--out-sheet", "a.png"], "go with --preview only"),
+        ([], "rendering requires --viewpoint"),
+        (["--viewpoint", "v00", "--out-sheet", "a.png"], "require --preview"),
     ],
 )
 def test_wrong_options_are_one_clear_line(work, capsys, words, message):
@@ -280,7 +280,7 @@ def test_wrong_options_are_one_clear_line(work, capsys, words, message):
     ("words", "message"),
     [
         (["--out-sheet", "a.png"], "at least one shard"),
-        (["v00.parquet"], "needs --out-sheet or --out-video"),
+        (["v00.parquet"], "requires --out-sheet or --out-video"),
         (["--out-sheet", "a.png", "m05_f01_r00.parquet"], "not an image shard"),
         (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),
         (["--out-video", "a.avi", "v00.parquet"], "must end in .mp4"),

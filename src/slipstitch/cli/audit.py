@@ -1,4 +1,4 @@
-"""slipstitch audit: what is a release worth, and where does a clip of it come from?"""
+"""slipstitch audit: verify a release, trace or regenerate one of its clips."""
 
 import argparse
 import os
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_file
 
-SUMMARY = "check a release to the last pixel, tell a clip's story, make a clip again"
+SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 
 
@@ -15,14 +15,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("release", type=Path, metavar="RELEASE_DIR", help="folder of a release")
     add_config(
         parser,
-        "today's configuration, to say what it would make otherwise",
+        "current configuration, to report what it would change",
         required=False,
         one_each=True,
     )
     parser.add_argument(
-        "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS that the publisher states"
+        "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS as stated by the publisher"
     )
-    parser.add_argument("--explain", metavar="CLIP", help="instead: the whole story of one clip")
+    parser.add_argument(
+        "--explain", metavar="CLIP", help="instead: trace one clip back to its origin"
+    )
     parser.add_argument(
         "--rebuild",
         metavar="CLIP",
@@ -31,13 +33,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-stale",
         action="store_true",
-        help="exit with 0 if nothing but code or configuration has changed since",
+        help="exit with 0 if only code or configuration has changed since",
     )
     parser.add_argument(
-        "--json", type=output_file, metavar="FILE", help="write the outcome as JSON; - for stdout"
+        "--json", type=output_file, metavar="FILE", help="write the findings as JSON; - for stdout"
     )
     parser.add_argument(
-        "--page", type=output_file, metavar="FILE", help="write the outcome as an HTML page"
+        "--page", type=output_file, metavar="FILE", help="write the findings as an HTML page"
     )
     parser.add_argument(
         "--jobs",
@@ -48,17 +50,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 for an intact release or an equal clip, 1 for anything else that was found."""
+    """Return 0 for an intact release or an identical clip, else 1."""
     from slipstitch.audit.contents import read_contents
     from slipstitch.errors import BadInput
 
     if arguments.explain and arguments.rebuild:
-        raise BadInput("either --explain or --rebuild")
+        raise BadInput("--explain and --rebuild exclude each other")
     if arguments.jobs < 1:
         raise BadInput(f"--jobs {arguments.jobs}: must be at least 1")
     for path in (arguments.json, arguments.page):
         if path not in (None, "-") and _inside(Path(path), arguments.release):
-            raise BadInput(f"{path}: inside the release, where it would be an unexplained file")
+            raise BadInput(
+                f"{path}: is inside the release, where it would be an unknown file; "
+                "choose another folder"
+            )
     if arguments.explain:
         from slipstitch.audit.explain import explain
 

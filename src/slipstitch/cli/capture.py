@@ -3,7 +3,7 @@
 import argparse
 import importlib
 
-SUMMARY = "bring in what is measured on a real bench: camera, films, reference friction"
+SUMMARY = "process measurements from a real bench: camera, videos, reference friction"
 EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
     "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"

@@ -1,4 +1,4 @@
-"""slipstitch criticise: what the model gets wrong in measured data, and why."""
+"""slipstitch criticise: find what the model gets wrong in measured data, and why."""
 
 import argparse
 import sys
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import output_file
 
-SUMMARY = "say what the model gets wrong in a measured case, and why"
+SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
 
 
@@ -28,15 +28,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--resimulate",
         type=output_file,
         metavar="FILE",
-        help="simulate the drop-and-drag runs again with null and extended law in the cloth "
-        "simulator (about a second a run); errors and gain as JSON, and on the page",
+        help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
+        "simulator (about a second per run); errors and gain as JSON, and on the page",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
+    )
     parser.add_argument(
         "--replicates",
         type=int,
         default=300,
-        help="simulated data sets behind each family-wise p (default 300)",
+        help="simulated data sets for each family-wise p (default 300)",
     )
 
 
@@ -47,10 +49,12 @@ def run(arguments: argparse.Namespace) -> int:
     from slipstitch.errors import BadInput
 
     if arguments.replicates < 50:
-        raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+        raise BadInput(f"--replicates: {arguments.replicates}; must be at least 50")
     case = read_case(arguments.case)
     for name in case.ignored_files:
-        print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
+        print(
+            f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr
+        )
     line = criticise_to_files(
         case,
         arguments.seed,

@@ -1,11 +1,11 @@
-"""slipstitch measure: videos of a pair in, friction with its error bar out."""
+"""slipstitch measure: friction with its error bar from videos of one pair."""
 
 import argparse
 from pathlib import Path
 
 from slipstitch.cli.options import add_threads, check_at_least, output_path
 
-SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
+SUMMARY = "measure the friction coefficient in a video, with an error bar, the fabric and an alarm"
 EXAMPLE = (
     "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json "
     "--model results/instrument/by_simulation/seed0 --out glass_1.html"
@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="VIDEO",
-        help="the whole protocol, filmed; several: repeats of one pair of fabric and substrate, "
+        help="video of the whole protocol; several: repeats of one pair of fabric and substrate, "
         "measured one by one and together",
     )
     parser.add_argument(
@@ -27,7 +27,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         required=True,
         type=Path,
         metavar="FILE",
-        help="camera file of slipstitch capture camera, with the camera's place at the stage",
+        help="camera file written by slipstitch capture camera, with the camera's position at "
+        "the stage",
     )
     parser.add_argument(
         "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
@@ -36,11 +37,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help="configuration that the instrument was trained with (default: config.json in the "
+        help="configuration the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )
-    parser.add_argument("--out", type=output_path, metavar="FILE", help="page (HTML) to write")
-    parser.add_argument("--json", type=output_path, metavar="FILE", help="all numbers, to write")
+    parser.add_argument(
+        "--out", type=output_path, metavar="FILE", help="write the result as an HTML page"
+    )
+    parser.add_argument(
+        "--json", type=output_path, metavar="FILE", help="write all numbers as JSON"
+    )
     parser.add_argument(
         "--csv", type=output_path, metavar="FILE", help="table to write: a row a video"
     )
@@ -48,18 +53,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--start-s",
         type=float,
         metavar="S",
-        help="time in the video at which the stage starts (default: found in the frames)",
+        help="start of the stage's motion in the video (default: found in the frames)",
     )
     parser.add_argument(
         "--frame-rate-hz",
         type=float,
         metavar="HZ",
-        help="of the camera, if the file's own times are wrong",
+        help="frame rate of the camera, if the file's timestamps are wrong",
     )
     add_threads(parser, default=2)
 
 
-# An alarm is an answer, but no program should take it for a measurement.
+# A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
 

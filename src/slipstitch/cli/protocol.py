@@ -1,4 +1,4 @@
-"""slipstitch protocol: one known-answer experiment in the simulator, beside theory."""
+"""slipstitch protocol: one known-answer experiment in the simulator, compared with theory."""
 
 import argparse
 
@@ -24,7 +24,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, help="JSON file of measured and theory's values"
+        "--out",
+        type=output_file,
+        required=True,
+        help="JSON file with measured and theoretical values",
     )
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
@@ -39,9 +42,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B"
     )
-    parser.add_argument("--strain", type=float, help="strip: how far it is pushed, over its length")
-    parser.add_argument("--width-over-length", type=float, help="lateral-buckling: of the strip")
-    parser.add_argument("--wrap-deg", type=float, help="capstan: angle of contact in degrees")
+    parser.add_argument(
+        "--strain", type=float, help="strip: displacement of the push, relative to its length"
+    )
+    parser.add_argument(
+        "--width-over-length",
+        type=float,
+        help="lateral-buckling: width of the strip over its length",
+    )
+    parser.add_argument("--wrap-deg", type=float, help="capstan: contact angle in degrees")
     parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
 
 

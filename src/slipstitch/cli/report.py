@@ -1,10 +1,10 @@
-"""slipstitch report: one page that a person reads."""
+"""slipstitch report: write the report."""
 
 import argparse
 
 from slipstitch.cli.options import add_config, output_file
 
-SUMMARY = "write one self-contained page about everything in a results folder"
+SUMMARY = "write a self-contained HTML report on a results folder"
 EXAMPLE = (
     "slipstitch report --config results/config.json --results results "
     "--out results/report/index.html"
@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the page and say where it is and what it lacks."""
+    """Write the page; print its path and the missing stages."""
     from pathlib import Path
 
     from slipstitch.config import load_config
