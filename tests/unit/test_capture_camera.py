@@ -10,7 +10,7 @@ from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.lens_calibration import FloorPlace
-from slipstitch.capture.rectification import rectify, stage_plane
+from slipstitch.render.rectification import rectify, stage_plane
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar

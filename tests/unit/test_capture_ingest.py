@@ -10,7 +10,7 @@ import pytest
 from support import analytic_stage as stage
 
 from slipstitch.capture.ingest.dataset import read_known
-from slipstitch.capture.rectification import rectify, source_pixels, stage_plane
+from slipstitch.render.rectification import rectify, source_pixels, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
 from slipstitch.catalogue import VIEWPOINTS

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipstitch.capture.recording import Recording
-from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.stage_start import StageStart, find_start
 from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import rectify, stage_plane
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
