@@ -4,7 +4,7 @@ Standard library only: the configuration and the workflow load it without numpy 
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 
@@ -23,12 +23,16 @@ class Viewpoint:
         From the camera to the point it is aimed at.
     test_only : bool
         True where the viewpoint exists to test networks on views they have not seen.
+    drawn : bool
+        True of a family: every bench has a camera of its own near this viewpoint, and its images
+        are rectified into the calibrated one (`slipstitch.render.bench_camera`).
     """
 
     azimuth_deg: float
     elevation_deg: float
     distance_m: float
     test_only: bool = False
+    drawn: bool = False
 
 
 _CALIBRATED = Viewpoint(azimuth_deg=40.0, elevation_deg=24.0, distance_m=1.4)
@@ -46,6 +50,7 @@ VIEWPOINTS: dict[str, Viewpoint] = {
         )
         for turn in (-15, -10, -5, 5, 10, 15)
     },
+    **{f"bench_{member}": replace(_CALIBRATED, drawn=True) for member in range(1, 9)},
 }
 
 #: Name -> seed of the texture's random choices. The last one is the paper's "unseen texture": it

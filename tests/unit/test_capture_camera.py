@@ -10,12 +10,12 @@ from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.lens_calibration import FloorPlace
-from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import cloth_room, crop_to
 from slipstitch.render.camera_file import read_camera_file
+from slipstitch.render.rectification import rectify, stage_plane
 
 VIEWS = 9
 CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]

@@ -10,7 +10,6 @@ import pytest
 from support import analytic_stage as stage
 
 from slipstitch.capture.ingest.dataset import read_known
-from slipstitch.capture.rectification import rectify, source_pixels, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
 from slipstitch.catalogue import VIEWPOINTS
@@ -18,6 +17,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
+from slipstitch.render.rectification import rectify, source_pixels, stage_plane
 from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(

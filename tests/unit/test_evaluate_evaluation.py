@@ -54,7 +54,7 @@ def chain(tmp_path_factory):
             split,
             0,
             folder / "instrument" / split / "seed0",
-            viewpoint="calibrated",
+            viewpoints=["calibrated"],
             frames=6,
         )
     return folder

@@ -204,5 +204,5 @@ def test_foreign_files_are_refused(folder, tmp_path):
     with pytest.raises(BadInput, match="no model card of Slipstitch"):
         load_instrument(tmp_path)
     (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
-    with pytest.raises(BadInput, match="'slipstitch-instrument-1' is needed"):
+    with pytest.raises(BadInput, match="'slipstitch-instrument-2' is needed"):
         load_instrument(tmp_path)

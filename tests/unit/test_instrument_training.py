@@ -60,7 +60,7 @@ def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None
         split,
         seed,
         out,
-        viewpoint="calibrated",
+        viewpoints=["calibrated"],
         frames=frames,
         after_step=after_step,
     )
@@ -254,7 +254,7 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
     settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, 2, 24)
-    views, ordered = training_views(frames[:8], 6, settings, np.random.default_rng(0))
+    views, ordered, _ = training_views(frames[:8], 6, settings, np.random.default_rng(0))
     gradients = []
     for bfloat16 in (False, True):
         network.zero_grad()

@@ -266,7 +266,7 @@ class _Runs:
                 SPLIT,
                 self.seed,
                 folder,
-                viewpoint=self.plan.viewpoints[0],
+                viewpoints=self.plan.viewpoints[:1],
                 frames=self.config.sample.frames,
                 uses=lambda row: row["video"] in variant.videos,
                 threads=self.threads,

@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.recording import Moment
-from slipstitch.capture.rectification import stage_plane
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import stage_plane
 
 # The strip that is followed: this much around the clamps, in the upright plane.
 _HALF_WIDTH_M = 0.10

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.capture.rectification import stage_plane
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0

@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipstitch.capture.recording import Recording
-from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.stage_start import StageStart, find_start
 from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.errors import BadInput
+from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import rectify, stage_plane
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -47,6 +48,8 @@ class StageVideo:
         Median and largest time between frames of the file, while the protocol ran.
     view_angle_deg : float
         Between the directions in which the real camera and the calibrated viewpoint stand.
+    pose : dict
+        How the camera stands beside that viewpoint, see `slipstitch.render.bench_camera`.
     inside : ndarray (n,)
         Share of each image that the real camera saw.
     notes : list of str
@@ -61,6 +64,7 @@ class StageVideo:
     frame_interval_s: float
     longest_gap_s: float
     view_angle_deg: float
+    pose: dict[str, float]
     inside: np.ndarray
     notes: list[str] = field(default_factory=list)
 
@@ -132,6 +136,7 @@ def read_stage_video(
         frame_interval_s=float(np.median(intervals)),
         longest_gap_s=float(np.max(intervals)),
         view_angle_deg=_view_angle_deg(lens, schedule),
+        pose=relative_pose(*lens.pose, schedule.pose),
         inside=np.array(inside),
     )
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))

@@ -10,7 +10,7 @@ EXAMPLE = (
 )
 
 
-KINDS = ("camera", "ingest", "reference", "surrogate")
+KINDS = ("camera", "check", "ingest", "reference", "surrogate")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +28,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         module.configure(verb)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Run the one that was asked for."""
-    _module(arguments.kind).run(arguments)
+def run(arguments: argparse.Namespace) -> int | None:
+    """Run the one that was asked for; its exit code."""
+    return _module(arguments.kind).run(arguments)
 
 
 def _module(kind: str):

@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        viewpoint=config.calibrated_view,
+        viewpoints=config.instrument_views,
         threads=arguments.threads,
     )
     bars = card["error_bars"]

@@ -61,6 +61,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="frame rate of the camera, if the file's timestamps are wrong",
     )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="measure although the camera stands where the instrument was not trained",
+    )
     add_threads(parser, default=2)
 
 
@@ -87,7 +92,13 @@ def run(arguments: argparse.Namespace) -> int:
             raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s: each video starts at another time; state it for one video only")
-    bench = measuring_bench(arguments.camera, arguments.model, arguments.config, arguments.threads)
+    bench = measuring_bench(
+        arguments.camera,
+        arguments.model,
+        arguments.config,
+        threads=arguments.threads,
+        force=arguments.force,
+    )
     pair = measure_to_files(
         arguments.videos,
         bench,

@@ -11,6 +11,15 @@ class InstrumentSettings(Section):
     """The measuring network, its training and its error bars."""
 
     seeds: Seeds = Field([0], description="one instrument a seed")
+    viewpoints: list[str] | None = Field(
+        None,
+        min_length=1,
+        description="viewpoints that it learns from, all in the calibrated view: the calibrated "
+        "one and members of the family bench_1 ...; null: the first of train.view_order",
+    )
+    knows_pose: bool = Field(
+        False, description="the network is told how the camera stands beside the calibrated view"
+    )
     pixels: int | None = Field(
         None, ge=32, le=512, description="side of the input image; null: as rendered"
     )

@@ -2,6 +2,7 @@
 
 from pydantic import Field, model_validator
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.ablate import AblateSettings
 from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.captures import CaptureSettings
@@ -53,12 +54,29 @@ class Config(Section):
                     f"train.view_order: {name!r} is not in render.viewpoints "
                     f"({', '.join(self.render.viewpoints)})"
                 )
+        for name in self.instrument.viewpoints or ():
+            if name not in self.render.viewpoint_ids().values():
+                raise ValueError(
+                    f"instrument.viewpoints: {name!r} is not in render.viewpoints "
+                    f"({', '.join(self.render.viewpoints)})"
+                )
+            if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
+                raise ValueError(
+                    f"instrument.viewpoints: {name!r} is not seen in the calibrated view; allowed "
+                    f"are {self.calibrated_view} and the family bench_1 ..."
+                )
         return self
 
     @property
     def view_order(self) -> list[str]:
         """Viewpoints of the training, by name, in the order in which it takes them up."""
-        return list(self.train.view_order or self.render.viewpoints)
+        own = [name for name in self.render.viewpoints if not VIEWPOINTS[name].drawn]
+        return list(self.train.view_order or own or self.render.viewpoints)
+
+    @property
+    def instrument_views(self) -> list[str]:
+        """Viewpoints that the instrument learns from, by name."""
+        return list(self.instrument.viewpoints or [self.calibrated_view])
 
     @property
     def calibrated_view(self) -> str:

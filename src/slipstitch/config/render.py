@@ -41,6 +41,38 @@ class AugmentationSettings(Section):
     )
 
 
+class BenchCameraSettings(Section):
+    """Cameras of the viewpoints ``bench_1`` ... : poses beside the calibrated one, and errors."""
+
+    yaw_deg: float = Field(15.0, ge=0, le=30, description="largest turn about the vertical")
+    pitch_deg: float = Field(8.0, ge=0, le=15, description="largest change of the elevation")
+    roll_deg: float = Field(2.0, ge=0, le=10, description="largest turn about the optical axis")
+    distance: float = Field(
+        0.2, ge=0, lt=0.6, description="largest change of the distance, as a share"
+    )
+    aim_m: float = Field(
+        0.01, ge=0, le=0.05, description="the camera is aimed off by up to this, along each axis"
+    )
+    calibrated_share: float = Field(
+        1 / 3, ge=0, le=1, description="share of cameras that stand at the calibrated pose"
+    )
+    oversampling: float = Field(
+        1.5, ge=1, le=4, description="pixels of the camera for one of the rectified image"
+    )
+    rotation_error_deg: float = Field(
+        0.05, ge=0, le=1, description="standard deviation of the calibrated rotation, each axis"
+    )
+    position_error_m: float = Field(
+        0.001, ge=0, le=0.02, description="standard deviation of the calibrated position, each axis"
+    )
+    focal_error: float = Field(
+        0.001, ge=0, le=0.05, description="standard deviation of the focal length, as a share"
+    )
+    start_error_s: float = Field(
+        0.02, ge=0, le=0.2, description="largest error of the time at which the stage starts"
+    )
+
+
 class RenderSettings(Section):
     """What is rendered of each simulation, and how."""
 
@@ -83,6 +115,7 @@ class RenderSettings(Section):
         description="floors by name; each simulation draws one, and its roughness and reflectance",
     )
     augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
+    bench_camera: BenchCameraSettings = Field(default_factory=BenchCameraSettings)
     camera: str | None = Field(
         None,
         min_length=1,
@@ -134,7 +167,8 @@ class RenderSettings(Section):
 
     def camera_of(self, viewpoint: str) -> str | None:
         """The camera file that a viewpoint's camera stands by, None if it is the catalogue's."""
-        return self.camera if viewpoint.startswith("calibrated") else None
+        of_it = viewpoint.startswith("calibrated") or VIEWPOINTS[viewpoint].drawn
+        return self.camera if of_it else None
 
     def texture_files(self) -> list[str]:
         """Textures that are read from image files."""

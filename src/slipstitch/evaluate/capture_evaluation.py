@@ -17,6 +17,7 @@ from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subs
 from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probabilities
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.instrument import load_instrument
+from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     provenance_record,
     start_clock,
@@ -114,8 +115,8 @@ def _instruments(dataset, folder) -> list[Predictions]:
         videos = read_videos(dataset)
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])
         measurements = [
-            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0))
-            for pixels in videos.pixels
+            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0), pose)
+            for pixels, pose in zip(videos.pixels, poses_of(videos.rows), strict=True)
         ]
         found.append(
             Predictions(

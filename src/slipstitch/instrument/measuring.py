@@ -22,9 +22,11 @@ from slipstitch.instrument.distribution import (
     tempered,
 )
 from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.poses import scaled
+from slipstitch.render.bench_camera import POSE
 from slipstitch.train.model_file import read_weights, write_weights
 
-FORMAT = "slipstitch-instrument-1"
+FORMAT = "slipstitch-instrument-2"
 WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
@@ -111,7 +113,9 @@ class Instrument:
         """Grid of mu, float64 of shape (G,)."""
         return self.network.grid.double().numpy()
 
-    def answers(self, videos: np.ndarray, generator: np.random.Generator) -> Answers:
+    def answers(
+        self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
+    ) -> Answers:
         """Uncalibrated answers.
 
         Parameters
@@ -119,14 +123,19 @@ class Instrument:
         videos : ndarray of uint8, shape (n, frames, pixels, pixels, 3)
         generator : numpy Generator
             Of the augmentations.
+        poses : ndarray, shape (n, 4), optional
+            How the cameras stand (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
         """
         self.network.eval()
+        told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
         parts = []
         with torch.inference_mode():
-            for video in videos:
+            for video, pose in zip(videos, told, strict=True):
                 repeated = np.repeat(video[None], self.settings.draws, axis=0)
                 views = augmented(repeated, self.settings, generator)
-                outputs = self.network(views, self.card["bfloat16"])
+                outputs = self.network(
+                    views, self.card["bfloat16"], pose.expand(self.settings.draws, -1)
+                )
                 # In float64: in float32 a distribution's tail would end at five deviations.
                 cumulative = mixture_cumulative(
                     outputs["friction"].double(), self.network.middles.double()
@@ -153,7 +162,10 @@ class Instrument:
         return stretched(distributions, self.grid, self.settings.coverage, factor)
 
     def measure(
-        self, frames: np.ndarray, generator: np.random.Generator | None = None
+        self,
+        frames: np.ndarray,
+        generator: np.random.Generator | None = None,
+        pose: np.ndarray | None = None,
     ) -> Measurement:
         """Measure one video.
 
@@ -164,6 +176,8 @@ class Instrument:
             training images are: square. Resized to the network's side where they differ.
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
+        pose : ndarray, shape (4,), optional
+            How the camera stands (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
 
         Raises
         ------
@@ -171,7 +185,8 @@ class Instrument:
             If the array is of another shape or type.
         """
         video = self._fitted(frames)[None]
-        answers = self.answers(video, generator or np.random.default_rng(0))
+        poses = None if pose is None else np.asarray(pose)[None]
+        answers = self.answers(video, generator or np.random.default_rng(0), poses)
         distribution = self.distributions(answers)
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars

@@ -15,6 +15,8 @@ from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Instrument, Measurement, load_instrument
+from slipstitch.instrument.poses import outside
+from slipstitch.render.bench_camera import POSE, relative_pose
 from slipstitch.render.camera_file import LensCamera, read_camera_file
 
 # Within one standard deviation, were the distribution normal.
@@ -135,7 +137,8 @@ class MeasuringBench:
         video = read_stage_video(
             path, self.lens, self.schedule, start_s=start_s, frame_rate_hz=frame_rate_hz
         )
-        measured = self.instrument.measure(video.frames, np.random.default_rng(0))
+        pose = np.array([video.pose[name] for name in POSE])
+        measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
         grid, probability = map(np.asarray, measured.distribution)
         return MeasuredVideo(
             Path(path).name,
@@ -153,6 +156,7 @@ def measuring_bench(
     model: str | os.PathLike,
     config: str | os.PathLike | None = None,
     threads: int = 2,
+    force: bool = False,
 ) -> MeasuringBench:
     """Read the camera, the instrument and what it was trained with.
 
@@ -163,14 +167,34 @@ def measuring_bench(
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
     threads : int
+    force : bool
+        Measure although the camera stands where the instrument was never tried.
 
     Raises
     ------
     BadInput
-        If a file cannot be used.
+        If a file cannot be used, or the camera stands outside the poses of the training.
     """
     lens = read_camera_file(camera)
     instrument = load_instrument(Path(model))
+    config_path, schedule = schedule_of(instrument, model, config)
+    tested = instrument.card.get("pose_range")
+    strange = outside(relative_pose(*lens.pose, schedule.pose), tested) if tested else []
+    if strange and not force:
+        raise BadInput(
+            f"{camera}: the camera stands where the instrument was not trained: "
+            f"{'; '.join(strange)}; `slipstitch capture check` draws it; --force measures anyway"
+        )
+    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
+    # which takes longer than the measurement.
+    torch.set_num_threads(threads)
+    return MeasuringBench(lens, instrument, config_path, schedule)
+
+
+def schedule_of(
+    instrument: Instrument, model: str | os.PathLike, config: str | os.PathLike | None
+) -> tuple[Path, Schedule]:
+    """The configuration that an instrument was trained with, and the frames that it sees."""
     config_path = _config_of(model, config)
     settings = load_config(config_path)
     frames, sampled = int(instrument.card["frames"]), settings.sample.frames
@@ -181,11 +205,7 @@ def measuring_bench(
         )
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
-    schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
-    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
-    # which takes longer than the measurement.
-    torch.set_num_threads(threads)
-    return MeasuringBench(lens, instrument, config_path, schedule)
+    return config_path, replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:

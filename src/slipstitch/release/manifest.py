@@ -29,6 +29,11 @@ COLUMNS = {
     "texture": "texture of the cloth: its name in the manifest, its id in the shards",
     "viewpoint": "viewpoint: its name in the manifest, its id in the shards",
     "viewpoint_turn_deg": "azimuth of the viewpoint minus the calibrated one's, degrees",
+    "pose_yaw_deg": "azimuth of the camera minus the calibrated viewpoint's, as it was calibrated, "
+    "degrees; this and the other numbers of the pose are 0 where images were not rectified",
+    "pose_pitch_deg": "elevation of the camera minus the calibrated viewpoint's, degrees",
+    "pose_roll_deg": "turn of the camera about its own axis, degrees",
+    "pose_log_distance": "logarithm of the camera's distance over the calibrated viewpoint's",
     "floor": "substrate, by name",
     "floor_reflectance": "share of light that the floor mirrors at normal incidence",
     "floor_roughness": "roughness of the floor's mirror, as Blender has it",

@@ -1,7 +1,7 @@
 """Camera files: a real camera's lens and place at the stage, as calibration writes them.
 
 A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
-same pinhole (`slipstitch.capture.rectification`).
+same pinhole (`slipstitch.render.rectification`).
 """
 
 import json

@@ -25,6 +25,7 @@ from slipstitch.provenance import (
     read_metadata,
     start_clock,
 )
+from slipstitch.render.bench_camera import BenchCamera, draw_bench_camera
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
     Shot,
@@ -116,6 +117,13 @@ class Job:
         """The simulation's id."""
         return Path(self.trajectory_path).stem
 
+    @property
+    def bench_camera(self) -> BenchCamera | None:
+        """Where the camera stands, if its viewpoint is a family's; None of all others."""
+        if not VIEWPOINTS[self.viewpoint].drawn:
+            return None
+        return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
+
     def inputs(self) -> list:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
@@ -187,7 +195,7 @@ def render_shadings(
     for shot in wanted:
         rendering = scene.render(
             trajectory.positions_m[shot.row],
-            shot.camera.at_resolution(settings.pixels * LIGHT_OVERSAMPLING),
+            shot.camera.at_resolution(shot.camera.pixels * LIGHT_OVERSAMPLING),
             samples=samples,
             seed=shot.frame,
         )
@@ -207,12 +215,13 @@ def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
         Wraps the list of frames, to show how far the work is.
     """
     settings = job.settings
-    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled)
+    bench = job.bench_camera
+    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled, bench)
     surroundings = draw_surroundings(settings, job.seed, job.simulation)
     metadata = {
         "simulation": job.simulation,
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
-        "camera": camera_record(wanted, settings),
+        "camera": camera_record(wanted, settings, bench),
         "surroundings": surroundings.record(),
         "smallest_share_of_cloth_in_image": min(
             share_in_image(trajectory, shot) for shot in wanted

@@ -23,7 +23,7 @@ from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.packing import Job, read_pack, usable_trajectory
 from slipstitch.render.preview import decode_image
-from slipstitch.render.shards import SCHEMA, cameras
+from slipstitch.render.shards import SCHEMA, Rectifier, cameras
 from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture
 
@@ -112,7 +112,7 @@ def compare(
     camera = cameras(job)[name]
     (light,) = compose_light(join(shading, sight), [name])
     noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
-    again = camera.photograph(light, noise)
+    again = Rectifier.of(job, trajectory)(camera.photograph(light, noise), shot)
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
     scene.wear(texture(name))
     # Another seed than the shading render's: the two share no noise.

@@ -15,6 +15,7 @@ from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock
+from slipstitch.render.bench_camera import POSE
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest
@@ -144,9 +145,11 @@ def _write_simulation(
     started = start_clock()
     videos: dict[tuple[str, str], list] = {}
     floor: dict[str, Any] = {}
+    poses: dict[str, dict[str, float]] = {}
     for path in paths:
         # One simulation, one floor: the same in every shard.
-        floor = read_metadata(path).get("surroundings") or MATTE.record()
+        metadata = read_metadata(path)
+        floor = metadata.get("surroundings") or MATTE.record()
         for (name, texture, view), images in read_shard(path, frames).items():
             if name != simulation.id:
                 continue
@@ -156,6 +159,7 @@ def _write_simulation(
             if (texture, view) in videos:
                 raise BadInput(f"{path}: video {video} is in another shard too")
             videos[texture, view] = images
+            poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
     rows, images = [], []
     file = f"{simulation.id}.parquet"
@@ -203,6 +207,7 @@ def _write_simulation(
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
                 "viewpoint_turn_deg": turn,
+                **{f"pose_{name}": poses[view][name] for name in POSE},
                 "floor": floor["floor"],
                 "floor_reflectance": floor["reflectance"],
                 "floor_roughness": floor["roughness"],

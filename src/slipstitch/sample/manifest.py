@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import read_metadata, read_parquet, write_parquet
+from slipstitch.render.bench_camera import POSE
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 MANIFEST = "manifest.parquet"
@@ -33,6 +34,7 @@ MANIFEST_SCHEMA = pa.schema(
         ("texture_role", pa.string()),
         ("viewpoint_role", pa.string()),
         ("viewpoint_turn_deg", pa.float64()),
+        *((f"pose_{name}", pa.float64()) for name in POSE),
         ("floor", pa.string()),
         ("floor_reflectance", pa.float64()),
         ("floor_roughness", pa.float64()),

@@ -153,6 +153,7 @@ def _write_video(
         "texture_role": "test",
         "viewpoint_role": "test",
         "viewpoint_turn_deg": 0.0,
+        **{f"pose_{name}": value for name, value in video.pose.items()},
         "floor": capture.substrate,
         "floor_reflectance": None,
         "floor_roughness": None,
