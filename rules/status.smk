@@ -16,7 +16,7 @@ def refuse_unwritable(jobs):
     """Stop before the first job if a folder of results cannot be written to."""
     for folder in sorted({Path(file).parent for job in jobs for file in job.output}):
         if folder.exists() and not os.access(folder, os.W_OK):
-            raise WorkflowError(f"{folder}: the file system cannot be written to")
+            raise WorkflowError(f"{folder}: not writable (read-only file system or missing permission)")
 
 
 # What the stages read is written when the first job starts: neither a dry run nor a changed key

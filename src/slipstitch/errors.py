@@ -28,7 +28,7 @@ class Damaged(BadInput):
         path = os.fspath(path)
         again = ""
         if not os.path.isabs(path) and os.path.normpath(path).split(os.sep)[0] == "results":
-            again = f"; make it anew with: snakemake --cores 2 all --forcerun {shlex.quote(path)}"
+            again = f"; regenerate it with: snakemake --cores 2 all --forcerun {shlex.quote(path)}"
         super().__init__(f"{path}: {reason}{again}")
 
 
@@ -46,15 +46,15 @@ class NotConverged(SlipstitchError):  # noqa: N818
 # What the machine refuses, whatever the program: told in one line, without a traceback.
 _OF_THE_MACHINE = {
     errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file would be larger than is allowed",
-    errno.EROFS: "the file system cannot be written to",
+    errno.EDQUOT: "the disk quota is exceeded",
+    errno.EFBIG: "the file would exceed the size limit",
+    errno.EROFS: "the file system is read-only",
     errno.EACCES: "permission denied",
     errno.EPERM: "not permitted",
-    errno.EIO: "the disk fails",
+    errno.EIO: "disk I/O error",
     errno.EMFILE: "too many open files",
     errno.ENOMEM: "out of memory",
-    errno.ENAMETOOLONG: "a file name is too long",
+    errno.ENAMETOOLONG: "file name too long",
 }
 # The words of libraries whose exceptions have no code.
 _WORDS_OF_THE_MACHINE = {

@@ -7,7 +7,7 @@ from typing import TextIO
 from tqdm import tqdm
 
 LINE_INTERVAL_S = 30.0
-_LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} since the start, {remaining} to go"
+_LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} elapsed, {remaining} remaining"
 
 
 class _Lines:

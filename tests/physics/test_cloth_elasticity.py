@@ -146,7 +146,7 @@ def test_on_a_cylinder_too_the_tangent_of_contact_is_the_derivative_of_its_force
 
 
 def test_a_mesh_needs_two_rows_and_columns():
-    with pytest.raises(BadInput, match="1 x 5 vertices: at least 2 x 2"):
+    with pytest.raises(BadInput, match="1 x 5 vertices: must be at least 2 x 2"):
         rectangle(1, 5, 0.2, 0.2)
 
 

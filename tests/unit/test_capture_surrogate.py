@@ -89,21 +89,24 @@ def test_the_table_calls_every_film_a_surrogate(tmp_path):
         writer = csv.DictWriter(stream, rows[0])
         writer.writeheader()
         writer.writerows(rows)
-    with pytest.raises(BadInput, match="surrogate and real captures do not go into one table"):
+    with pytest.raises(BadInput, match="must not mix surrogate and real captures"):
         read_captures(tmp_path / "mixed.csv", tmp_path / "reference.csv")
 
 
 @pytest.mark.parametrize(
     ("section", "problem"),
     [
-        ({"pairs": [{"material": "silk", "substrate": "matte", "friction": 0.3}]}, "no material"),
+        (
+            {"pairs": [{"material": "silk", "substrate": "matte", "friction": 0.3}]},
+            "unknown material",
+        ),
         (
             {"pairs": [{"material": "gray-interlock", "substrate": "ice", "friction": 0.3}]},
-            "no floor 'ice'",
+            "unknown floor 'ice'",
         ),
         (
             {"pairs": [{"material": "gray-interlock", "substrate": "matte", "friction": 0.3}] * 2},
-            "a fabric is named twice on the same substrate",
+            "duplicate fabric on the same substrate",
         ),
     ],
 )
@@ -154,4 +157,4 @@ def test_an_unknown_film_is_one_line(tmp_path, capsys):
     assert main(["capture", "surrogate", *words]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "no surrogate capture 'c09_r01'" in said
+    assert "unknown surrogate capture 'c09_r01'" in said

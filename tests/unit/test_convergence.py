@@ -146,16 +146,16 @@ def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_converg
     (row,) = study["summary"]
     assert row["time_step"]["finest"] == "m09_f01_n9_h1"
     assert row["mesh"] is None and row["converged"] is None
-    with pytest.raises(BadInput, match="no run of the study is there"):
+    with pytest.raises(BadInput, match="no runs of the study found"):
         describe(CONFIG, {})
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"vertices_per_side": [41, 61, 82]}, "too few places in common"),
+        ({"vertices_per_side": [41, 61, 82]}, "too few positions in common"),
         ({"vertices_per_side": [81, 41]}, "must increase"),
-        ({"materials": ["silk"]}, "no material 'silk'"),
+        ({"materials": ["silk"]}, "unknown material 'silk'"),
         ({"window_s": 0}, "window_s: must be greater than 0"),
     ],
 )
@@ -190,7 +190,7 @@ def test_a_simulation_s_record_names_the_nearest_studied_case(tmp_path):
     assert found["converged"] is False
     assert found["note"] == (
         "not converged at gray-interlock, friction 1: 0.20 mm from the finest time step on "
-        "average, 1.50 mm at the worst moment, 5.0 mm at the worst vertex, events up to 0.12 s "
+        "average, 1.50 mm at the worst time, 5.0 mm at the worst vertex, events up to 0.12 s "
         "apart; mesh not studied"
     )
     assert _record(tmp_path, "royal-target", 0.0)["converged"] is True
@@ -200,7 +200,7 @@ def test_a_run_coarser_than_the_study_says_that_nothing_is_known(tmp_path):
     for coarser in ({"time_step_s": 0.04}, {"vertices_per_side": 31}):
         found = _record(tmp_path, "gray-interlock", 0.1, **coarser)
         assert found["applies"] is False and found["converged"] is None
-        assert "coarser than the settings that were studied" in found["note"]
+        assert "coarser than the studied settings" in found["note"]
 
 
 def test_without_a_study_the_record_is_empty(tmp_path):

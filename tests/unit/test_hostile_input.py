@@ -133,7 +133,7 @@ def test_a_files_name_is_only_a_name(name, tmp_path, monkeypatch, capfd):
     words = ["render", "--preview", "--out-sheet", "x.png", str(path)]
     assert main(words) == 2
     said = capfd.readouterr().err
-    assert "damaged or no Parquet file" in said
+    assert "damaged or not a Parquet file" in said
     assert said.count("\n") == 1
     assert said.rstrip("\n").isprintable()
     assert sorted(os.listdir()) == ["in"]
@@ -239,7 +239,7 @@ def test_the_machine_refusing_is_one_line(tmp_path):
         [sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=tmp_path
     )
     assert answer.returncode == 1
-    assert "the file would be larger than is allowed" in answer.stderr.splitlines()[-1]
+    assert "the file would exceed the size limit" in answer.stderr.splitlines()[-1]
     assert "Traceback" not in answer.stderr
     assert os.listdir(tmp_path) == []
 

@@ -50,7 +50,7 @@ def test_result_numbers_and_page(bench, capsys):
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
     assert "90 % interval 0.000 ... 1.500" in said[0]
-    assert said[1].startswith("fabric most like ")
+    assert said[1].startswith("most similar fabric ")
     assert said[-1].startswith("ALARM: the instrument is not calibrated")
     told = json.loads(numbers.read_text())
     assert told["stage_start_s"] == pytest.approx(START_S, abs=0.01)
@@ -123,9 +123,12 @@ def _portrait(bench, path):
     ("make", "problem"),
     [
         (_text, "a text file, not a video"),
-        (_truncated, "not a video that OpenCV can read (damaged or cut off?)"),
+        (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
         (_ten_frames, "no start of the stage's motion found"),
-        (_portrait, "240x320 pixels (portrait: the camera was calibrated the other way round)"),
+        (
+            _portrait,
+            "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
+        ),
         (lambda bench, path: None, "no such file"),
     ],
     ids=["text", "cut off", "ten frames", "portrait", "none"],

@@ -66,7 +66,7 @@ def test_the_rules_name_their_stages():
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("vertices along a side of the 20 cm square", "vertices along one side"),
+        ("vertices per side of the 20 cm square", "vertices along one side"),
         ("41, ge=5, le=401,", "41, ge=6, le=500,"),
         (
             "    frame_rate_hz: float = Field(2.4",

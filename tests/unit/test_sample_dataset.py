@@ -152,13 +152,13 @@ def test_a_damaged_image_is_named(config, shards, tmp_path):
 
 
 def test_images_of_another_size_are_refused(rendered, tmp_path):
-    with pytest.raises(BadInput, match="image is 16x16 RGB, 32x32 RGB is needed"):
+    with pytest.raises(BadInput, match="image is 16x16 RGB; must be 32x32 RGB"):
         write_dataset(synthetic.config(render={"pixels": 32}), rendered, tmp_path)
 
 
 def test_a_simulation_that_is_not_of_the_grid_is_refused(config, rendered, tmp_path):
     smaller = synthetic.config(grid={"replicates": 1, "materials": config.grid.materials[:2]})
-    with pytest.raises(BadInput, match=r"'m.._f.._r01' is not of the configured grid"):
+    with pytest.raises(BadInput, match=r"'m.._f.._r01' is not in the configured grid"):
         write_dataset(smaller, rendered, tmp_path)
 
 
@@ -168,7 +168,7 @@ def test_a_damaged_file_is_one_line_and_exit_code_2(config, shards, tmp_path, ca
     words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
     assert main([*words, *map(str, shards)]) == 2
     message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "damaged or no Parquet file" in message
+    assert message.count("\n") == 1 and "damaged or not a Parquet file" in message
 
 
 def test_the_command_says_what_it_wrote(config, rendered, tmp_path, capsys):

@@ -117,7 +117,7 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
         ),
         (
             ["--material", "gray-interlock", "--friction", "0.3", "--device", "abacus"],
-            "device abacus: not available on this machine; there is: cpu",
+            "device abacus: not available on this machine; available: cpu",
         ),
     ],
 )
@@ -220,4 +220,4 @@ def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_
     state = np.load(tmp_path / "x.failed.npz")
     assert state["positions_m"].shape == state["last_residual_N"].shape == (25, 3)
     error = capfd.readouterr().err
-    assert f"did not converge to 0.0005 in 1 iterations; its state is in {tmp_path}" in error
+    assert f"did not converge to 0.0005 in 1 iterations; its state was saved to {tmp_path}" in error

@@ -281,7 +281,7 @@ def test_swapped_images_are_noticed(dataset, tmp_path):
     rows = table.to_pylist()
     rows[0]["image"], rows[7]["image"] = rows[7]["image"], rows[0]["image"]
     pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
-    with pytest.raises(BadInput, match="not the pixels that the manifest has"):
+    with pytest.raises(BadInput, match="its pixels do not match the manifest"):
         read_videos(swapped)
 
 

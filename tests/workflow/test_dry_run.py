@@ -126,7 +126,7 @@ def test_single_keys_from_the_command_line(workflow):
         ("grid={frictions: [-0.1]}", "grid.frictions.0: must be at least 0, not -0.1"),
         ("grid={friction: [0.1]}", "grid.friction: unknown key; did you mean frictions?"),
         ("simulation={frames: 0}", "simulation.frames: must be at least 1, not 0"),
-        ("render={textures: [plaid]}", "render.textures: no texture 'plaid'"),
+        ("render={textures: [plaid]}", "render.textures: unknown texture 'plaid'"),
         ("seed=soon", "seed: must be a whole number, not 'soon'"),
     ],
 )

@@ -167,8 +167,8 @@ def test_a_simulation_with_its_images_is_one_submission_of_one_core(cluster):
 def test_status_knows_the_jobs_that_went_through_slurm(cluster):
     answer = cluster.run("slipstitch", "status")
     assert answer.returncode == 0
-    assert "all done" in answer.stdout
-    assert re.search(r"^together +(\d+)/\1 ", answer.stdout, re.M), answer.stdout
+    assert "finished after" in answer.stdout
+    assert re.search(r"^total +(\d+)/\1 ", answer.stdout, re.M), answer.stdout
 
 
 def test_memory_and_time_that_are_asked_for_hold_what_the_jobs_took(cluster):

@@ -113,7 +113,7 @@ def answer(
         If the dataset cannot answer a question that the configuration names.
     """
     if question not in QUESTIONS:
-        raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
+        raise BadInput(f"unknown question {question!r}; known: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
     viewpoints = config.view_order
     empty: dict[str, Any] = {"question": question, "seed": seed, "asks": None, "left_out": None}

@@ -51,14 +51,14 @@ NOT_NUMERICAL = frozenset(
 )
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
-    "mesh: the strip is a cylinder along mesh lines, right even at a spacing of 15 mm; the "
+    "mesh: the strip is a cylinder along mesh lines, accurate even at a spacing of 15 mm; the "
     "cloth folds and wrinkles in two directions: the mesh of drop-and-drag is not chosen here",
-    "time step: the strip is pushed slowly and evenly; how the cloth rolls over at a reversal, and "
-    "to which side it buckles, is not asked: no step larger than simulation.time_step_s",
-    "tolerance: a strip slips once, at its foot, which bears all the load; a cloth rests on many "
-    "vertices that bear little: no tolerance larger than simulation.friction_tolerance",
-    "damping: the push is too slow for it to matter: none larger than simulation.damping_s",
-    "contact of the cloth with itself, anisotropy and strain-dependent stiffness: not in the strip",
+    "time step: the strip is pushed slowly and evenly; it does not test how the cloth rolls over "
+    "at a reversal, or to which side it buckles: no step larger than simulation.time_step_s",
+    "tolerance: a strip slips once, at its foot, which carries the whole load; a cloth rests on "
+    "many vertices with little load each: no tolerance larger than simulation.friction_tolerance",
+    "damping: negligible in the slow push: none larger than simulation.damping_s",
+    "self-contact, anisotropy and strain-dependent stiffness: not tested by the strip",
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
@@ -113,7 +113,7 @@ def calibrate(
         )
         print(
             f"{experiment.describe()}: "
-            f"{'as theory says' if all(check.met for check in judged) else 'NOT MET'}, "
+            f"{'agrees with theory' if all(check.met for check in judged) else 'NOT MET'}, "
             f"{runs[-1]['wall_s']:.1f} s",
             file=sys.stderr,
             flush=True,
@@ -321,8 +321,8 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     missing = [setting for setting in expected if setting not in tried]
     if missing or len(tried) != len(expected):
         raise BadInput(
-            f"{paths[0]} and others: {len(tried)} settings tried, not the {len(expected)} of the "
-            "configuration; make them anew with: snakemake --cores 2 calibrate"
+            f"{paths[0]} and others: {len(tried)} settings tried, but the configuration has "
+            f"{len(expected)}; regenerate them with: snakemake --cores 2 calibrate"
         )
     return trials
 

@@ -133,7 +133,8 @@ def _closest(allowed: Sequence[Trial], settings: CalibrateSettings) -> str:
             f"{best['friction_error']:.2g}"
         )
     return (
-        f"no settings meet the demand ({demand}, right regimes); closest: {shown} with {came}, "
+        f"no settings meet the requirements ({demand}, correct regimes); closest: {shown} with "
+        f"{came}, "
         f"{best['wrong_regimes']} of {len(best['runs'])} regimes wrong"
     )
 

@@ -161,7 +161,7 @@ class Experiment:
         try:
             return self.judge(result), result
         except KeyError as error:
-            raise SlipstitchError(f"{self.describe()}: its result has no {error}") from error
+            raise SlipstitchError(f"{self.describe()}: no {error} in its result") from error
 
 
 def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:

@@ -165,7 +165,7 @@ def settings_figure(calibration: Mapping[str, Any]) -> Figure:
         _slip_strains(panels[0, column], key, tried, base)
         _largest_errors(panels[1, column], key, tried, base, demand)
     panels[0, 0].set_ylabel("vertical strain ε at slip")
-    panels[1, 0].set_ylabel("largest error of ε (dotted: demand)")
+    panels[1, 0].set_ylabel("largest error of ε (dotted: limit)")
     for axes in panels[0, len(keys) :]:
         axes.set_axis_off()
     return figure

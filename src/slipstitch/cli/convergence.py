@@ -67,7 +67,7 @@ def _compare(arguments: argparse.Namespace) -> None:
                 print(
                     f"{row['material']:<20} friction {row['friction']:<4g} {kind:<10} "
                     f"mean {1e3 * row[kind]['mean_m']:7.3f} mm, "
-                    f"at the worst moment {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
+                    f"at the worst time {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
                     f"worst vertex {1e3 * row[kind]['worst_m']:7.2f} mm, "
                     f"shifted mean {1e3 * row[kind]['shifted_mean_m']:7.3f} mm, "
                     f"events up to {row[kind]['event_shift_s']:.2f} s apart"

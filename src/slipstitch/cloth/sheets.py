@@ -306,4 +306,6 @@ def check_device(name: str) -> None:
     """
     here = [device.alias for device in wp.get_devices()]
     if name not in here and not (name == "cuda" and wp.is_cuda_available()):
-        raise BadInput(f"device {name}: not available on this machine; there is: {', '.join(here)}")
+        raise BadInput(
+            f"device {name}: not available on this machine; available: {', '.join(here)}"
+        )

@@ -195,7 +195,7 @@ class ClothSolver:
         self.fixed = np.array(fixed, dtype=bool)
         self.sheets = sheets = sheets or Sheets(mesh, self.fixed, device=device)
         if sheets.mesh is not mesh or not np.array_equal(sheets.fixed, self.fixed):
-            raise ValueError("sheets that are evaluated together share mesh and held coordinates")
+            raise ValueError("sheets in a batch must share mesh and clamped coordinates")
         self.member, self.device = member, sheets.device
         self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
         self.positions_m = np.array(positions_m, dtype=float)

@@ -11,13 +11,13 @@ class ComputeSettings(Section):
     device: str = Field(
         "cpu",
         pattern=r"^(cpu|cuda(:\d+)?)$",
-        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; the linear "
-        "systems are solved on the CPU in any case",
+        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; linear "
+        "systems are always solved on the CPU",
     )
     batch: int = Field(
         1,
         ge=1,
         le=256,
-        description="simulations in one job, evaluated at once: for cuda; on the cpu a job each "
-        "is faster, as jobs run side by side",
+        description="simulations in one job, evaluated as one batch: for cuda; on the CPU, one "
+        "per job is faster, since jobs run in parallel",
     )

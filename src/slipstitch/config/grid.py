@@ -40,20 +40,23 @@ class GridSettings(Section):
         description="friction coefficients, increasing; ids f00.. are positions in this list",
     )
     replicates: int = Field(
-        2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
+        2,
+        ge=1,
+        le=100,
+        description="simulations of each pair with different perturbations; ids r00..",
     )
     test_frictions: tuple[Friction, ...] = Field(
         (),
         max_length=100,
-        description="coefficients off the grid, increasing, simulated for testing only with every "
+        description="off-grid coefficients, increasing, for testing only, simulated with every "
         "material; ids follow those of `frictions`",
     )
     test_materials: Fabrics = Field(
-        (), description="fabrics for testing only, simulated with every coefficient of `frictions`"
+        (),
+        description="unseen fabrics, for testing only, simulated with every coefficient of "
+        "`frictions`",
     )
-    test_replicates: int = Field(
-        1, ge=1, le=100, description="simulations of each pair that is for testing only"
-    )
+    test_replicates: int = Field(1, ge=1, le=100, description="simulations of each test-only pair")
 
     @property
     def classes(self) -> dict[str, list]:
@@ -67,7 +70,7 @@ class GridSettings(Section):
     @classmethod
     def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(names)) != len(names):
-            raise ValueError(f"a material is named twice: {', '.join(names)}")
+            raise ValueError(f"duplicate material: {', '.join(names)}")
         return names
 
     @field_validator("frictions", "test_frictions")
@@ -173,7 +176,7 @@ def find_simulation(config: Config, name: str) -> Simulation:
         if simulation.id == name:
             return simulation
     raise BadInput(
-        f"the grid has no simulation {name!r}: its {len(grid)} ids are like {grid[0].id}"
+        f"the grid has no simulation {name!r}; its {len(grid)} ids look like {grid[0].id}"
     )
 
 

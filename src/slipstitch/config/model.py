@@ -23,9 +23,7 @@ from slipstitch.config.train import TrainSettings
 class Config(Section):
     """The whole configuration, every key with its value."""
 
-    seed: int = Field(
-        1, ge=0, lt=2**31, description="every random number of the chain derives from it"
-    )
+    seed: int = Field(1, ge=0, lt=2**31, description="seed of all random numbers of the chain")
     grid: GridSettings = Field(default_factory=GridSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     compute: ComputeSettings = Field(default_factory=ComputeSettings)
@@ -45,8 +43,8 @@ class Config(Section):
     def _sections_agree(self) -> "Config":
         if self.sample.frames_kept > self.simulation.frames:
             raise ValueError(
-                f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from the "
-                f"{self.simulation.frames} of simulation.frames"
+                f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from "
+                f"{self.simulation.frames} (simulation.frames)"
             )
         for name in self.train.view_order or ():
             if name not in self.render.viewpoints:

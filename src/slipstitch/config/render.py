@@ -15,16 +15,19 @@ class AugmentationSettings(Section):
         0.0,
         ge=0.0,
         le=0.4,
-        description="the lamp of each simulation is moved by up to this, along each axis",
+        description="maximum displacement of the lamp in each simulation, along each axis",
     )
     exposure_stops: float = Field(
-        0.0, ge=0.0, le=3.0, description="each video's exposure, up to this many stops either way"
+        0.0,
+        ge=0.0,
+        le=3.0,
+        description="maximum change of the exposure of a video, in stops, in either direction",
     )
     colour_cast: float = Field(
         0.0,
         ge=0.0,
         le=0.5,
-        description="each video's red and blue are scaled by up to this share, either way",
+        description="maximum relative scaling of red and blue in a video, in either direction",
     )
     noise: float = Field(
         0.0,
@@ -37,7 +40,7 @@ class AugmentationSettings(Section):
         100,
         ge=10,
         le=100,
-        description="lowest JPEG quality of a video's compression; 100: not compressed",
+        description="lowest JPEG quality of a video's compression; 100: uncompressed",
     )
 
 
@@ -76,7 +79,7 @@ class BenchCameraSettings(Section):
 class RenderSettings(Section):
     """What is rendered of each simulation, and how."""
 
-    pixels: int = Field(64, ge=16, le=1024, description="side of the square images")
+    pixels: int = Field(64, ge=16, le=1024, description="side length of the square images")
     samples: int = Field(
         1,
         ge=1,
@@ -96,31 +99,31 @@ class RenderSettings(Section):
         "this order",
     )
     test_textures: list[str] = Field(
-        [], description="textures kept for testing; their ids follow those of `textures`"
+        [], description="textures for testing only; their ids follow those of `textures`"
     )
     test_viewpoints: list[str] = Field(
-        [], description="viewpoints kept for testing; their ids follow those of `viewpoints`"
+        [], description="viewpoints for testing only; their ids follow those of `viewpoints`"
     )
     frames: Literal["sampled", "all"] = Field(
         "sampled", description="render only the frames that the sample stage uses, or every frame"
     )
     crop: Literal["follow", "fixed"] = Field(
         "follow",
-        description="the image is a crop of a fixed camera's: it follows the known stage path, "
-        "or covers the whole path",
+        description="crop of the fixed camera's image: it follows the known stage path, or "
+        "covers the whole path",
     )
     floors: list[str] = Field(
         ["matte"],
         min_length=1,
-        description="floors by name; each simulation draws one, and its roughness and reflectance",
+        description="floors by name; each simulation draws one, with its roughness and reflectance",
     )
     augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
     bench_camera: BenchCameraSettings = Field(default_factory=BenchCameraSettings)
     camera: str | None = Field(
         None,
         min_length=1,
-        description="camera file of `slipstitch capture camera`: the calibrated viewpoint, and "
-        "those turned from it, stand where that camera stands; null: the catalogue's own",
+        description="camera file of `slipstitch capture camera`: places the calibrated "
+        "viewpoint, and those rotated from it, where that camera is; null: as in the catalogue",
     )
     verified_images: int = Field(
         6,
@@ -158,7 +161,9 @@ class RenderSettings(Section):
             name for name in self.viewpoints if VIEWPOINTS[name].test_only
         )
         if test_only:
-            raise ValueError(f"{', '.join(test_only)}: for testing only, not for training")
+            raise ValueError(
+                f"{', '.join(test_only)}: for testing only, must not be used for training"
+            )
         return self
 
     def texture_ids(self) -> dict[str, str]:
@@ -183,11 +188,11 @@ class RenderSettings(Section):
 def _known(names: list[str], catalogue: dict, kind: str) -> list[str]:
     for name in names:
         if name not in catalogue:
-            raise ValueError(f"no {kind} {name!r}; there are: {', '.join(catalogue)}")
+            raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(catalogue)}")
     return _once(names, kind)
 
 
 def _once(names: list[str], kind: str) -> list[str]:
     if len(set(names)) != len(names):
-        raise ValueError(f"a {kind} is named twice: {', '.join(names)}")
+        raise ValueError(f"duplicate {kind}: {', '.join(names)}")
     return names

@@ -16,13 +16,13 @@ class Section(BaseModel):
 def _in_the_catalogue(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if name not in fabric_names():
-            raise ValueError(f"no material {name!r}; there are: {', '.join(fabric_names())}")
+            raise ValueError(f"unknown material {name!r}; known: {', '.join(fabric_names())}")
     return names
 
 
 def _different(seeds: list[int]) -> list[int]:
     if len(set(seeds)) != len(seeds) or min(seeds) < 0:
-        raise ValueError("seeds must be different and not negative")
+        raise ValueError("seeds must be distinct and non-negative")
     return seeds
 
 

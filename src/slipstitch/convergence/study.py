@@ -95,7 +95,7 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         The runs have different frames.
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
-        raise BadInput("the runs to compare have different frames: make them anew")
+        raise BadInput("the runs have different frames; regenerate them")
     first, second = (_places(trajectory, sides) for trajectory in (run, finest))
     distance = np.linalg.norm(first - second, axis=2)
     mean, worst = distance.mean(axis=1), distance.max(axis=1)
@@ -231,7 +231,7 @@ def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
     compared = comparisons(config, runs)
     here = [case for case in cases(config) if case.id in runs]
     if not here:
-        raise BadInput(f"no run of the study is there; its ids are like {cases(config)[0].id}")
+        raise BadInput(f"no runs of the study found; their ids look like {cases(config)[0].id}")
     chosen = runs[here[0].id].metadata
     return {
         "settings": {

@@ -49,7 +49,7 @@ def simulate_case(
     started = start_clock()
     case = {case.id: case for case in cases(config)}.get(name)
     if case is None:
-        raise BadInput(f"the study has no case {name!r}: its ids are like {cases(config)[0].id}")
+        raise BadInput(f"the study has no case {name!r}; its ids look like {cases(config)[0].id}")
     settings = case_settings(case, config, config.simulation)
     trajectory, columns = simulate_drop_and_drag(
         case.material, case.friction, config.convergence.seed, settings

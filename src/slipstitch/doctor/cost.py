@@ -409,7 +409,7 @@ def estimate_line(config: Config) -> str:
     stages = estimate(config)
     jobs, cpu_s = sum(stage.jobs for stage in stages), sum(stage.cpu_s for stage in stages)
     disk = sum(stage.disk_bytes for stage in stages)
-    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
+    return f"The whole chain from scratch: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
 
 
 def estimate_table(config: Config) -> str:

@@ -16,5 +16,5 @@ if __name__ == "__main__":
     array = wp.full(3, 2.0, dtype=wp.float64, device="cpu")
     wp.launch(double, dim=3, inputs=[array], device="cpu")
     if not (array.numpy() == 4.0).all():
-        raise SystemExit("a kernel computes wrong numbers")
+        raise SystemExit("a kernel gives wrong results")
     print(wp.config.version)

@@ -64,11 +64,11 @@ class MeasuredVideo:
         lines = [
             f"friction {measured.friction_coefficient:.3f} ± {self.uncertainty:.3f}, "
             f"90 % interval {low:.3f} ... {high:.3f}",
-            f"fabric most like {fabric} ({100 * share:.0f} %)",
+            f"most similar fabric {fabric} ({100 * share:.0f} %)",
         ]
         lines += [f"note: {note}" for note in self.video.notes]
         if measured.alarm:
-            lines.append(f"ALARM: {measured.alarm_reason}: do not trust these numbers")
+            lines.append(f"ALARM: {measured.alarm_reason}: these numbers are not reliable")
         else:
             lines.append("no alarm")
         return lines
@@ -201,7 +201,7 @@ def schedule_of(
     if frames > sampled:
         raise BadInput(
             f"{config_path}: sample.frames is {sampled}, the instrument in {model} was trained "
-            f"with {frames}; state its configuration (--config)"
+            f"with {frames}; give its configuration with --config"
         )
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
@@ -216,7 +216,9 @@ def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Pat
         found = above / "config.json"
         if found.is_file():
             return found
-    raise BadInput(f"{model}: no config.json in a folder above it; state it with --config")
+    raise BadInput(
+        f"{model}: no config.json in a folder above it; give the configuration with --config"
+    )
 
 
 def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:

@@ -50,7 +50,8 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
         )
     if expected > LARGEST_RATIO:
         raise BadInput(
-            f"protocol capstan: exp(friction x wrap) is {expected:.3g}: at most {LARGEST_RATIO:g}"
+            f"protocol capstan: exp(friction x wrap) is {expected:.3g}: must be at most "
+            f"{LARGEST_RATIO:g}"
         )
     held_strain = LARGEST_STRAIN / expected
     solver, start_m = _wrapped(settings, friction, wrap, held_strain)

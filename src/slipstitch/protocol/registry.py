@@ -45,7 +45,7 @@ PROTOCOLS: dict[str, KnownAnswer] = {
             "friction": _FRICTION,
             "vertices": (149, "vertices along the strip"),
             "gamma": (0.0, "weight over rigidity, areal density x gravity x length^3 / B"),
-            "strain": (LARGEST_STRAIN, "how far it is pushed, over its length"),
+            "strain": (LARGEST_STRAIN, "displacement of the push, relative to its length"),
         },
     ),
     "landed-strip": KnownAnswer(
@@ -63,7 +63,7 @@ PROTOCOLS: dict[str, KnownAnswer] = {
         lateral_buckling, {"width_over_length": (None, "width of the strip over its length")}
     ),
     "capstan": KnownAnswer(
-        capstan, {"friction": _FRICTION, "wrap_deg": (None, "angle of contact in degrees")}
+        capstan, {"friction": _FRICTION, "wrap_deg": (None, "contact angle in degrees")}
     ),
 }
 

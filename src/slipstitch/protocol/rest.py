@@ -36,5 +36,5 @@ def bring_to_rest(
             return
     moved_m = abs(solver.positions_m - before_m).max()
     raise NotConverged(
-        f"not at rest after {STEPS_MAX} steps of {step_s:g} s: moves {moved_m:.1e} m"
+        f"not at rest after {STEPS_MAX} steps of {step_s:g} s: moves by {moved_m:.1e} m"
     )

@@ -131,7 +131,7 @@ def _modules(stage: str, base: Path) -> dict[str, Path]:
     start = f"{PACKAGE}.{stage}"
     entry = _module_file(start, base)
     if entry is None:
-        raise ModuleNotFoundError(f"there is no package {start} in {base}")
+        raise ModuleNotFoundError(f"no package {start} in {base}")
     whole = _is_in(start, [CONFIGURATION])
     waiting = [start]
     if entry.name == "__init__.py":

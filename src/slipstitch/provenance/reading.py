@@ -52,11 +52,11 @@ def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise BadInput(f"{path}: a folder; a {kind} is needed") from None
+        raise BadInput(f"{path}: is a folder; must be a {kind}") from None
     except PermissionError:
-        raise BadInput(f"{path}: may not be read") from None
+        raise BadInput(f"{path}: permission denied") from None
     except _DAMAGE as error:
-        raise Damaged(path, f"damaged or no {kind}: {_first_line(error)}") from None
+        raise Damaged(path, f"damaged or not a {kind}: {_first_line(error)}") from None
 
 
 def _check_claims(path: str | os.PathLike, metadata) -> None:
@@ -110,7 +110,7 @@ def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
         needed = wanted or ()
         for name in needed:
             if name not in names:
-                raise BadInput(f"{path}: no column {name!r}; needed: {', '.join(needed)}")
+                raise BadInput(f"{path}: no column {name!r}; required: {', '.join(needed)}")
         table = file.read(columns=wanted)
         table.validate(full=True)  # text that is none, offsets that lead nowhere
         return table
@@ -169,7 +169,7 @@ def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
     if side.is_file():
         noted = json.loads(side.read_text(encoding="utf-8")).get("sha256")
         if noted is not None and noted != hashlib.sha256(raw).hexdigest():
-            raise ValueError("not the bytes that its record was written for")
+            raise ValueError("its content does not match its record")
 
 
 def _values(content: Any) -> int:
@@ -200,7 +200,7 @@ def load_yaml(text: str, where: str) -> Any:
         If it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
     """
     if len(text) > YAML_BYTES_MAX:
-        raise BadInput(f"{where}: {len(text)} characters, at most {YAML_BYTES_MAX} are read")
+        raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -208,11 +208,11 @@ def load_yaml(text: str, where: str) -> Any:
         line = f" line {mark.line + 1}:" if mark else ""
         raise BadInput(f"{where}:{line} not YAML: {getattr(error, 'problem', error)}") from None
     except RecursionError:
-        raise BadInput(f"{where}: not YAML that can be read: nested too deeply") from None
+        raise BadInput(f"{where}: invalid YAML: nested too deeply") from None
     except ValueError as error:  # a date of month 13, say
         raise BadInput(f"{where}: not YAML: {_first_line(error)}") from None
     if _values(content) > YAML_VALUES_MAX:
-        raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values, aliases written out")
+        raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values with aliases expanded")
     return content
 
 

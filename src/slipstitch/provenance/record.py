@@ -322,10 +322,10 @@ def read_metadata(source) -> dict[str, Any]:
     keys = getattr(source, "schema", source).metadata or {}
     text = keys.get(METADATA_KEY, b"{}")
     if keys.get(DIGEST_KEY, None) not in (None, hashlib.sha256(text).hexdigest().encode()):
-        raise ValueError("its metadata is not as it was written")
+        raise ValueError("its metadata was altered or damaged")
     content = json.loads(text)
     if not isinstance(content, dict):
-        raise ValueError("its metadata is no mapping")
+        raise ValueError("its metadata is not a mapping")
     return content
 
 

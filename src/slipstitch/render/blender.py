@@ -345,7 +345,7 @@ class ClothScene:
                 channels = read_exr(path)
             except (OSError, struct.error, ValueError, IndexError) as error:
                 raise SlipstitchError(
-                    f"Blender's image could not be read back from {folder} (is it full?): {error}"
+                    f"Blender's image could not be read from {folder} (disk full?): {error}"
                 ) from None
         layer = self._scene.view_layers[0].name
 

@@ -92,7 +92,7 @@ class Job:
             known = ", ".join(f"{key} ({value})" for key, value in ids.items())
             raise BadInput(
                 f"no viewpoint {viewpoint!r}; the configuration has {known}; "
-                f"by name there are: {', '.join(VIEWPOINTS)}"
+                f"known names: {', '.join(VIEWPOINTS)}"
             )
         # A viewpoint given by name keeps its id if the configuration has one.
         identity = next((key for key, value in ids.items() if value == name), name)
@@ -169,7 +169,7 @@ def usable_trajectory(path: str | os.PathLike) -> Trajectory:
     """A trajectory that can be rendered; BadInput if it cannot."""
     trajectory = read_trajectory(path)
     if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
-        raise BadInput(f"{path}: texture coordinates lie outside 0 ... 1")
+        raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
     if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
         raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
     return trajectory
@@ -276,7 +276,7 @@ def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pa
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
             raise BadInput(f"{path}: not a shading pack")
     if metadata["trajectory_sha256"] != file_digest(trajectory_path):
-        raise BadInput(f"{path}: rendered from another trajectory than {trajectory_path}")
+        raise BadInput(f"{path}: not rendered from {trajectory_path}")
     trajectory = usable_trajectory(trajectory_path)
     return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(path))
 

@@ -205,9 +205,9 @@ def verify(
 def _complaint(shown: Comparison) -> str:
     where = f"{shown.video} frame {shown.frame}"
     if not shown.as_stored:
-        return f"{where}: the stored image is not what its shading pack gives"
+        return f"{where}: the stored image differs from the one composed from its shading pack"
     return (
         f"{where} (floor {shown.floor}): {shown.psnr_db:.1f} dB and SSIM {shown.ssim:.3f} "
-        f"against the direct render, at least {shown.least_psnr_db:g} dB and {LEAST_SSIM:g} "
-        "are needed"
+        f"against the direct render; at least {shown.least_psnr_db:g} dB and {LEAST_SSIM:g} are "
+        "required"
     )

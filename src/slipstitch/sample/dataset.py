@@ -105,7 +105,7 @@ def write_dataset(
     for path in map(str, shards):
         for name in simulations_of(path):
             if name not in grid:
-                raise BadInput(f"{path}: simulation {name!r} is not of the configured grid")
+                raise BadInput(f"{path}: simulation {name!r} is not in the configured grid")
             paths_of[name].append(path)
     missing = [name for name in grid if name not in paths_of]
     if missing:
@@ -155,9 +155,9 @@ def _write_simulation(
                 continue
             video = f"{simulation.id}_{texture}_{view}"
             if video not in sides:
-                raise BadInput(f"{path}: video {video!r} is not of the configured grid")
+                raise BadInput(f"{path}: video {video!r} is not in the configured grid")
             if (texture, view) in videos:
-                raise BadInput(f"{path}: video {video} is in another shard too")
+                raise BadInput(f"{path}: video {video} is in more than one shard")
             videos[texture, view] = images
             poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}

@@ -76,7 +76,7 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
     path = Path(dataset) / MANIFEST
     rows = read_parquet(path, MANIFEST_SCHEMA.names).to_pylist()
     if not rows:
-        raise BadInput(f"{path}: no video in it")
+        raise BadInput(f"{path}: contains no videos")
     for split in ("split_by_video", "split_by_simulation"):
         for row in rows:
             if row[split] not in SIDES:
@@ -92,5 +92,5 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
         raise BadInput(f"{path}: {problem}") from None
     digest = dataset_digest(rows)
     if read_metadata(path).get("dataset_digest") != digest:
-        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
+        raise Damaged(path, "was altered: its rows do not match their digest")
     return rows, digest

@@ -40,7 +40,7 @@ def split_by_video(
         With fewer than two videos.
     """
     if len(videos) < 2:
-        raise BadInput(f"{len(videos)} video(s): a split by video needs at least 2")
+        raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
     tests = min(max(1, round(len(videos) * test_fraction)), len(videos) - 1)
     validations = min(round(len(videos) * validation_fraction), len(videos) - 1 - tests)
     order = np.random.default_rng(seed).permutation(sorted(videos))
@@ -97,7 +97,7 @@ def split_by_simulation(
     if hold_out == "replicate" and fewest < 2:
         raise BadInput(
             "by_simulation cannot hold out replicates: a (material, friction) pair has only "
-            f"{fewest} (grid.replicates must be 2 at least)"
+            f"{fewest} (grid.replicates must be at least 2)"
         )
 
     held_fraction = validation_fraction + test_fraction
@@ -162,6 +162,6 @@ def check_no_simulation_on_both_sides(simulations: Sequence[str], sides: Sequenc
     if leaking:
         where = " and ".join(side for side in SIDES if side in found[leaking[0]])
         raise BadInput(
-            f"the split by simulation leaks: {leaking[0]} stands in {where} "
+            f"the split by simulation leaks: {leaking[0]} is in {where} "
             f"({len(leaking)} of {len(found)} simulations on more than one side)"
         )

@@ -83,7 +83,7 @@ def read_videos(
     every, digest = read_manifest(dataset)
     rows = [row for row in every if chosen(row)]
     if not rows:
-        raise BadInput(f"{dataset}: none of its {len(every)} videos is of the wanted kind")
+        raise BadInput(f"{dataset}: none of its {len(every)} videos matches the selection")
     rows.sort(key=lambda row: row["video"])
     shapes = {(row["frames"], row["pixels"]) for row in rows}
     if len(shapes) > 1:
@@ -102,16 +102,16 @@ def read_videos(
             decoded = found.setdefault(video, [])
             where = f"{path}: {video} position {position}"
             if position != len(decoded):
-                raise BadInput(f"{where}: position {len(decoded)} should come here")
+                raise BadInput(f"{where}: position {len(decoded)} expected here")
             decoded.append(decode(png, where, rendered))
         for video in (row["video"] for row in rows if row["file"] == file):
             row = rows[place[video]]
             images = found.get(video, [])
             if len(images) != stored:
-                raise BadInput(f"{path}: {video} has {len(images)} frames, {stored} are needed")
+                raise BadInput(f"{path}: {video} has {len(images)} frames; must be {stored}")
             whole = np.stack(images)
             if pixels_digest(whole) != row["pixels_sha256"]:
-                raise Damaged(path, f"{video} was altered: not the pixels that the manifest has")
+                raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
             array[place[video]] = seen if side == rendered else _resized(seen, side)
     return Videos(rows, array, digest)

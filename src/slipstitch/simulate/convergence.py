@@ -75,13 +75,13 @@ def measured_convergence(
         "time_step": case["time_step"],
         "mesh": case["mesh"],
         "converged": case["converged"] if applies else None,
-        "note": _note(case, applies) if same_stage else "another stage path: nothing is known",
+        "note": _note(case, applies) if same_stage else "other stage path: not studied",
     }
 
 
 def _note(case: dict[str, Any], applies: bool) -> str:
     if not applies:
-        return "coarser than the settings that were studied: nothing is known"
+        return "coarser than the studied settings: unknown"
     parts = []
     for key, name in (("time_step", "finest time step"), ("mesh", "finest mesh")):
         found = case[key]
@@ -90,11 +90,11 @@ def _note(case: dict[str, Any], applies: bool) -> str:
         else:
             parts.append(
                 f"{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
-                f"{1e3 * found['mean_largest_m']:.2f} mm at the worst moment, "
+                f"{1e3 * found['mean_largest_m']:.2f} mm at the worst time, "
                 f"{1e3 * found['worst_m']:.1f} mm at the worst vertex, events up to "
                 f"{found['event_shift_s']:.2f} s apart"
             )
-    verdict = {True: "converged", False: "not converged", None: "not known to be converged"}[
+    verdict = {True: "converged", False: "not converged", None: "convergence unknown"}[
         case["converged"]
     ]
     return f"{verdict} at {case['material']}, friction {case['friction']:g}: {'; '.join(parts)}"

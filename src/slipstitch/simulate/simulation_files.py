@@ -111,4 +111,4 @@ def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverg
     path = Path(out).with_suffix(".failed.npz")
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         np.savez_compressed(stream, **error.state)
-    return NotConverged(f"{error}; its state is in {path}")
+    return NotConverged(f"{error}; its state was saved to {path}")

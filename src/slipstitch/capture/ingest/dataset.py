@@ -197,5 +197,5 @@ def read_known(dataset: str | os.PathLike) -> list[dict[str, Any]]:
     if sorted(row["video"] for row in rows) != videos or {
         row["dataset_digest"] for row in rows
     } != {digest}:
-        raise BadInput(f"{path}: not of the dataset beside it")
+        raise BadInput(f"{path}: does not belong to the dataset in the same folder")
     return sorted(rows, key=lambda row: row["video"])

@@ -71,7 +71,7 @@ def find_film(config: Config, name: str) -> Film:
     """The film with id `name`; BadInput if there is none."""
     known = {film.id: film for film in films(config)}
     if name not in known:
-        raise BadInput(f"no surrogate capture {name!r}; there are: {', '.join(known)}")
+        raise BadInput(f"unknown surrogate capture {name!r}; known: {', '.join(known)}")
     return known[name]
 
 
@@ -156,7 +156,7 @@ def slip_angles(config: Config) -> list[dict]:
                         {
                             "material": pair.material,
                             "substrate": pair.substrate,
-                            "position": f"place {place + 1}",
+                            "position": f"position {place + 1}",
                             "orientation": orientation,
                             "repeat": repeat,
                             "angle_deg": f"{angle:.2f}",
