@@ -1,4 +1,4 @@
-"""The whole audit of one release."""
+"""The complete audit of a release."""
 
 import time
 from pathlib import Path
@@ -38,7 +38,8 @@ def audit_release(
     contents = read_contents(folder)
     findings = list(contents.findings)
     if expected is not None and contents.sums_sha256 != expected.lower():
-        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
+        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: a different "
+        "release"
         findings.append(Finding(Kind.ALTERED, SUMS, what, tuple(contents.clips)))
     of_files, numbers, shards = check_files(contents, jobs)
     of_lineage, notes = check_lineage(contents, shards)
@@ -50,7 +51,7 @@ def audit_release(
         "cpu_s": round(time.process_time() - cpu, 2),
     }
     if expected is None:
-        notes.append("no digest of SHA256SUMS from elsewhere was given (--expect)")
+        notes.append("no independently published digest of SHA256SUMS was given (--expect)")
     return Audit(
         release=contents.name,
         sums_sha256=contents.sums_sha256,

@@ -1,4 +1,4 @@
-"""What lies in a release, read as far as it can be read."""
+"""The contents of a release, read as far as possible."""
 
 import contextlib
 import hashlib
@@ -132,16 +132,16 @@ def _read_manifest(contents: Contents, path: Path) -> None:
     contents.notes = read_metadata(schema)
     rows = pq.read_table(path).to_pylist()
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
-        raise ValueError("a value is missing")
+        raise ValueError("missing value")
     if len({row["video"] for row in rows}) != len(rows):
-        raise ValueError("a video is in it twice")
+        raise ValueError("duplicate video")
     contents.rows = rows
 
 
 def _read_release(contents: Contents, path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     if not all(isinstance(content[key], dict) for key in ("facts", "files", "provenance")):
-        raise ValueError("facts, files or provenance is no mapping")
+        raise ValueError("facts, files or provenance is not a mapping")
     contents.release = content
 
 

@@ -1,4 +1,4 @@
-"""Every file hashed again, every image decoded again."""
+"""Verification of all file hashes and all decoded images."""
 
 import hashlib
 import os
@@ -108,17 +108,17 @@ def check_files(
     lineage = Lineage(contents)
     there = files_below(folder)
     findings = [
-        Finding(Kind.MISSING, name, "is not there", lineage.clips_of_file(name))
+        Finding(Kind.MISSING, name, "is missing", lineage.clips_of_file(name))
         for name in sums
         if name not in set(there)
     ]
     findings += [
-        Finding(Kind.MISSING, name, "the manifest names it, SHA256SUMS does not", clips)
+        Finding(Kind.MISSING, name, "listed in the manifest, but not in SHA256SUMS", clips)
         for name in sorted({row["shard"] for row in contents.rows} - set(sums))
         if (clips := lineage.clips_of_file(name))
     ]
     findings += [
-        Finding(Kind.UNEXPLAINED, name, "no line of SHA256SUMS names it")
+        Finding(Kind.UNEXPLAINED, name, "not listed in SHA256SUMS")
         for name in there
         if name not in sums
     ]
@@ -134,11 +134,11 @@ def check_files(
     for name in present:
         clips = lineage.clips_of_file(name)
         if (folder / name).is_symlink():
-            findings.append(Finding(Kind.ALTERED, name, "is a link, not a file", clips))
+            findings.append(Finding(Kind.ALTERED, name, "is a link instead of a file", clips))
         elif digests[name] != sums[name]:
             findings.append(_altered(lineage, name, digests[name], owner, decoded.get(name)))
         elif name in stated and stated[name] != digests[name]:
-            what = "SHA256SUMS was rewritten: records/release.json has another digest"
+            what = "SHA256SUMS was rewritten: its digest differs from records/release.json"
             findings.append(Finding(Kind.ALTERED, name, what, clips))
         if name in decoded and contents.rows:
             findings += _check_shard(lineage, name, decoded[name], digests[name] == sums[name])
@@ -154,10 +154,10 @@ def _altered(
     lineage: Lineage, name: str, digest: str, owner: dict[str, str], shard: Shard | None
 ) -> Finding:
     """A file whose bytes are others than the sums say, and what that means for its clips."""
-    what, contents = "bytes differ from SHA256SUMS", lineage.contents
+    what, contents = "content differs from SHA256SUMS", lineage.contents
     clips = lineage.clips_of_file(name)
     if digest in owner:
-        return Finding(Kind.ALTERED, name, f"holds what belongs to {owner[digest]}", clips)
+        return Finding(Kind.ALTERED, name, f"has the content of {owner[digest]}", clips)
     if shard is not None and shard.problem is None and contents.rows:
         changed = tuple(
             clip
@@ -180,15 +180,16 @@ def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) ->
     expected = {video: row_of[video] for video in lineage.clips_of_file(name)}
     strangers = tuple(video for video in shard.pixels if video not in expected)
     if strangers:
-        what = f"holds images of {strangers[0]}, which the manifest has elsewhere or not at all"
+        what = f"contains images of {strangers[0]}, which according to the manifest are in "
+        "another shard or do not exist"
         findings.append(Finding(Kind.BROKEN, name, what))
     for video, row in expected.items():
         found = shard.pixels.get(video)
         if found is None:
-            findings.append(Finding(Kind.BROKEN, name, f"no image of {video} in it", (video,)))
+            findings.append(Finding(Kind.BROKEN, name, f"contains no image of {video}", (video,)))
             continue
         if found != row["pixels_sha256"]:
-            what = f"the decoded pixels of {video} are not those of the manifest"
+            what = f"the decoded pixels of {video} do not match the manifest"
             findings.append(Finding(Kind.ALTERED, name, what, (video,)))
         problem = _labels(row, shard)
         if problem:
@@ -208,7 +209,7 @@ def _labels(row: dict[str, Any], shard: Shard) -> str | None:
             if other is not None:
                 return f"{here} is {other!r} here, {row[there]!r} in the manifest"
     if shard.first_row[video] != row["first_row"]:
-        return f"begins in row {shard.first_row[video]}, not {row['first_row']}"
+        return f"starts in row {shard.first_row[video]}, not {row['first_row']}"
     if columns.get("position") != list(range(row["frames"])):
         return f"its images are not the {row['frames']} of the manifest in order"
     return None

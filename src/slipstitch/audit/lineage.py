@@ -1,4 +1,4 @@
-"""From a clip to everything behind it, and from anything behind to the clips."""
+"""The lineage from a clip to its sources, and from a source to its clips."""
 
 from collections import defaultdict
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Every clip followed to its origin: rendering, simulation, calibration, fabric, configuration.
+"""Tracing every clip to its origin: rendering, simulation, calibration, fabric, configuration.
 
 Two sorts of evidence. Records are compared with each other: what a file was made from must be the
 file that the next record is about. And what follows from configuration and seed alone (labels,
@@ -66,7 +66,7 @@ def check_lineage(
         Comparisons that could not be made, and why.
     """
     if not contents.rows:
-        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be followed without it")], []
+        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be traced without it")], []
     lineage = Lineage(contents)
     findings = [
         *_links(lineage),
@@ -79,8 +79,8 @@ def check_lineage(
         stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
         if stale:
             notes.append(
-                "seeds, perturbations, stage positions, labels and splits were computed with code "
-                f"that has changed since ({', '.join(stale)})"
+                "seeds, perturbations, stage positions, labels and splits are checked with code "
+                "that has changed since ({', '.join(stale)})"
             )
         findings += _recomputed(lineage, contents.config, shards, stale)
     return findings, notes
@@ -108,19 +108,19 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
         artefact = lineage.artefacts.get(path)
         where, clips = record_file(path), lineage.clips(path)
         if artefact is None:
-            yield Finding(Kind.BROKEN, where, f"there is no readable record of {path}", clips)
+            yield Finding(Kind.BROKEN, where, f"no readable record of {path}", clips)
             continue
         if is_ours(path) and artefact.provenance is None:
-            yield Finding(Kind.BROKEN, where, "does not say what made it", clips)
+            yield Finding(Kind.BROKEN, where, "does not state its origin", clips)
         if is_carried(artefact):
             carried = folder / carried_file(path)
             if carried.is_file() and file_digest(carried) != artefact.sha256:
-                what = f"not the file that {record_file(path)} is about"
+                what = f"not the file described by {record_file(path)}"
                 yield Finding(Kind.BROKEN, carried_file(path), what, clips)
         for name, digest in artefact.inputs.items():
             behind = lineage.artefacts.get(name)
             if behind is not None and behind.sha256 != digest:
-                what = f"was made from another {name} than {record_file(name)} is about"
+                what = f"was made from a {name} other than the one described by {record_file(name)}"
                 touched = clips if len(clips) < len(lineage.clips(name)) else lineage.clips(name)
                 yield Finding(Kind.BROKEN, where, what, touched)
     listed = (
@@ -131,7 +131,9 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
             what = f"the manifest was not made from {row['sampled_file']}"
             yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
     for path in sorted(set(lineage.artefacts) - starts):
-        yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
+        yield Finding(
+            Kind.BROKEN, record_file(path), "no clip depends on the file that it describes"
+        )
 
 
 def _configuration(lineage: Lineage) -> Iterator[Finding]:
@@ -146,15 +148,15 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
             else []
         )
         if changes:
-            what = f"made with another configuration than records/config.json: {changes[0]}"
+            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
             yield Finding(Kind.BROKEN, where, what, clips)
         digest = artefact.record.get("code_digest")
         if sources.is_dir() and digest != current_digest(artefact.stage, sources):
-            what = f"its code digest is not that of {artefact.stage} in code/src"
+            what = f"its code digest differs from that of {artefact.stage} in code/src"
             yield Finding(Kind.BROKEN, where, what, clips)
         for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
             if sources.is_dir() and digest != _carried_fabric(sources, name):
-                what = f"was made with another fabric {name} than code/src holds"
+                what = f"was made with a fabric {name} that differs from code/src"
                 yield Finding(Kind.BROKEN, where, what, clips)
 
 
@@ -175,10 +177,10 @@ def _sampled(lineage: Lineage) -> Iterator[Finding]:
     except (KeyError, TypeError):
         digest = None
     if record is not None and digest != record.metadata.get("dataset_digest"):
-        what = "labels, splits or pixel digests are not those that were sampled"
+        what = "labels, splits or pixel digests differ from those of the sampling stage"
         yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
     if dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
-        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not have the digest noted in it")
+        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not match their digest")
 
 
 def _release_record(contents: Contents) -> Iterator[Finding]:
@@ -188,12 +190,16 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
         digest = contents.release["provenance"].get("code_digest")
         sources = contents.folder / SOURCES
         if sources.is_dir() and digest != current_digest("release", sources):
-            what = "its code digest is not that of release in code/src"
+            what = "its code digest differs from that of release in code/src"
             yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
         for name in sorted(set(stated) - set(contents.sums)):
-            yield Finding(Kind.BROKEN, name, "records/release.json names it, SHA256SUMS does not")
+            yield Finding(
+                Kind.BROKEN, name, "listed in records/release.json, but not in SHA256SUMS"
+            )
         for name in sorted(set(contents.sums) - set(stated) - {RELEASE_RECORD}):
-            yield Finding(Kind.BROKEN, name, "SHA256SUMS names it, records/release.json does not")
+            yield Finding(
+                Kind.BROKEN, name, "listed in SHA256SUMS, but not in records/release.json"
+            )
 
 
 def _recomputed(
@@ -209,7 +215,7 @@ def _recomputed(
         video, name = row["video"], row["simulation"]
         simulation = grid.get(name)
         if simulation is None:
-            yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not of the configured grid", (video,))
+            yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not in the configured grid", (video,))
             continue
         problem = _row_problem(row, simulation)
         if problem:
@@ -229,7 +235,7 @@ def _recomputed(
             yield from _drawn(lineage, config, row)
     missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
     if missing:
-        yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
+        yield Finding(Kind.BROKEN, MANIFEST, f"the simulation {missing[0]} of the grid is missing")
     if "sample" not in stale:
         yield from _sides(contents, config)
 
@@ -257,7 +263,9 @@ def _simulation(
             yield Finding(Kind.BROKEN, where, what, clips)
     drawn = vars(draw_perturbation(settings, simulation.seed))
     if record.metadata.get("perturbation") != drawn:
-        yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
+        yield Finding(
+            Kind.BROKEN, where, "its perturbation is not the one drawn from its seed", clips
+        )
 
 
 def _stage_x_m(record: Artefact, times_s: np.ndarray) -> np.ndarray | None:
@@ -281,7 +289,7 @@ def _times(
         if expected is None or found is None:
             continue
         if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
-            return f"{name} is not what the protocol gives"
+            return f"{name} differs from the protocol"
     return None
 
 
@@ -298,7 +306,7 @@ def _rendering(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
             what = f"{row['texture_id']} is {texture!r} there, {row['texture']!r} in the manifest"
             yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
     if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
-        what = f"{row['video']}: no rendering or no simulation stands behind it"
+        what = f"{row['video']}: its rendering or simulation is missing"
         yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 
@@ -316,7 +324,8 @@ def _drawn(lineage: Lineage, config: Config, row: Mapping[str, Any]) -> Iterator
     }
     for name, value in labels.items():
         if row.get(name) != value:
-            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
+            what = f"{row['video']}: {name} is {row.get(name)!r}, but {value!r} is drawn from "
+            "the seed"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
     words = (row["simulation"], row["texture"], row["viewpoint"])
     camera = draw_augmentation(settings.augmentation, seed, *words).record()
@@ -329,7 +338,7 @@ def _drawn(lineage: Lineage, config: Config, row: Mapping[str, Any]) -> Iterator
         }
         for what, (stated, expected) in found.items():
             if stated != expected:
-                what = f"the {what} is not what the seed draws"
+                what = f"the {what} is not the one drawn from the seed"
                 yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
 
 
@@ -338,7 +347,7 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
     try:
         expected = manifest_sides(config)
     except BadInput as error:
-        yield Finding(Kind.BROKEN, "records/config.json", f"no split can be drawn: {error}")
+        yield Finding(Kind.BROKEN, "records/config.json", f"the splits cannot be drawn: {error}")
         return
     try:
         sampled = sampled_rows(contents.rows, contents.notes.get("sampled_columns") or [])
@@ -347,7 +356,7 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
     for row in sampled:
         found = row.get("split_by_video"), row.get("split_by_simulation")
         if row["video"] in expected and found != expected[row["video"]]:
-            what = f"{row['video']}: its sides are {found}, drawn anew {expected[row['video']]}"
+            what = f"{row['video']}: its sides are {found}, redrawn {expected[row['video']]}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
     splits = split_columns(sampled, config.release.unseen_share, config.seed)
     for name, sides in splits.items():
@@ -358,5 +367,5 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
 def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:
     for row, value in zip(rows, expected, strict=True):
         if row.get(column) != value:
-            what = f"{row['video']}: {column} is {row.get(column)!r}, drawn anew {value!r}"
+            what = f"{row['video']}: {column} is {row.get(column)!r}, redrawn {value!r}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))

@@ -1,4 +1,4 @@
-"""What the code and configuration of today would make otherwise; what a commit really holds."""
+"""What the current code and configuration would change; the actual content of a commit."""
 
 import subprocess
 import tarfile
@@ -36,7 +36,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
             continue
         now = current_digest(artefact.stage)
         if artefact.provenance.get("code_digest") != now:
-            reason = "there is no such stage any more" if now is None else "its code has changed"
+            reason = "the stage no longer exists" if now is None else "its code has changed"
             touched[artefact.stage, reason].update(lineage.clips(path))
         for change in catalogue_changes(artefact):
             reason = f"the catalogue has changed: {change}"
@@ -78,8 +78,8 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
             claims[commit][artefact.stage, record.get("code_digest")].append(path)
     if dirty:
         notes.append(
-            f"made with changes that are in no commit: {', '.join(sorted(dirty))}; their code is "
-            "known by code/ alone"
+            f"made with uncommitted changes: {', '.join(sorted(dirty))}; their code is only "
+            "available in code/"
         )
     findings: list[Finding] = []
     for commit, stages in sorted(claims.items()):
@@ -95,7 +95,7 @@ def _claims(lineage: Lineage, commit: str, stages: dict, source: Path) -> Iterat
     for (stage, digest), paths in stages.items():
         if current_digest(stage, source) != digest:
             clips = {clip for path in paths for clip in lineage.clips(path)}
-            what = f"commit {commit[:12]} holds other code of {stage} than the records say"
+            what = f"commit {commit[:12]} contains other code of {stage} than the records"
             yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
 
 

@@ -1,4 +1,4 @@
-"""Putting a release together in a temporary folder that takes its name at the very end."""
+"""Assembling a release in a temporary folder that is renamed at the very end."""
 
 import datetime
 import json
@@ -108,15 +108,15 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path)
             continue
         if artefact.provenance["code_digest"] != current_digest(artefact.stage):
             raise BadInput(
-                f"{artefact.path}: made by other code of the stage {artefact.stage}; bring the "
-                "results up to date with: snakemake --cores 2 sample"
+                f"{artefact.path}: made by different code of the stage {artefact.stage}; update "
+                "the results with: snakemake --cores 2 sample"
             )
         changes = config_changes(artefact, config, calibrated)
         if changes:
-            raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
+            raise BadInput(f"{artefact.path}: made with a different configuration: {changes[0]}")
         changes = catalogue_changes(artefact)
         if changes:
-            raise BadInput(f"{artefact.path}: made with another catalogue: {changes[0]}")
+            raise BadInput(f"{artefact.path}: made with a different catalogue: {changes[0]}")
 
 
 def _outside(config: Config) -> dict[str, Path]:
@@ -129,9 +129,9 @@ def _check_target(out: Path) -> None:
     if out.is_dir() and not any(out.iterdir()):
         return
     if (out / SUMS).is_file():
-        raise BadInput(f"{out}: there is a release already; it is not overwritten, remove it first")
+        raise BadInput(f"{out}: contains a release, which is not overwritten; remove it first")
     if out.exists() or out.is_symlink():
-        raise BadInput(f"{out}: exists and is no release; it is left alone, choose another folder")
+        raise BadInput(f"{out}: exists and is not a release; choose another folder")
 
 
 def _check_room(out: Path, needed: float) -> None:
@@ -170,7 +170,7 @@ def write_release(
     started = start_clock()
     results, out = Path(results), Path(out)
     if results.resolve().name != "results":
-        raise BadInput(f"{results}: not a folder named results, as the records call it")
+        raise BadInput(f"{results}: must be a folder named results, as in the records")
     _check_target(out)
     project = check_project(project)
     sample = results / "sample"

@@ -1,4 +1,4 @@
-"""The dataset card: README.md with figures, limits and the lines that load the data."""
+"""The dataset card: README.md with figures, limits and code to load the data."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

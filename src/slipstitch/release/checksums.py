@@ -52,7 +52,7 @@ def read_sums(folder: Path) -> Mapping[str, str]:
             raise BadInput(f"{folder / SUMS} line {number}: not '<SHA-256>  <file>'")
         digest, name = match.groups()
         if name in sums:
-            raise BadInput(f"{folder / SUMS} line {number}: {name} is there twice")
+            raise BadInput(f"{folder / SUMS} line {number}: {name} is duplicated")
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise BadInput(f"{folder / SUMS} line {number}: {name} is outside the release")
         sums[name] = digest

@@ -1,4 +1,4 @@
-"""The sources that made a release, carried in it: what its code digests are digests of."""
+"""The sources that generated a release, included in it: its code digests refer to them."""
 
 import os
 import shutil
@@ -25,10 +25,10 @@ def check_project(project: str | os.PathLike) -> Path:
     folder = Path(project).resolve()
     for name in _NEEDED:
         if not (folder / name).exists():
-            raise BadInput(f"{project}: not a checkout of Slipstitch: it has no {name}")
+            raise BadInput(f"{project}: not a checkout of Slipstitch: no {name}")
     running = Path(__file__).resolve().parents[3]
     if folder != running:
-        raise BadInput(f"{project}: the code that runs comes from another folder ({running.name})")
+        raise BadInput(f"{project}: the running code is in another folder ({running.name})")
     return folder
 
 

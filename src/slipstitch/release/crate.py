@@ -118,7 +118,7 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
         "#run",
         object=[entities["records/config.json"]],
         result=[entities["manifest.parquet"], *_shards(entities)],
-        properties={"name": "The run of the workflow that made this release"},
+        properties={"name": "The workflow run that generated this release"},
     )
     root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
     (folder / FILE).write_text(
@@ -201,7 +201,7 @@ def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
                 "name": f"slipstitch {stage}",
                 "softwareVersion": record["versions"]["slipstitch"],
                 "sha256": record["code_digest"],
-                "identifier": record["git_commit"] or "no commit known",
+                "identifier": record["git_commit"] or "unknown commit",
             },
         )
     )

@@ -1,4 +1,4 @@
-"""Croissant metadata: what the files of a release hold, for machines."""
+"""Croissant metadata: machine-readable description of the files of a release."""
 
 import datetime
 import json
@@ -65,7 +65,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
         mlc.FileObject(
             id=MANIFEST,
             name=MANIFEST,
-            description="One row a video: labels, splits, where its images are, their digest",
+            description="One row per video: labels, splits, location and digest of its images",
             content_url=MANIFEST,
             content_size=f"{manifest.stat().st_size} B",
             encoding_formats=[parquet],
@@ -74,7 +74,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
         mlc.FileSet(
             id=_SHARDS,
             name=_SHARDS,
-            description="Image shards, one row an image",
+            description="Image shards, one row per image",
             encoding_formats=[parquet],
             includes=[f"{FOLDER}/*.parquet"],
         ),

@@ -1,4 +1,4 @@
-"""Whether artefacts are what code, configuration and catalogue would make now."""
+"""Whether artefacts match the current code, configuration and catalogue."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath

@@ -1,4 +1,4 @@
-"""Pictures of a release, drawn from its own shards: what the images look like and vary in."""
+"""Preview pictures of a release, drawn from its own shards: appearance and variation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -116,7 +116,7 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
     save(
         "fabrics_by_friction", tiles, downs, [f"friction {mu:g}" for mu in acrosses],
-        f"Fabrics by friction coefficient, all at the same moment (texture {first['texture']}, "
+        f"Fabrics by friction coefficient, all at the same time (texture {first['texture']}, "
         f"viewpoint {first['viewpoint']})",
     )  # fmt: skip
     same = [row for row in rows if row["simulation"] == first["simulation"]]
@@ -133,6 +133,6 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
         [[show(row, position) for position in positions] for row in chosen],
         [f"{row['material']}\nfriction {row['friction']:g}" for row in chosen],
         [f"image {position}" for position in positions],
-        "Videos through time, one a line",
+        "Videos over time, one per row",
     )
     return pictures

@@ -1,4 +1,4 @@
-"""What made what: the records of all artefacts that lie behind a dataset."""
+"""The records of all artefacts that a dataset depends on."""
 
 import hashlib
 import json
@@ -100,7 +100,7 @@ def read_artefact(path: str, place: Path) -> Artefact:
         provenance = read_provenance(place) if is_ours(path) else None
     except FileNotFoundError:
         raise BadInput(
-            f"{path}: no record of what made it; make it anew with: snakemake --cores 2 sample"
+            f"{path}: no provenance record; regenerate it with: snakemake --cores 2 sample"
         ) from None
     kept = {key: value for key, value in metadata.items() if key not in NOT_RECORDED}
     return Artefact(path, file_digest(place), rows, kept, provenance)
@@ -147,8 +147,8 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
             for name, digest in artefact.inputs.items():
                 if visit(name).sha256 != digest:
                     raise BadInput(
-                        f"{name}: not the file that {path} was made from; "
-                        "bring the results up to date with: snakemake --cores 2 sample"
+                        f"{name}: not the file that {path} was made from; update the results "
+                        "with: snakemake --cores 2 sample"
                     )
             found[path] = artefact
         return found[path]
@@ -191,11 +191,11 @@ def read_record(path: Path) -> Artefact:
     """
     content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, Mapping):
-        raise ValueError("not a record: no mapping")
+        raise ValueError("not a record: not a mapping")
     try:
         artefact = Artefact(**content)
     except TypeError:
-        raise ValueError("not a record: other keys than a record's") from None
+        raise ValueError("not a record: wrong keys") from None
     kinds = {"path": str, "sha256": str, "metadata": dict}
     for name, kind in kinds.items():
         if not isinstance(getattr(artefact, name), kind):
