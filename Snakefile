@@ -54,7 +54,7 @@ if workflow.is_main_process:
     print(estimate_line(CONFIG), file=sys.stderr)
 
 
-# Every stage's files are asked for by name: a deleted simulation is made again although
+# Every stage's files are requested by name: a deleted simulation is regenerated even if
 # everything made from it still exists.
 rule all:
     default_target: True

@@ -1,4 +1,4 @@
-"""What each choice in the training is worth, one at a time; not part of `all`."""
+"""Ablations: training choices changed one at a time; not part of `all`."""
 
 from slipstitch.config.ablate import QUESTIONS
 
@@ -69,7 +69,7 @@ rule ablate_summary:
         code=code_of("ablate"),
         config=CONFIG_FILE,
     message:
-        "Sum up the ablations"
+        "Summarise the ablations"
     shell:
         "slipstitch ablate --config {params.config} --summary results/ablate"
         " --out {output.summary} --page {output.page} > {log} 2>&1"

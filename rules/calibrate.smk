@@ -1,4 +1,4 @@
-"""Settings chosen by the pushed strip, one job a swept setting, and checked against theory."""
+"""Settings chosen with a pushed strip, one job per swept setting, and checked against theory."""
 
 from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.calibrate.sweep import sweep_inputs
@@ -32,7 +32,7 @@ rule calibrate_sweep:
         code=code_of("calibrate"),
         config=CONFIG_FILE,
     message:
-        "Push the strip with other values of {wildcards.swept}"
+        "Sweep {wildcards.swept} with the pushed strip"
     shell:
         "slipstitch calibrate --config {params.config} --sweep {wildcards.swept} --out {output} > {log} 2>&1"
 

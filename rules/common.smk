@@ -1,4 +1,4 @@
-"""The configuration, checked; what all rules share."""
+"""The validated configuration; definitions shared by all rules."""
 
 import hashlib
 import json
@@ -36,7 +36,7 @@ wildcard_constraints:
 
 
 def settings(*sections, **exclude):
-    """Sections of the configuration, a parameter a key: the rule reruns when one changes."""
+    """Sections of the configuration, one parameter per key: the rule reruns when one changes."""
     kept = CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude)
     parameters = []
     for section, values in kept.items():
@@ -48,7 +48,7 @@ def settings(*sections, **exclude):
 
 
 def code_of(stage):
-    """Digest of a stage's code as a rule's parameter: the rule reruns when what computes changes.
+    """Digest of a stage's code as a rule's parameter: the rule reruns when the computation changes.
 
     Only the main process compares a job's parameters with those that its files were made with; the
     processes of single jobs do not read all sources again.
@@ -57,17 +57,17 @@ def code_of(stage):
 
 
 def fabrics(*names):
-    """Measured fabrics as a rule's parameter: one more in the catalogue reruns nothing."""
+    """Measured fabrics as a rule's parameter: additions to the catalogue cause no reruns."""
     return [f"{name}: {fabric_digest(name)}" for name in names]
 
 
 def entries(**names):
-    """Entries of the catalogue, by kind, as a rule's parameter: one more reruns nothing."""
+    """Entries of the catalogue, by kind, as a rule's parameter: additions cause no reruns."""
     return json.dumps(catalogue_entries(**names))
 
 
 def digest_if_there(path):
-    """A file that a rule shows where there is one, as its parameter: the rule reruns with it."""
+    """An optional file that a rule displays, as its parameter: the rule reruns when it changes."""
     return file_digest(path) if os.path.exists(path) else None
 
 
@@ -80,6 +80,6 @@ rule grid:
         rows=hashlib.sha256(json.dumps(grid_rows(CONFIG)).encode()).hexdigest(),
         config=CONFIG_FILE,
     message:
-        "Table of ids and seeds"
+        "Write the table of ids and seeds"
     shell:
         "slipstitch grid --config {params.config} --out {output} > {log} 2>&1"

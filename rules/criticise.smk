@@ -1,4 +1,4 @@
-"""Measured cases: verdict, extended model, and their runs simulated again; not part of `all`."""
+"""Measured cases: verdict, extended model, and simulation of their runs; not part of `all`."""
 
 MEASURED = {Path(case).name: Path(workflow.basedir) / case for case in CONFIG.criticise.cases}
 

@@ -1,4 +1,4 @@
-"""The dataset as a folder to hand out; not part of `all`."""
+"""The dataset as a folder to distribute; not part of `all`."""
 
 
 rule release:
@@ -31,7 +31,7 @@ rule release_folder:
         config=CONFIG_FILE,
         project=workflow.basedir,
     message:
-        "Release the dataset"
+        "Write the release"
     shell:
         "slipstitch release --config {params.config} --results results --out-dir {output}"
         " --project {params.project} > {log} 2>&1"

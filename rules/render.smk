@@ -1,6 +1,6 @@
-"""One Blender process a simulation and viewpoint; then all textures, without Blender; previews."""
+"""One Blender process per simulation and viewpoint; then all textures, without Blender; previews."""
 
-# Which shards there are, and what is put on the light afterwards, is not what the light depends on.
+# The shading depends neither on the set of shards nor on what is applied to it afterwards.
 SHADING_SETTINGS = settings(
     "render",
     render={
@@ -16,7 +16,7 @@ RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints", "v
 
 
 def camera_file(wildcards):
-    """The camera file that the viewpoint's camera stands by, if one is configured."""
+    """The camera file of the viewpoint, if one is configured."""
     return CONFIG.render.camera_of(VIEWPOINTS[wildcards.viewpoint]["name"]) or []
 
 
@@ -61,7 +61,7 @@ rule render_shading:
         code=code_of("render.packing"),
         config=CONFIG_FILE,
     message:
-        "Render the light of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+        "Render the shading of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectory}"
         " --viewpoint {wildcards.viewpoint} --shading {output} > {log} 2>&1"
@@ -145,7 +145,7 @@ rule preview_one:
     params:
         code=code_of("render"),
     message:
-        "Contact sheet and film of {wildcards.simulation}"
+        "Preview {wildcards.simulation}: contact sheet and video"
     shell:
         "slipstitch render --preview --out-sheet {output.sheet} --out-video {output.film}"
         " {input} > {log} 2>&1"
