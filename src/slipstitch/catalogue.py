@@ -1,4 +1,4 @@
-"""The viewpoints and the cloth textures there are, by name.
+"""The available viewpoints, cloth textures and floors, by name.
 
 Standard library only: the configuration and the workflow load it without numpy or Blender.
 """

@@ -1,4 +1,4 @@
-"""The errors that a user may meet, each shown as one line by the command line."""
+"""User-facing errors, each shown as one line by the command line."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""How far a loop has come: a bar on a terminal, elsewhere a plain line now and then."""
+"""Progress of a loop: a bar on a terminal, otherwise a plain line at intervals."""
 
 import sys
 from collections.abc import Iterable

@@ -208,7 +208,7 @@ def test_the_command_prints_the_table(chain, tmp_path, capsys):
 
 
 def test_a_folder_without_models_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="no model in it"):
+    with pytest.raises(BadInput, match="no models found"):
         find_models(tmp_path)
 
 
@@ -219,14 +219,14 @@ def test_models_of_an_earlier_configuration_do_not_count(chain):
     )
     assert {split for split, _, _ in every} == {"by_video", "by_simulation"}
     assert {split for split, _, _ in of_video} == {"by_video"}
-    with pytest.raises(BadInput, match="no model in it"):
+    with pytest.raises(BadInput, match="no models found"):
         find_models(chain / "train", CONFIG.train.model_copy(update={"seeds": [7]}))
 
 
 def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
     source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
     shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
-    with pytest.raises(BadInput, match="not what its folder says"):
+    with pytest.raises(BadInput, match="does not match its folder"):
         find_models(tmp_path)
 
 
@@ -234,7 +234,7 @@ def test_a_conditional_network_without_its_material_network_is_refused(chain, tm
     models = tmp_path / "train"
     shutil.copytree(chain / "train", models)
     shutil.rmtree(models / "by_video" / "material_baseline")
-    with pytest.raises(BadInput, match="has no material_baseline beside it"):
+    with pytest.raises(BadInput, match="has no matching material_baseline"):
         _evaluate(chain / "sample", models, tmp_path)
 
 

@@ -110,7 +110,7 @@ def test_weights_of_another_shape_than_the_card_says_are_refused(tmp_path, reade
     save_file(weights, tmp_path / "model.safetensors", {"card": json.dumps(inside)})
     card["weights_sha256"] = file_digest(tmp_path / "model.safetensors")
     (tmp_path / "model.json").write_text(json.dumps(card))
-    with pytest.raises(BadInput, match="weights do not fit the card"):
+    with pytest.raises(BadInput, match="weights do not match the card"):
         load_model(tmp_path)
 
 

@@ -70,7 +70,7 @@ def test_larger_frames_are_brought_to_the_networks_size(folder):
     [frames(count=5), frames()[:, :, :20], frames().astype(np.float32), frames()[..., 0], "frames"],
 )
 def test_other_arrays_are_refused(folder, wrong):
-    with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is needed"):
+    with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is required"):
         load_instrument(folder).measure(wrong)
 
 
@@ -192,7 +192,7 @@ def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, clai
     card = json.loads((folder / CARD).read_text())
     card.pop("weights_sha256")
     write_weights(tensors, {**card, **claim}, tmp_path / WEIGHTS, tmp_path / CARD)
-    with pytest.raises(BadInput, match="do not fit the card"):
+    with pytest.raises(BadInput, match="do not match the card"):
         load_instrument(tmp_path)
 
 
@@ -201,7 +201,7 @@ def test_foreign_files_are_refused(folder, tmp_path):
         load_instrument(tmp_path)
     save_file({"weight": torch.zeros(2)}, tmp_path / WEIGHTS)
     (tmp_path / CARD).write_text("{}")
-    with pytest.raises(BadInput, match="no model card of Slipstitch"):
+    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
         load_instrument(tmp_path)
     (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
     with pytest.raises(BadInput, match="'slipstitch-instrument-2' is needed"):

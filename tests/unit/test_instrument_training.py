@@ -175,7 +175,7 @@ def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_
     with pytest.raises(KilledError):
         train(dataset, tmp_path, after_step=kill, **FEW)
     train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
-    assert "going on from" in capsys.readouterr().err
+    assert "continuing from" in capsys.readouterr().err
     weights = load_instrument(tmp_path).network.state_dict()
     for name, value in load_instrument(undisturbed).network.state_dict().items():
         assert torch.equal(value, weights[name]), name
@@ -197,7 +197,7 @@ def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"frames": 13}, "videos have 12 frames, the instrument needs 13"),
+        ({"frames": 13}, "videos have 12 frames; the instrument requires 13"),
         ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
         ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
     ],

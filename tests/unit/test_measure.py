@@ -58,7 +58,7 @@ def test_result_numbers_and_page(bench, capsys):
     assert len(told["frame_time_s"]) == 6
     content = page.read_text()
     assert content.count("data:image/png;base64,") == 6
-    assert "Do not trust these numbers" in content
+    assert "These numbers are not reliable" in content
     assert f"{told['friction_coefficient']:.3f}" in content
 
 

@@ -213,13 +213,13 @@ def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys)
         often = {**few, "checkpoint_interval_s": 0.0}
         train(dataset, tmp_path, changes=often, after_step=kill)
     train(dataset, tmp_path, changes={**few, "checkpoint_interval_s": 1e3})
-    assert "going on from" in capsys.readouterr().err
+    assert "continuing from" in capsys.readouterr().err
 
 
 def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
     (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
     train(dataset, tmp_path, changes={"epochs_per_cycle": 1, "plateau_margin": None})
-    assert "no readable checkpoint; starting anew" in capsys.readouterr().err
+    assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 
 def test_a_network_that_learns_nothing_fails_and_writes_no_model(dataset, tmp_path):
@@ -303,7 +303,7 @@ def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_pat
         train(dataset, tmp_path, "friction_conditional", "by_video", material_model=material)
     with pytest.raises(BadInput, match="needs --material-model"):
         train(dataset, tmp_path, "friction_conditional")
-    with pytest.raises(BadInput, match="takes no --material-model"):
+    with pytest.raises(BadInput, match="does not take --material-model"):
         train(dataset, tmp_path, "friction_baseline", material_model=material)
 
 
@@ -324,7 +324,7 @@ def test_a_model_card_that_was_altered_is_refused(material, tmp_path):
     card = json.loads((tmp_path / "model.json").read_text())
     card["classes"].reverse()
     (tmp_path / "model.json").write_text(json.dumps(card))
-    with pytest.raises(BadInput, match="not the card that is inside"):
+    with pytest.raises(BadInput, match="differs from the card inside"):
         load_model(tmp_path)
 
 
@@ -333,7 +333,7 @@ def test_a_foreign_model_file_is_refused(material, tmp_path):
     with pytest.raises(BadInput, match=r"model\.json: no such file"):
         load_model(tmp_path)
     (tmp_path / "model.json").write_text('{"architecture": "something else"}')
-    with pytest.raises(BadInput, match="no model card of Slipstitch"):
+    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
         load_model(tmp_path)
 
 

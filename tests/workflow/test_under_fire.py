@@ -128,7 +128,7 @@ def test_the_command_that_is_named_makes_a_damaged_file_anew(undisturbed, refere
     answer = undisturbed.snakemake("all")
     assert answer.returncode == 1
     last = answer.stderr[answer.stderr.index("failed: render_shading") :]
-    command = re.search("make it anew with: snakemake --cores 2 (all --forcerun [^ \n]+)", last)
+    command = re.search("regenerate it with: snakemake --cores 2 (all --forcerun [^ \n]+)", last)
     assert undisturbed.snakemake(*command[1].split()).returncode == 0
     assert kills.differences(undisturbed.folder, reference, partial=False) == []
 

@@ -1,4 +1,4 @@
-"""The page of the ablations: a sentence, a picture and a table a question."""
+"""The page of the ablations: conclusions, a plot and a table per question."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""One question, one seed: its variants trained one after another, then asked about the test videos.
+"""One question, one seed: its variants trained one after another, then tested.
 
 A variant whose training is finished is not trained again: a file beside its model says what it was
 trained on, with which settings and code. Killed within a training, it goes on from its checkpoint.

@@ -1,4 +1,4 @@
-"""Reading the answers of all questions and seeds, writing their summary and its page."""
+"""Reading the results of all questions and seeds, writing their summary and its page."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The questions, their variants, and which videos train and test them.
+"""The questions, their variants, and their training and test videos.
 
 Every variant of a question is trained with as many passes of videos as the others, on the split by
 simulation, and tested on the same videos of held-out simulations. Those for validation count among

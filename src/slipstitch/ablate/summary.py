@@ -1,4 +1,4 @@
-"""From the answers of all seeds to rows, differences with their intervals, and sentences.
+"""From the results of all seeds to table rows, differences with intervals, and conclusions.
 
 The videos of one simulation are right or wrong together, and so are those that one training
 answers: a difference between two variants is averaged over the videos of a simulation, and its

@@ -1,4 +1,4 @@
-"""The extended model of a verdict, as the simulations read it."""
+"""The extended model of a verdict, as read by the simulations."""
 
 from __future__ import annotations
 

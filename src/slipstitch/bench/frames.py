@@ -1,4 +1,4 @@
-"""Which frames of a video the networks see."""
+"""The frames of a video used by the networks."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Choosing settings by the strip, checking them against theory, writing what was verified."""
+"""Choosing settings with the strip, checking them against theory, writing the verified ones."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Which of the settings that were tried are used."""
+"""Choice among the settings tried."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The known-answer experiments of the calibration and what they demand."""
+"""The known-answer experiments of the calibration and their tolerances."""
 
 import math
 from collections.abc import Callable, Mapping

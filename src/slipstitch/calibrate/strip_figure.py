@@ -1,4 +1,4 @@
-"""The pushed strip: slip strain and shapes, and what goes wrong with which setting.
+"""The pushed strip: slip strain and shapes, and errors by numerical setting.
 
 The first is the paper's Figure 3 for this simulator, the second its warning. Theory is black.
 """

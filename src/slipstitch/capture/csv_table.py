@@ -1,4 +1,4 @@
-"""CSV tables that people fill in: every cell checked, one clear line for what is wrong."""
+"""CSV tables filled in by users: every cell is checked, errors are reported in one line."""
 
 import csv
 import difflib
@@ -51,10 +51,10 @@ def number(
 ) -> Callable[[str], float]:
     """Reader of numbers between two bounds, which belong to the range unless `open_ends`."""
     if math.isfinite(high):
-        allowed = f"a number {'above' if open_ends else 'from'} {low:g} "
-        allowed += f"{'and below' if open_ends else 'to'} {high:g} is allowed"
+        allowed = f"must be a number {'above' if open_ends else 'from'} {low:g} "
+        allowed += f"{'and below' if open_ends else 'to'} {high:g}"
     else:
-        allowed = f"a number {'above' if open_ends else 'of at least'} {low:g} is allowed"
+        allowed = f"must be a number {'above' if open_ends else 'of at least'} {low:g}"
 
     def read(cell: str) -> float:
         try:

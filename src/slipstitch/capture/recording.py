@@ -1,4 +1,4 @@
-"""Reading a video frame by frame: its own times, nothing that its header claims."""
+"""Reading a video frame by frame, with its timestamps and without trusting its header."""
 
 import math
 import os

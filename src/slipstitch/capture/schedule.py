@@ -1,4 +1,4 @@
-"""Which moments of the protocol a network sees, and through which crop."""
+"""The times of the protocol that a network sees, and the crop at each."""
 
 from dataclasses import dataclass, field
 

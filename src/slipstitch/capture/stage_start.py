@@ -1,4 +1,4 @@
-"""When the stage starts, found in the frames: the clamps sink as the protocol says.
+"""Start of the stage, found in the frames: the clamps descend as in the protocol.
 
 In the upright plane through the clamps the strip of cloth under them moves down by the travelled
 distance, which is known over time. Each frame is matched with one from before; where the cloth has

@@ -1,4 +1,4 @@
-"""Whether a film's clock is right: the stage's known motion, followed over the whole film.
+"""Verification of a video's clock: the stage's known motion, tracked over the whole video.
 
 A film whose frame rate is stated wrong, or whose stage runs at another speed, shows every moment of
 the protocol too early or too late, and friction is then read off the wrong moments. The upper edge

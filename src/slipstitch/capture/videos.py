@@ -1,4 +1,4 @@
-"""From a video of the bench to the frames that a network sees."""
+"""From a video of the bench to the input frames of a network."""
 
 import os
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Settings of where simulations run. Pydantic and the standard library only."""
+"""Settings of the device and batch size of simulations. Pydantic and the standard library only."""
 
 from pydantic import Field
 

@@ -1,4 +1,4 @@
-"""The grid of simulations, and its ids and seeds: what m05_f01_r00_t02_v01 means.
+"""The grid of simulations, with its ids and seeds: the meaning of m05_f01_r00_t02_v01.
 
 The ids are kept in ``results/grid.parquet``.
 """

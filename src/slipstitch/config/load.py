@@ -1,4 +1,4 @@
-"""Reading configurations: files merged key by key, checked, one clear line for what is wrong."""
+"""Reading configurations: files are merged key by key and checked, errors reported in one line."""
 
 import difflib
 import json

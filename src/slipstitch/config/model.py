@@ -1,4 +1,4 @@
-"""The configuration as a type: its sections, each defined in a file of its own beside this one."""
+"""The configuration as a type, composed of sections in separate files."""
 
 from pydantic import Field, model_validator
 

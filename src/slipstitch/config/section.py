@@ -1,4 +1,4 @@
-"""What the sections of the configuration share. Pydantic and the standard library only."""
+"""Common parts of the sections of the configuration. Pydantic and the standard library only."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""The runs of the study; apart from the rest, which takes seconds to import."""
+"""The runs of the study; separate from the rest, which takes seconds to import."""
 
 import math
 from dataclasses import dataclass

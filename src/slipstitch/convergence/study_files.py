@@ -1,4 +1,4 @@
-"""The study's files: one a case, the comparison of all, and what is published of it."""
+"""The files of the study: one per case, the comparison of all, and the published results."""
 
 from __future__ import annotations
 

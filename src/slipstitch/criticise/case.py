@@ -65,14 +65,16 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
             paths = [path for path in paths if path.exists()]
             known |= {path.name for path in paths}
             if len(paths) > 1:
-                raise BadInput(f"{folder}: both {table}.csv and {table}.parquet; give one of them")
+                raise BadInput(
+                    f"{folder}: both {table}.csv and {table}.parquet; only one is allowed"
+                )
             if paths:
                 found[table] = _read_table(paths[0], columns, with_measurements)
         missing = [table for table in protocol.tables if table not in found]
         if found and missing and (with_measurements or missing[0] == protocol.runs_table):
             have, want = ", ".join(f"{t}.csv" for t in found), f"{missing[0]}.csv"
             raise BadInput(
-                f"{folder}: {have} without {want}; the {protocol.name} protocol needs both"
+                f"{folder}: {have} without {want}; the {protocol.name} protocol requires both"
             )
         if found and not missing and len(found) == 2:
             _check_traces(folder, *found.items())
@@ -109,13 +111,13 @@ def _protocol_name(text) -> str:
 
 def _read_meta(path: Path) -> dict:
     if not path.exists():
-        raise BadInput(f"{path.parent}: no meta.json; a case folder needs one")
+        raise BadInput(f"{path.parent}: no meta.json; a case folder requires one")
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: {error}") from None
     if not isinstance(meta, dict) or not isinstance(meta.get("nominal"), dict):
-        raise BadInput(f"{path}: nominal: missing; a mapping of the nominal values is needed")
+        raise BadInput(f"{path}: nominal: missing; must be a mapping of the nominal values")
     return meta
 
 
@@ -134,11 +136,11 @@ def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
                 raise BadInput(f"{path}: nominal.{key}: missing; {protocol.name} needs it")
             good = isinstance(value, int | float) and math.isfinite(value)
             if not good or (value <= 0 and key != "ply_exponent"):
-                raise BadInput(f"{path}: nominal.{key}: {value!r}; a positive number is needed")
+                raise BadInput(f"{path}: nominal.{key}: {value!r}; must be a positive number")
     dwell = meta.get("reversal_dwell_s", meta["nominal"].get("reversal_dwell_s"))
     if dwell is not None:
         if isinstance(dwell, bool) or not isinstance(dwell, int | float) or dwell < 0:
-            raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; a number from 0 is needed")
+            raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; must be a number of at least 0")
         values["reversal_dwell_s"] = float(dwell)
     return values
 
@@ -151,7 +153,7 @@ def _read_raw(path: Path) -> pd.DataFrame:
             path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skip_blank_lines=False
         )
     except pd.errors.EmptyDataError:
-        raise BadInput(f"{path}: empty; a header and at least one row are needed") from None
+        raise BadInput(f"{path}: empty; must contain a header and at least one row") from None
     except (UnicodeDecodeError, pd.errors.ParserError, OSError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
@@ -168,7 +170,7 @@ def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool
         blank = (raw.apply(lambda values: values.str.strip()) == "").all(axis=1)
         raw = raw[~blank]
     if len(raw) == 0:
-        raise BadInput(f"{path}: no rows; at least one is needed")
+        raise BadInput(f"{path}: no rows; at least one is required")
     table = {}
     for column in columns:
         measured = column.measured and not with_measurements
@@ -186,7 +188,7 @@ def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool
         if again.any():
             row = lines[int(np.argmax(again.to_numpy()))]
             name = result["run_id"][again].iloc[0]
-            raise BadInput(f"{path}: row {row}: column run_id: '{name}' is given twice")
+            raise BadInput(f"{path}: row {row}: column run_id: '{name}' is duplicated")
     return result
 
 

@@ -40,7 +40,7 @@ def criticise_to_files(
     if resimulation_path:
         from slipstitch.criticise.resimulation import resimulate
 
-        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
+        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate"}
         if "drop_drag" in case.protocols:
             again = resimulate(case, verdict)
             summary = again.summary

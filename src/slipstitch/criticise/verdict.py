@@ -100,7 +100,7 @@ def _untestable(analysis: Analysis) -> dict[str, str]:
     for name in MECHANISMS:
         own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
         if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
-            result[name] = "cannot be told from the friction coefficient with these data"
+            result[name] = "cannot be distinguished from the friction coefficient with these data"
     return result
 
 
@@ -207,18 +207,19 @@ def sentence(verdict: dict) -> str:
     kind = verdict["verdict"]
     if kind == "none":
         return (
-            "The plain Coulomb model describes these measurements: no structure is left "
+            "The plain Coulomb model describes these measurements: no structure remains "
             f"(family-wise p = {verdict['null']['global_p']:.2g})."
         )
     if kind == "insufficient":
-        return f"Too little was measured to judge the model: {verdict['reason']}."
+        return f"There are too few measurements to judge the model: {verdict['reason']}."
     if kind == "unknown":
         shape = next(iter(verdict["residual_tests"]), None)
         where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
         return f"The model is wrong and no known mechanism explains how{where}."
     if kind == "confounded":
         rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
-        return f"The model is wrong, but these data cannot tell which of these is why: {rivals}."
+        return "The model is wrong, but these data cannot distinguish between these causes: "
+        f"{rivals}."
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
         f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"

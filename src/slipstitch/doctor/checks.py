@@ -1,4 +1,4 @@
-"""The checks of ``slipstitch doctor``: each looks at one thing and says how to get it."""
+"""The checks of ``slipstitch doctor``: each checks one requirement and names its remedy."""
 
 import enum
 import importlib.metadata

@@ -1,4 +1,4 @@
-"""What a configuration costs: jobs, CPU time, disk; from costs per item that were measured.
+"""Estimated cost of a configuration: jobs, CPU time, disk; from measured costs per item.
 
 The table `COSTS` is the only place with measured numbers; the rest scales them.
 """

@@ -62,7 +62,7 @@ def predict_captures(
     if instruments is not None:
         found += _instruments(dataset, instruments)
     if not found:
-        raise BadInput(f"{models or instruments}: no trained model for captures in it")
+        raise BadInput(f"{models or instruments}: no trained model for captures found")
     return found
 
 
@@ -73,8 +73,8 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
     videos = read_videos(dataset, pixels=cards[0]["pixels"])
     if cards[0]["frames"] != videos.pixels.shape[1]:
         raise BadInput(
-            f"{dataset}: videos of {videos.pixels.shape[1]} frames, the networks in {folder} were "
-            f"trained with {cards[0]['frames']}: ingest with their configuration"
+            f"{dataset}: videos of {videos.pixels.shape[1]} frames, but the networks in {folder} "
+            f"were trained with {cards[0]['frames']}: ingest with their configuration"
         )
     for split, network, seed in models:
         name = next((key for key, value in MODELS.items() if value == network), None)

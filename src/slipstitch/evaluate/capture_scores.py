@@ -55,10 +55,10 @@ def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
     """What the videos are: the first line of all that is said of them."""
     if known[0]["surrogate"]:
         return (
-            "Surrogate captures: films of simulations, made unlike the training data. Nothing on "
-            "this page was measured on a real bench."
+            "Surrogate captures: simulated videos with a distribution shift from the training "
+            "data. Nothing on this page was measured on a real bench."
         )
-    return "Real captures: films of a bench, with friction measured on an inclined plane."
+    return "Real captures: videos of a bench, with friction measured on an inclined plane."
 
 
 def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Trained networks on the videos that test them."""
+"""Evaluation of trained networks on their test videos."""
 
 import math
 import os
@@ -158,11 +158,11 @@ def find_models(
         if named != path.parts[-4:-1]:
             raise BadInput(
                 f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
-                "not what its folder says"
+                "does not match its folder"
             )
         models[card["split"], card["network"], card["seed"]] = model
     if not models:
-        raise BadInput(f"{folder}: no model in it ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
+        raise BadInput(f"{folder}: no models found ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
     return models
 
 
@@ -177,13 +177,13 @@ def predicted_probabilities(
         material = models.get((split, "material_baseline", seed))
         if material is None:
             raise BadInput(
-                f"friction_conditional {split} seed {seed} has no material_baseline beside it"
+                f"friction_conditional {split} seed {seed} has no matching material_baseline"
             )
         check_material_model(material, split, seed, videos.digest)
         if material.card["weights_sha256"] != model.card["condition_sha256"]:
             raise BadInput(
-                f"friction_conditional {split} seed {seed} was trained with another "
-                "material_baseline than the one beside it"
+                f"friction_conditional {split} seed {seed} was trained with a different "
+                "material_baseline"
             )
         condition = predict(
             material.network,
@@ -255,9 +255,7 @@ def evaluate(
     )
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
-            raise BadInput(
-                f"{network} {split} seed {seed} was trained on another dataset than {dataset}"
-            )
+            raise BadInput(f"{network} {split} seed {seed} was not trained on {dataset}")
 
     instruments = {}
     if instruments_folder is not None:

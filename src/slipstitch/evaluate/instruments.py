@@ -1,4 +1,4 @@
-"""Instruments on the videos that test them: errors, coverage of their intervals, alarms."""
+"""Evaluation of instruments on their test videos: errors, coverage of intervals, alarms."""
 
 import os
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def find_instruments(
     Raises
     ------
     BadInput
-        If one is damaged, not what its folder says, or of another dataset.
+        If one is damaged, does not match its folder, or of another dataset.
     """
     found = {}
     for split in splits:
@@ -50,10 +50,10 @@ def find_instruments(
                 continue
             if (card["split"], f"seed{card['seed']}") != path.parts[-3:-1]:
                 raise BadInput(
-                    f"{path}: holds {card['split']} seed {card['seed']}: not what its folder says"
+                    f"{path}: holds {card['split']} seed {card['seed']}: does not match its folder"
                 )
             if card["dataset_digest"] != dataset_digest:
-                raise BadInput(f"{path}: was made from another dataset")
+                raise BadInput(f"{path}: was trained on another dataset")
             found[split, card["seed"]] = instrument
     return found
 

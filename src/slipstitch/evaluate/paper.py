@@ -1,7 +1,7 @@
-"""The paper's figures that stand beside ours (Rasheed et al., CVPR 2020).
+"""The paper's results that ours are compared with (Rasheed et al., CVPR 2020).
 
-Only what is known here of its Sec. 6 and its abstract. A figure that is not listed is shown as not
-available to us: among them all of Table 3, and of Fig. 6 every curve but one point of one.
+Only the known figures of its Sec. 6 and its abstract. Unlisted figures are shown as not
+available: among them all of Table 3, and all of Fig. 6 except one point of a curve.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ CITATION = (
     "Rasheed, Romero, Bertails-Descoubes, Wuhrer, Franco, Lazarus: Learning to Measure the Static "
     "Friction Coefficient in Cloth Contact, CVPR 2020"
 )
-NOT_AVAILABLE = "not available to us"
+NOT_AVAILABLE = "not available"
 
 # Shares of test videos.
 TABLE_2 = {

@@ -1,4 +1,4 @@
-"""The state of a contact, as far as a friction law may ask for it."""
+"""The state of a contact, as available to a friction law."""
 
 from __future__ import annotations
 

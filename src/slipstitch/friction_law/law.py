@@ -1,4 +1,4 @@
-"""The friction law as an object: plain Coulomb friction and whatever mechanisms extend it."""
+"""The friction law as an object: plain Coulomb friction and the mechanisms that extend it."""
 
 from __future__ import annotations
 

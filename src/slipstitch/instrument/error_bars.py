@@ -1,4 +1,4 @@
-"""Error bars: temperatures, conformal stretch and alarm, from simulations that did not train.
+"""Error bars: temperatures, conformal stretch and alarm, from held-out simulations.
 
 One set of simulations serves all three. The temperature is one number, and the promise of the
 conformal step is tested with it fitted on the same groups (tests/unit).

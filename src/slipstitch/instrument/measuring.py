@@ -30,7 +30,7 @@ FORMAT = "slipstitch-instrument-2"
 WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
-NOT_CALIBRATED = "the instrument is not calibrated: nothing is known of its errors"
+NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,9 @@ class Instrument:
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
         """The frames at the network's size; BadInput if they are no such frames."""
-        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is needed"
+        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
         if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 4:
-            raise BadInput(f"the frames are no images: {wanted}")
+            raise BadInput(f"the frames are not images: {wanted}")
         count, height, width, colours = frames.shape
         if count != self.card["frames"] or height != width or colours != 3 or height < 8:
             raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
@@ -331,7 +331,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
         if {name: value.shape for name, value in shapes.items()} != {
             name: value.shape for name, value in learnt.items()
         }:
-            raise BadInput(f"{weights}: weights do not fit the card: of other sizes")
+            raise BadInput(f"{weights}: weights do not match the card: different sizes")
         network = InstrumentNetwork(*arguments)
         network.load_state_dict(learnt)
         noted = card["error_bars"]
@@ -350,7 +350,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
             )
     except (ValidationError, RuntimeError, KeyError, TypeError) as error:
         first = str(error).splitlines()[0]
-        raise BadInput(f"{weights}: weights do not fit the card: {first}") from None
+        raise BadInput(f"{weights}: weights do not match the card: {first}") from None
     network.eval()
     inside = {key: value for key, value in card.items() if key != "error_bars"}
     return Instrument(network, inside, bars)

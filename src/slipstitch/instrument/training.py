@@ -56,7 +56,7 @@ def read_training_videos(
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
     if split not in SPLITS:
-        raise BadInput(f"no split {split!r}; there are: {', '.join(SPLITS)}")
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
     column = f"split_{split}"
     videos = read_videos(
         dataset,
@@ -71,12 +71,12 @@ def read_training_videos(
     training = np.array([row[column] == "train" for row in videos.rows])
     stored = videos.pixels.shape[1]
     if stored < frames:
-        raise BadInput(f"{dataset}: videos have {stored} frames, the instrument needs {frames}")
+        raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
     trained = [row for row, trains in zip(videos.rows, training, strict=True) if trains]
     for key, least in (("material", 1), ("friction", 2)):
         found = {row[key] for row in trained}
         if len(found) < least:
-            raise BadInput(f"{dataset}: {len(found)} {key}(s) to train on, {least} are needed")
+            raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
         absent = {row[key] for row in videos.rows} - found
         if absent:
             raise BadInput(f"{dataset}: {key} {sorted(absent)[0]} has no training video")
@@ -371,8 +371,8 @@ def train_instrument(
         "training_simulations": len(simulations(videos, training)),
         "calibration_simulations": len(simulations(videos, ~training)),
         **training_facts(learner, history),
-        "use": "measures friction in drop-and-drag videos seen as this dataset's are; elsewhere "
-        "its alarm says so, and its intervals promise nothing",
+        "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
+        "videos it should raise its alarm, and its intervals are not valid",
     }
     card = save_instrument(calibrated(Instrument(network, card, None), videos, training), out)
     write_record(

@@ -1,4 +1,4 @@
-"""The page of one measurement: the frames, the moments that decided, the distribution."""
+"""The page of a measurement: frames, their weights, the distribution."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""From a matplotlib figure to a page or a file: one look, and equal bytes of equal figures."""
+"""From a matplotlib figure to a page or a file, with one style and reproducible bytes."""
 
 import base64
 import functools

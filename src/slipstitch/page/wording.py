@@ -1,4 +1,4 @@
-"""Numbers, times and sizes as the pages show them."""
+"""Formatting of numbers, times and sizes on the pages."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Landed strip: a heavy strip lowered on the floor; its foot slips, or its end is folded under.
+"""Landed strip: a heavy strip lowered onto the floor; its foot slips, or its end folds under.
 
 The side to which it buckles is set by a slight natural curl.
 """

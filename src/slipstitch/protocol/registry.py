@@ -1,4 +1,4 @@
-"""The experiments by name, and running one with its options checked."""
+"""The experiments by name, and running one with validated options."""
 
 from __future__ import annotations
 

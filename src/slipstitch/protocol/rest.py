@@ -1,4 +1,4 @@
-"""Bringing cloth to rest: implicit steps so long that they damp all motion away."""
+"""Bringing cloth to rest, by implicit steps long enough to damp all motion."""
 
 from collections.abc import Callable
 

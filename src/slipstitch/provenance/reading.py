@@ -1,4 +1,4 @@
-"""Reading files that may be missing, damaged, or made to do harm: one clear error for each.
+"""Reading files that may be missing, damaged or malicious: one clear error for each.
 
 Nothing here runs what it reads: YAML is loaded safely, Parquet and JSON hold data alone. Files that
 claim more than they can hold are refused before memory is taken for them.

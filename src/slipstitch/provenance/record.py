@@ -1,4 +1,4 @@
-"""The record that goes with every artefact: what made it, from what, with what, at what cost."""
+"""The record of every artefact: its origin, inputs, software and cost."""
 
 import contextlib
 import functools

@@ -1,4 +1,4 @@
-"""Camera files: a real camera's lens and place at the stage, as calibration writes them.
+"""Camera files: a real camera's lens and position at the stage, as written by calibration.
 
 A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
 same pinhole (`slipstitch.render.rectification`).

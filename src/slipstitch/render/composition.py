@@ -1,4 +1,4 @@
-"""Put any texture on the cloth of one shading render (`slipstitch.render.shading`).
+"""Apply any texture to the cloth of one shading render (`slipstitch.render.shading`).
 
 The albedo of the point that a ray sees is the texture's; that of other points that light came by is
 taken as the texture's mean nearby (on the cloth) or all over (on the floor). A floor that mirrors

@@ -1,4 +1,4 @@
-"""The light that a floor mirrors, smoothed within the cloth's mirror image and beside it.
+"""The light reflected by a floor, smoothed inside and outside the reflection of the cloth.
 
 Blender renders how much light of each order the floor mirrors towards the camera, with the true
 distribution of slopes, from few paths.

@@ -1,4 +1,4 @@
-"""The texture of the cloth that a floor mirrors; no Blender is needed."""
+"""The texture of the cloth in its reflection on the floor, without Blender."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Shading packs: the light of one simulation from one viewpoint, all that Blender has to give.
+"""Shading packs: the light of one simulation from one viewpoint, the complete output of Blender.
 
 Any texture is composed from a pack and the trajectory, without Blender. Light is kept in half
 precision (relative error 2^-11, under a tenth of an 8-bit level), its high and low bytes apart,

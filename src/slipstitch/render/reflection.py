@@ -1,4 +1,4 @@
-"""The cloth mirrored in the floor: which point of it each ray sees, and how blurred.
+"""The reflection of the cloth in the floor: the point seen by each ray, and its blur.
 
 A mirror at z = 0 shows what lies at -z, so the mirrored cloth is seen by the same rasteriser. A
 floor of roughness r has slopes t about either axis of the GGX distribution (Walter et al. 2007),

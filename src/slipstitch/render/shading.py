@@ -1,4 +1,4 @@
-"""The light of one frame, separated by how often it met the cloth, and what its rays see.
+"""The light of one frame, separated by the number of bounces on the cloth, and visibility.
 
 Lamps, floor and background are grey and the cloth is Lambertian, so the light that reaches a
 pixel is a power series in the cloth's albedo a: with a uniform cloth,

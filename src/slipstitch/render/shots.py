@@ -1,4 +1,4 @@
-"""Which frames of a trajectory are rendered, and the camera of each."""
+"""The rendered frames of a trajectory, and the camera of each."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What a simulation is rendered on and by: the floor's look and the lamp's place.
+"""Surroundings of a rendered simulation: appearance of the floor and position of the lamp.
 
 Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
 textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no

@@ -1,4 +1,4 @@
-"""A random sample of the dataset's images against Blender with the texture itself on the cloth."""
+"""Comparison of a random sample of images with direct renders of the textured cloth in Blender."""
 
 import os
 from collections.abc import Sequence

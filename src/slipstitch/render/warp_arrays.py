@@ -1,4 +1,4 @@
-"""NumPy's arrays in Warp's hands, on the CPU: what loops over rays is compiled.
+"""NumPy arrays in Warp kernels on the CPU, for compiled loops over rays.
 
 On the CPU Warp runs a kernel's threads one after the other, in order.
 """

@@ -56,7 +56,7 @@ def training_floors(
 def floors_in_words(floors: Mapping[str, tuple[int, bool]]) -> str:
     """What the floors of the training simulations were."""
     if not floors:
-        return "floors not known"
+        return "floors unknown"
     mirrors = {name: count for name, (count, mirror) in floors.items() if mirror}
     if not mirrors:
         return "trained on matte floors only"
@@ -160,9 +160,9 @@ def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
     metrics, theirs = other.capture_metrics(), other.capture_predictions()
     manifest = other.manifest()
     if not (metrics and theirs and manifest):
-        raise BadInput(f"{where}: no captures and dataset in it (run the target captures there)")
+        raise BadInput(f"{where}: no captures or dataset found (run the target captures there)")
     if {_capture(row) for row in theirs} != {_capture(row) for row in rows}:
-        raise BadInput(f"{where}: its captures are not those of {results.folder}")
+        raise BadInput(f"{where}: its captures differ from those of {results.folder}")
     splits = sorted({row["trained_on"] for row in theirs})
     floors = {split: floors_in_words(training_floors(manifest, split)) for split in splits}
     if not all("reflective" in words for words in floors.values()):

@@ -1,4 +1,4 @@
-"""What the page shows of the dataset: pictures by label, sides of the splits."""
+"""Dataset section of the report: images by label, sizes of the splits."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The networks' tables: the paper's Table 2 and Sec. 6.2.1 beside ours, and every test set."""
+"""Tables of the networks: comparison with the paper's Table 2 and Sec. 6.2.1, and all test sets."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,9 +11,9 @@ from slipstitch.page.wording import percent, seeds_in_words
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",
     "by_simulation": "whole simulations held out",
-    "off_grid": "friction off the grid",
-    "unseen_texture": "texture never trained on",
-    "unseen_fabric": "fabric never trained on",
+    "off_grid": "off-grid friction",
+    "unseen_texture": "unseen texture",
+    "unseen_fabric": "unseen fabric",
 }
 MODEL_TITLES = {
     "lrcn_baseline": "baseline network",
@@ -160,7 +160,7 @@ def not_tested(metrics, captures) -> list[str]:
     """What of the paper's Sec. 6 this run has no videos for, and where they would come from."""
     wanted = {
         "an unseen texture (Sec. 6.2.1; render.test_textures)": "unseen_texture" in metrics,
-        "turned viewpoints (Table 3; render.test_viewpoints)": any(
+        "rotated viewpoints (Table 3; render.test_viewpoints)": any(
             name.startswith(TURNED) for name in metrics
         ),
         "captures (Fig. 6; snakemake captures)": captures is not None,

@@ -1,4 +1,4 @@
-"""The report's page: what the results folder holds, put into words, tables and pictures."""
+"""The page of the report: contents of the results folder as text, tables and figures."""
 
 import os
 from collections.abc import Mapping, Sequence

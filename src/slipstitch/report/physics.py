@@ -1,4 +1,4 @@
-"""What the page says of the simulator: checks against theory, convergence."""
+"""Physics section of the report: checks against theory, convergence."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -122,4 +122,4 @@ def _refinement(kind: str, finest: str) -> str:
     side, _, halvings = finest.partition("_n")[2].partition("_h")
     if not halvings:
         return f"finest {kind}"
-    return f"{side} vertices a side" if kind == "mesh" else f"time step over {2 ** int(halvings)}"
+    return f"{side} vertices per side" if kind == "mesh" else f"time step over {2 ** int(halvings)}"

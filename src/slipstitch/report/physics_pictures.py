@@ -1,4 +1,4 @@
-"""Figures of physics and simulations, or None where there is nothing to draw."""
+"""Figures of physics and simulations, or None without data."""
 
 import math
 from collections.abc import Mapping, Sequence

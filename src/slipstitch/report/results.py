@@ -1,4 +1,4 @@
-"""Reading a results folder, whatever of it there is."""
+"""Reading a results folder, complete or not."""
 
 import csv
 import io

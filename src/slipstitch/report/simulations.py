@@ -1,4 +1,4 @@
-"""What the page shows of the simulations: side views, tails, contact sheets."""
+"""Simulations section of the report: side views, tails, contact sheets."""
 
 import io
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The paper's Table 3: the calibrated viewpoint turned by some degrees."""
+"""The paper's Table 3: rotations of the calibrated viewpoint."""
 
 from collections.abc import Collection, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Reading the render stage's image shards, and everything that can be wrong with them."""
+"""Reading and validating the image shards of the render stage."""
 
 import io
 import os

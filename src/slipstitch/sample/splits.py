@@ -1,4 +1,4 @@
-"""Which videos train a network, which watch it, which test it.
+"""Assignment of videos to training, validation and test.
 
 Two ways, because they answer different questions. `split_by_video` is the paper's: videos at
 random, so that the simulation of a test video stands in the training set too, seen from another

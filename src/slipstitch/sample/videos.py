@@ -1,4 +1,4 @@
-"""Reading the dataset: its videos in memory, every frame decoded once, as bytes of colour.
+"""Reading the dataset: its videos in memory, every frame decoded once, as 8-bit RGB.
 
 216 videos of 30 frames at 64 pixels take 80 MB; the paper's 3840 training videos 1.4 GB.
 """

@@ -1,4 +1,4 @@
-"""What the convergence study found for runs like the one at hand, for its own record."""
+"""Results of the convergence study for runs similar to a given one, for its metadata."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulations as files: those of the grid with their place in it; what failed, for diagnosis."""
+"""Simulations as files: those of the grid, with their ids; states of failed ones, for diagnosis."""
 
 import os
 from collections.abc import Iterator, Sequence

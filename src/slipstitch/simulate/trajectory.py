@@ -1,4 +1,4 @@
-"""A simulated run as a file: one row a frame, the mesh and the provenance in the metadata."""
+"""A simulated run as a file: one row per frame, mesh and provenance in the metadata."""
 
 import math
 import os

@@ -35,7 +35,7 @@ def labels_of(rows: list[dict[str, Any]], classes: list[dict[str, Any]], target:
         return np.array([number[row[f"{target}_id"]] for row in rows], np.int64)
     except KeyError as unknown:
         raise BadInput(
-            f"a video has {target} {unknown.args[0]}, the classes are: {', '.join(number)}"
+            f"a video has {target} {unknown.args[0]}, known classes: {', '.join(number)}"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""The training loop: every network is trained here, and goes on here where it was stopped.
+"""The training loop, common to all networks; resumes from checkpoints.
 
 A network brings a `Learner`: which videos a phase has, the loss of a batch, the learning rate of a
 step and the validation. The loop brings order, steps, checkpoints, history, and the end of a
@@ -237,7 +237,8 @@ def _check_plateau(learner: Learner, history: list[dict[str, Any]]) -> None:
     if margin is not None and loss > (1.0 - margin) * learner.chance_loss:
         raise PlateauError(
             f"{learner.name}: after {len(history)} epochs the training loss is still {loss:.4f}, "
-            f"at chance ({learner.chance_loss:.4f}): nothing was learnt, no model is written "
+            f"at chance ({learner.chance_loss:.4f}): the network did not learn, no model is "
+            "written "
             f"({learner.plateau_hint})"
         )
 

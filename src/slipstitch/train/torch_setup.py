@@ -1,4 +1,4 @@
-"""How torch computes here: the same bits every time, and without giving its memory back."""
+"""Set-up of torch: bitwise reproducible, and without returning memory to the system."""
 
 import ctypes
 

@@ -1,4 +1,4 @@
-"""Training a classifier: cycles of one viewpoint more, then the calibrated viewpoint alone."""
+"""Training a classifier: cycles that add a viewpoint each, then the calibrated viewpoint only."""
 
 import math
 import os
@@ -238,13 +238,15 @@ def train_network(
     """
     started = start_clock()
     if network_name not in NETWORKS:
-        raise BadInput(f"no network {network_name!r}; there are: {', '.join(NETWORKS)}")
+        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
     if split not in SPLITS:
-        raise BadInput(f"no split {split!r}; there are: {', '.join(SPLITS)}")
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
     conditional = network_name == "friction_conditional"
     listens = conditional and not true_materials
     if listens != (material_model is not None):
-        raise BadInput(f"{network_name} {'needs' if listens else 'takes no'} --material-model")
+        raise BadInput(
+            f"{network_name} {'requires' if listens else 'does not take'} --material-model"
+        )
     set_up_torch(threads)
     column = f"split_{split}"
     videos = read_videos(
@@ -328,8 +330,8 @@ def train_network(
             "training_videos": int(training.sum()),
             "training_simulations": len(simulations(videos, training)),
             **training_facts(learner, history),
-            "use": "reads the class off drop-and-drag videos rendered as this dataset was; on "
-            "other videos, real ones included, nothing is known of it",
+            "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
+            "performance on other videos, real ones included, is unknown",
         },
         out,
     )
@@ -361,7 +363,7 @@ def _check_dataset(videos, labels, classes, training, view_order, target, expect
                 f"the configuration {len(values)} ({', '.join(map(str, values))})"
             )
     if len(classes) < 2:
-        raise BadInput(f"{len(classes)} {target} class: there is nothing to tell apart")
+        raise BadInput(f"{len(classes)} {target} class: at least two are required")
     for number, entry in enumerate(classes):
         if not np.any(labels[training] == number):
             raise BadInput(f"{target} class {entry['id']} has no training video")
@@ -369,7 +371,7 @@ def _check_dataset(videos, labels, classes, training, view_order, target, expect
     absent = [name for name in view_order if name not in present]
     if absent:
         raise BadInput(
-            f"the dataset has no training viewpoint {absent[0]!r}; there are: "
+            f"the dataset has no training viewpoint {absent[0]!r}; known: "
             f"{', '.join(sorted(present))}"
         )
     for name in view_order:

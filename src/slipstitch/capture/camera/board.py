@@ -1,4 +1,4 @@
-"""Calibration boards: what they look like, and finding them in an image.
+"""Calibration boards: their geometry, and their detection in an image.
 
 Coordinates on a board, in metres: the origin is the outer corner of its first square, x runs along
 its width, y along its height so that (x, y) looks as in the image of the board, y downwards; z

@@ -1,4 +1,4 @@
-"""From sightings of a board to a camera: lens, reprojection error, and its place at the stage.
+"""From views of a board to a camera: lens, reprojection error, and position at the stage.
 
 The model is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole with two focal
 lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).

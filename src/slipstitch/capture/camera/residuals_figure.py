@@ -1,4 +1,4 @@
-"""A picture of a calibration's residuals: where they point, how they scatter, view by view."""
+"""A plot of the residuals of a calibration: direction, scatter, error per view."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The images that a camera is calibrated from: single files, or frames of a video."""
+"""The images for the calibration of a camera: single files, or frames of a video."""
 
 import os
 from collections.abc import Iterator, Sequence

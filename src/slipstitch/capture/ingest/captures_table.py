@@ -1,4 +1,4 @@
-"""The table of captures: which video shows what, measured how."""
+"""The table of captures: content and reference friction of each video."""
 
 import os
 from dataclasses import dataclass

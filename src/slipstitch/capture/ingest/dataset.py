@@ -1,4 +1,4 @@
-"""Captures as a dataset: the files that simulated videos have, and what is known of each video."""
+"""Captures as a dataset: the same files as for simulated videos, and the data on each video."""
 
 import os
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The surrogate bench: its camera, its inclined plane, what differs from film to film.
+"""The surrogate bench: its camera, its inclined plane, variation between videos.
 
 Nothing of it is known to the networks, and only what a real bench would write down is handed on: a
 calibrated camera with its errors, slip angles, a table of films.

@@ -1,4 +1,4 @@
-"""A surrogate film: simulated, rendered, seen through a lens, exposed, compressed."""
+"""A surrogate video: simulated, rendered, distorted by a lens, exposed, compressed."""
 
 import os
 from collections.abc import Iterator

@@ -54,12 +54,13 @@ def _second_sentence(verdict: dict) -> str:
     gain = verdict["gain"]
     if verdict["verdict"] in ("cause", "confounded"):
         return (
-            "On specimens that it has not seen, the extended model gains "
-            f"{with_interval(gain['estimate'], gain['ci95'])} in log score a row; its error falls "
-            f"from {100 * gain['rmse_null']:.1f} to {100 * gain['rmse_extended']:.1f} % "
-            f"({gain['n_groups']} specimens left out one by one, the choice repeated each time)."
+            "On unseen specimens, the extended model gains "
+            f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row; the error "
+            f"falls from {100 * gain['rmse_null']:.1f} to {100 * gain['rmse_extended']:.1f} % "
+            f"({gain['n_groups']} specimens held out one by one, with the selection repeated "
+            "each time)."
         )
     if verdict["verdict"] == "unknown":
         return verdict["reason"].capitalize() + "."
     p = verdict["null"]["global_p"]
-    return f"Family-wise p of the plain model over all tests made: {p:.3g}."
+    return f"Family-wise p of the plain model over all tests: {p:.3g}."
