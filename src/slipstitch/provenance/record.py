@@ -24,11 +24,13 @@ DIGEST_KEY = b"slipstitch_sha256"
 # A checksum a page: damage is noticed when a file is read (slipstitch.provenance.reading).
 WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 RECORDED_PACKAGES = (
+    "av",
     "bpy",
     "cvxopt",
     "numpy",
     "opencv-python-headless",
     "pandas",
+    "pillow",
     "pyarrow",
     "pydantic",
     "safetensors",
