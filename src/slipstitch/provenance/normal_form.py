@@ -8,8 +8,8 @@ The text is written from the syntax tree. Left out are
   arguments, as a caught error may hand on values. No code decides by the wording of an error.
   Likewise Slipstitch's own errors where they are made, and what is printed to ``sys.stderr``;
 - the words of settings and options: ``description``, ``title`` and ``examples`` of pydantic's
-  ``Field``, and ``help``, ``metavar``, ``description`` and ``epilog`` of argparse; those of progress
-  bars.
+  ``Field``, and ``help``, ``metavar``, ``description`` and ``epilog`` of argparse; those of
+  progress bars.
 
 Other printed lines and the words of pages and tables stay: they are in results.
 """
