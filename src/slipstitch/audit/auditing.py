@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 from slipstitch.audit.contents import read_contents
+from slipstitch.audit.derived import check_derived
 from slipstitch.audit.files import check_files
 from slipstitch.audit.findings import Audit, Finding, Kind, sorted_findings
 from slipstitch.audit.lineage_check import check_lineage
@@ -42,8 +43,10 @@ def audit_release(
         findings.append(Finding(Kind.ALTERED, SUMS, what, tuple(contents.clips)))
     of_files, numbers, shards = check_files(contents, jobs)
     of_lineage, notes = check_lineage(contents, shards)
+    of_itself, unmade = check_derived(contents)
     of_commits, more = check_commits(contents, Path(__file__).resolve().parents[3])
-    findings += [*of_files, *of_lineage, *of_commits, *check_staleness(contents, config)]
+    findings += [*of_files, *of_lineage, *of_itself, *of_commits]
+    findings += check_staleness(contents, config)
     cost = {
         "clips": len(contents.clips),
         "wall_s": round(time.perf_counter() - wall, 2),
@@ -56,6 +59,6 @@ def audit_release(
         sums_sha256=contents.sums_sha256,
         numbers=numbers | cost,
         findings=sorted_findings(findings),
-        notes=notes + more,
+        notes=[*notes, *unmade, *more],
         clips=contents.clips,
     )

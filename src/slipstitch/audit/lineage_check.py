@@ -23,7 +23,7 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
-from slipstitch.release.assembly import RELEASE_RECORD
+from slipstitch.release.records import RELEASE_RECORD
 from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import (
     catalogue_changes,
