@@ -65,7 +65,9 @@ def check_entries(folder: Path) -> None:
                     waiting.append((Path(entry.path), depth + 1))
                     continue
                 if not stat.S_ISREG(status.st_mode):
-                    kind = next((k for test, k in _KINDS.items() if test(status.st_mode)), "no file")
+                    kind = next(
+                        (k for test, k in _KINDS.items() if test(status.st_mode)), "no file"
+                    )
                     raise BadInput(
                         f"{folder}: {name} is {kind}; a release holds plain files only "
                         "(a folder of links: copy it with cp -rL)"

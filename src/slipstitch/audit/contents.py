@@ -31,7 +31,6 @@ from slipstitch.release.records import (
     record_file,
 )
 
-
 FRAMES_MAX = 1_000_000
 
 

@@ -26,9 +26,9 @@ from slipstitch.errors import SlipstitchError
 from slipstitch.provenance import file_digest
 from slipstitch.provenance.reading import load_yaml
 from slipstitch.release import card, crate, croissant, previews
-from slipstitch.release.checksums import SUMS, files_below
-from slipstitch.release.code import CODE, COPIED, SOURCES
-from slipstitch.release.currency import current_digest
+from slipstitch.release.checksums import SUMS
+from slipstitch.release.code import CODE, COPIED, SOURCES, locked_versions
+from slipstitch.release.currency import current_digest, other_versions
 from slipstitch.release.description import CITATION, card_of, facts_of, sides_of_parts
 from slipstitch.release.manifest import MANIFEST, notes_of, released_schema
 from slipstitch.release.records import (
@@ -204,6 +204,8 @@ def _facts(contents: Contents) -> Iterator[Finding]:
     for key, value in expected_record.items():
         if record.get(key) != value:
             yield Finding(Kind.BROKEN, RELEASE_RECORD, f"its {key} is not what the release has")
+    for problem in other_versions(record, locked_versions(contents.folder / CODE)):
+        yield Finding(Kind.BROKEN, RELEASE_RECORD, problem)
 
 
 def _card(contents: Contents, drawn: Mapping[str, tuple[str, Any]]) -> Iterator[Finding]:
@@ -271,9 +273,7 @@ def _first_difference(expected: Any, found: Any, where: str) -> str:
     return where
 
 
-def _previews(
-    contents: Contents, drawn: dict[str, tuple[str, Image.Image]]
-) -> Iterator[Finding]:
+def _previews(contents: Contents, drawn: dict[str, tuple[str, Image.Image]]) -> Iterator[Finding]:
     drawn |= previews.draw_previews(contents.folder, contents.rows)
     versions = contents.release["provenance"]["versions"]
     same_letters = versions.get("pillow") == Image.__version__

@@ -268,10 +268,8 @@ def _base(root: str | Path | None) -> Path:
     return Path(root) if root is not None else Path(__file__).resolve().parents[2]
 
 
-def _contents(stage: str, root: str | Path | None) -> dict[Path, bytes]:
+def _contents(modules: dict[str, Path], base: Path) -> dict[Path, bytes]:
     """What counts of each file, sorted by the files' paths below the root."""
-    base = _base(root)
-    modules = _modules(stage, base)
     contents = {path: path.read_bytes() for path in _data_files(modules, base)}
     for name, source in modules.items():
         form = without_entries if _is_in(name, CATALOGUES) else normal_form
@@ -298,7 +296,8 @@ def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     ModuleNotFoundError
         If there is no such package.
     """
-    return list(_contents(stage, root))
+    base = _base(root)
+    return list(_contents(_modules(stage, base), base))
 
 
 def _foreign(modules: Mapping[str, Path]) -> set[str]:
@@ -336,11 +335,12 @@ def code_digest(
     """
     base = _base(root)
     digest = hashlib.sha256()
-    for file, content in _contents(stage, base).items():
+    modules = _modules(stage, base)
+    for file, content in _contents(modules, base).items():
         digest.update(f"{file.relative_to(base).as_posix()}\0{len(content)}\0".encode())
         digest.update(content)
     stated = None if versions is None else dict(versions)
-    for package in sorted(_foreign(_modules(stage, base))):
+    for package in sorted(_foreign(modules)):
         version = _installed(package) if stated is None else stated.get(package, "none")
         digest.update(f"{package}=={version.partition('+')[0]}\0".encode())
     return digest.hexdigest()

@@ -16,12 +16,13 @@ from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.release.card import CARD
 from slipstitch.release.checksums import SUMS, files_below, write_sums
-from slipstitch.release.code import check_project, copy_code
+from slipstitch.release.code import check_project, copy_code, locked_versions
 from slipstitch.release.currency import (
     calibrated_by,
     catalogue_changes,
     config_changes,
     current_digest,
+    other_versions,
 )
 from slipstitch.release.description import card_of, facts_of
 from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
@@ -67,11 +68,14 @@ def release_date() -> str:
         raise BadInput(f"SOURCE_DATE_EPOCH={epoch}: must be a number of seconds") from None
 
 
-def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path) -> None:
+def check_current(
+    artefacts: Mapping[str, Artefact], config: Config, root: Path, lock: Mapping[str, str]
+) -> None:
     """Refuse to release what code, configuration or catalogue would not make now.
 
     Simulations are held against what they were told to use: the configuration with the settings
-    that the calibration (below `root`) chose.
+    that the calibration (below `root`) chose. Versions must be those of the `lock`, by which others
+    make the same again.
 
     Raises
     ------
@@ -86,6 +90,10 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path)
             raise BadInput(
                 f"{artefact.path}: made by other code of the stage {artefact.stage}; bring the "
                 "results up to date with: snakemake --cores 2 sample"
+            )
+        for problem in other_versions(artefact.record, lock):
+            raise BadInput(
+                f"{artefact.path}: {problem}; install these, or bring the lock up to date"
             )
         changes = config_changes(artefact, config, calibrated)
         if changes:
@@ -155,7 +163,7 @@ def write_release(
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
     artefacts = collect(made, results.parent, _outside(config))
-    check_current(artefacts, config, results.parent)
+    check_current(artefacts, config, results.parent, locked_versions(project))
     _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
     try:
         with atomic_path(out) as folder:
