@@ -163,7 +163,7 @@ def test_versions_that_change_results_count_where_they_are_imported(tree, monkey
     law = tree / "slipstitch/material/law.py"
     law.write_text(law.read_text() + "\nimport warp as wp\nimport numpy\n", encoding="utf-8")
     before = digest("render", tree), digest("train", tree)
-    monkeypatch.setattr(code, "_installed", lambda package: "9.9+cu128")
+    monkeypatch.setattr(code, "installed_version", lambda package: "9.9+cu128")
     after = digest("render", tree), digest("train", tree)
     assert after[0] != before[0]
     assert after[1] == before[1]

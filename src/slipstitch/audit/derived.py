@@ -10,7 +10,6 @@ import io
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,11 +22,10 @@ from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.png import png_problem
 from slipstitch.config.grid import grid_table
 from slipstitch.errors import SlipstitchError
-from slipstitch.provenance import file_digest
 from slipstitch.provenance.reading import load_yaml
 from slipstitch.release import card, crate, croissant, previews
 from slipstitch.release.checksums import SUMS
-from slipstitch.release.code import CODE, COPIED, SOURCES, locked_versions
+from slipstitch.release.code import CODE, COPIED, locked_versions
 from slipstitch.release.currency import current_digest, other_versions
 from slipstitch.release.description import CITATION, card_of, facts_of, sides_of_parts
 from slipstitch.release.manifest import MANIFEST, notes_of, released_schema
@@ -289,16 +287,3 @@ def _previews(contents: Contents, drawn: dict[str, tuple[str, Image.Image]]) -> 
             found = np.asarray(image)
         if not np.array_equal(found[top:, left:], np.asarray(picture)[top:, left:]):
             yield Finding(Kind.BROKEN, path, "does not show the images of the shards")
-
-
-def check_copies_of_code(contents: Contents, checkout: Path) -> list[Finding]:
-    """Workflow and lock in ``code/`` against a checkout whose sources compute the same."""
-    findings = []
-    for name in sorted(contents.sums):
-        inside = name.removeprefix(f"{CODE}/")
-        if inside == name or name.startswith(f"{SOURCES}/"):
-            continue
-        there = checkout / inside
-        if not there.is_file() or file_digest(there) != file_digest(contents.folder / name):
-            findings.append(Finding(Kind.STALE, name, "is not the one of the installed workflow"))
-    return findings

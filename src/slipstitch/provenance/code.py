@@ -310,11 +310,12 @@ def _foreign(modules: Mapping[str, Path]) -> set[str]:
 
 
 @functools.cache
-def _installed(package: str) -> str:
+def installed_version(package: str) -> str | None:
+    """Version of an installed package; None if it is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "none"
+        return None
 
 
 @functools.cache
@@ -341,6 +342,6 @@ def code_digest(
         digest.update(content)
     stated = None if versions is None else dict(versions)
     for package in sorted(_foreign(modules)):
-        version = _installed(package) if stated is None else stated.get(package, "none")
-        digest.update(f"{package}=={version.partition('+')[0]}\0".encode())
+        version = installed_version(package) if stated is None else stated.get(package)
+        digest.update(f"{package}=={str(version).partition('+')[0]}\0".encode())
     return digest.hexdigest()

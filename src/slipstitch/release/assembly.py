@@ -15,7 +15,7 @@ from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.release.card import CARD
-from slipstitch.release.checksums import SUMS, files_below, write_sums
+from slipstitch.release.checksums import SIGNATURE, SUMS, files_below, write_sums
 from slipstitch.release.code import check_project, copy_code, locked_versions
 from slipstitch.release.currency import (
     calibrated_by,
@@ -40,6 +40,7 @@ from slipstitch.release.records import (
     write_record,
 )
 from slipstitch.release.shards import write_shards
+from slipstitch.release.signature import check_key, sign
 from slipstitch.release.splits import parts, split_columns
 from slipstitch.sample.manifest import MANIFEST_SCHEMA, read_manifest
 
@@ -129,7 +130,11 @@ def _check_room(out: Path, needed: float) -> None:
 
 
 def write_release(
-    config: Config, results: str | os.PathLike, out: str | os.PathLike, project: str | os.PathLike
+    config: Config,
+    results: str | os.PathLike,
+    out: str | os.PathLike,
+    project: str | os.PathLike,
+    key: str | os.PathLike | None = None,
 ) -> Released:
     """Write a release of the sampled dataset.
 
@@ -143,6 +148,8 @@ def write_release(
         The release; must not exist yet.
     project : path
         Checkout of the code that runs.
+    key : path, optional
+        SSH key to sign it with.
 
     Raises
     ------
@@ -156,6 +163,8 @@ def write_release(
     if results.resolve().name != "results":
         raise BadInput(f"{results}: not a folder named results, as the records call it")
     _check_target(out)
+    if key is not None:
+        check_key(key)
     project = check_project(project)
     sample = results / "sample"
     sampled, _ = read_manifest(sample)
@@ -168,7 +177,7 @@ def write_release(
     try:
         with atomic_path(out) as folder:
             folder.mkdir()
-            return _fill(folder, config, results, sampled, artefacts, project, started)
+            return _fill(folder, config, results, sampled, artefacts, project, started, key)
     except OSError as error:
         raise SlipstitchError(f"{out}: cannot be written: {error.strerror or error}") from None
 
@@ -181,6 +190,7 @@ def _fill(
     artefacts: dict[str, Artefact],
     project: Path,
     started: tuple[float, float],
+    key: str | os.PathLike | None,
 ) -> Released:
     sample = results / "sample"
     splits = split_columns(sampled, config.release.unseen_share, config.seed)
@@ -221,6 +231,9 @@ def _fill(
     _write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
     digest = write_sums(folder)
     files = [*files_below(folder), SUMS]
+    if key is not None:
+        sign(folder, key)
+        files.append(SIGNATURE)
     for name in files:
         (folder / name).chmod(0o444)
     return Released(

@@ -12,7 +12,7 @@ SOURCES = f"{CODE}/src"
 _NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff", "src/slipstitch")
 _TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
 #: Files and folders of a checkout that a release carries.
-COPIED = (*_NEEDED, *_TOO)
+COPIED = (*_NEEDED, *_TOO, "src/slipstitch")
 LOCK = "envs/requirements.lock"
 _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~", ".*")
 
@@ -49,7 +49,7 @@ def check_project(project: str | os.PathLike) -> Path:
 def copy_code(project: Path, release: Path) -> None:
     """Copy workflow and sources to ``code/`` in the release, licence and citation beside it."""
     target = release / CODE
-    for name in COPIED:
+    for name in (*_NEEDED, *_TOO):
         source, copy = project / name, target / name
         copy.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():

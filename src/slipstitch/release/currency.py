@@ -49,7 +49,7 @@ def current_digest(
     """
     stated = None
     if versions is not None:
-        counting = (str(versions.get(package, "none")) for package in _RESULT_PACKAGES)
+        counting = (str(versions.get(package)) for package in _RESULT_PACKAGES)
         stated = tuple(zip(_RESULT_PACKAGES, counting, strict=True))
     try:
         return code_digest(stage, root, stated) if stage else None
