@@ -21,6 +21,8 @@ from slipstitch.config.grid import simulations, viewpoints, write_grid
 from slipstitch.provenance import file_digest, provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.encoding import encode_png
+from slipstitch.render.packing import Job
+from slipstitch.render.shards import Rectifier
 from slipstitch.render.shots import camera_record, shots
 from slipstitch.render.surroundings import draw_surroundings
 from slipstitch.render.verification import (
@@ -157,7 +159,7 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             "augmentation": {
                 key: draw_augmentation(settings, *words[key]).record() for key in textures
             },
-            "camera": _cameras(config, names[view], trajectory_path, of_grid[simulation].seed),
+            **_cameras(config, view, trajectory_path, of_grid[simulation].seed),
             "smallest_share_of_cloth_in_image": 0.9,
             "trajectory_sha256": file_digest(trajectory_path),
         }
@@ -170,14 +172,18 @@ def _write_render(config: Config, results: Path) -> list[Path]:
     return paths
 
 
-def _cameras(config: Config, viewpoint: str, trajectory_path: Path, seed: int) -> dict:
+def _cameras(config: Config, view: str, trajectory_path: Path, seed: int) -> dict:
     """The cameras of a trajectory whose clamps move as the bench's do."""
     trajectory = read_trajectory(trajectory_path)
     x_m, z_m = StagePath().position_m(trajectory.time_s)
     z_m = z_m + draw_perturbation(config.simulation, seed).height_m
     on_path = replace(trajectory, stage_x_m=x_m, stage_z_m=z_m)
-    wanted = shots(on_path, viewpoint, config.render, config.sample.frames_kept)
-    return camera_record(wanted, config.render)
+    job = Job.of(config, trajectory_path, view)
+    wanted = shots(on_path, job.viewpoint, config.render, job.frames_sampled, job.bench_camera)
+    return {
+        "camera": camera_record(wanted, config.render, job.bench_camera),
+        "pose": Rectifier.of(job, on_path).pose(wanted),
+    }
 
 
 def _write_verification(config: Config, results: Path, shards: list[Path]) -> None:

@@ -169,7 +169,10 @@ def _verification(
         least = LEAST_PSNR_DB[row["floor_reflectance"] > 0]
         if (one["floor"], one["least_psnr_db"]) != (row["floor"], least):
             yield f"{where}: floor or demand is not that of the clip"
-        images = [_decoded(one[key], row["pixels"]) for key in ("composed_png", "direct_png")]
+        images = [_decoded(one[key]) for key in ("composed_png", "direct_png")]
+        if images[0].shape != images[1].shape:
+            yield f"{where}: its two images are of different sizes"
+            continue
         again = {"psnr_db": psnr_db(*images), "ssim": ssim(*images)}
         for key, value in again.items():
             if not abs(one[key] - value) <= _NEAR * abs(value):
@@ -178,7 +181,7 @@ def _verification(
         if not (good and one["as_stored"] is True and one["passed"] is True):
             yield f"{where}: is not near enough to the direct render"
         released = _released(contents, config, one, shards)
-        if released is not None and not _photographed(one, released, images[0], config, row):
+        if released is not None and not _photographed(contents, config, one, released, images[0]):
             yield f"{where}: the image that was compared is not the released one"
 
 
@@ -210,10 +213,10 @@ def _drawn(config: Config) -> list[tuple[str, int]]:
     return found
 
 
-def _decoded(text: str, pixels: int) -> np.ndarray:
-    """Image (pixels, pixels, 3) uint8, red first."""
+def _decoded(text: str) -> np.ndarray:
+    """Image (rows, columns, 3) uint8, red first."""
     data = base64.b64decode(text, validate=True)
-    problem = png_problem(data, (pixels, pixels))
+    problem = png_problem(data)
     if problem:
         raise ValueError(f"an image {problem}")
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
@@ -235,13 +238,24 @@ def _released(
     return reader(contents.folder)(row, frames.index(one["frame"]))
 
 
-def _photographed(one, released: np.ndarray, composed: np.ndarray, config: Config, row) -> bool:
+def _photographed(
+    contents: Contents, config: Config, one, released: np.ndarray, composed: np.ndarray
+) -> bool:
     """Whether the camera of a clip can have made the released image of the composed one."""
+    from slipstitch.audit.cameras import Cameras
+    from slipstitch.config.grid import find_simulation
     from slipstitch.render.augmentation import draw_augmentation
     from slipstitch.render.verification import psnr_db
 
+    row = contents.row_of[one["video"]]
+    simulation = find_simulation(config, row["simulation"])
+    cameras = Cameras(contents.folder, config, simulation, row["viewpoint_id"])
+    shot = next(shot for shot in cameras.shots if shot.frame == one["frame"])
+    if composed.shape[:2] != (shot.camera.rows or shot.camera.pixels, shot.camera.pixels):
+        return False
+    expected = cameras.rectify(composed, shot)
     words = (row["simulation"], row["texture"], row["viewpoint"])
     camera = draw_augmentation(config.render.augmentation, config.seed, *words)
     if camera.noise == 0 and camera.jpeg_quality == 100:
-        return np.array_equal(released, composed)
-    return psnr_db(released, composed) >= _AS_PHOTOGRAPHED_DB
+        return np.array_equal(released, expected)
+    return psnr_db(released, expected) >= _AS_PHOTOGRAPHED_DB

@@ -230,6 +230,11 @@ def _recomputed(
         if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
             what = f"{video}: no rendering or no simulation stands behind it"
             yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
+        for record in lineage.of_stage(row, "render"):
+            pose = record.metadata.get("pose")
+            if pose != {n[5:]: value for n, value in row.items() if n.startswith("pose_")}:
+                what = f"{video}: its pose is not the one that its images were rendered from"
+                yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
         if "render" not in stale:
             yield from _drawn(config, row)
     missing = sorted(set(expected) - set(contents.clips))

@@ -16,14 +16,14 @@ import numpy as np
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
-from slipstitch.bench.stage_path import SIDE_M, TAB_M, StagePath
+from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.release.code import CODE, locked_versions
 from slipstitch.release.currency import CALIBRATION, calibrated_simulation, other_versions
-from slipstitch.release.records import VERIFICATION, Artefact, carried_file, is_ours, record_file
+from slipstitch.release.records import VERIFICATION, Artefact, is_ours, record_file
 
 # Where a stage writes; the first that fits.
 STAGES = {
@@ -248,6 +248,7 @@ def _rendered(
     artefact: Artefact, contents: Contents, config: Config, grid: Mapping[str, Simulation]
 ) -> Iterator[str]:
     """The metadata of a shard of images or of a shading pack."""
+    from slipstitch.audit.cameras import Cameras
     from slipstitch.render.augmentation import draw_augmentation
     from slipstitch.render.surroundings import draw_surroundings
 
@@ -256,17 +257,19 @@ def _rendered(
     name = config.render.viewpoint_ids()[view]
     trajectory = f"results/simulate/{simulation.id}.parquet"
     textures = config.render.texture_ids()
+    cameras = Cameras(contents.folder, config, simulation, view)
     expected = {
         "simulation": simulation.id,
         "viewpoint": {"id": view, "name": name},
         "surroundings": draw_surroundings(config.render, config.seed, simulation.id).record(),
-        "camera": _cameras(contents, config, simulation, name),
+        "camera": cameras.record(),
         "trajectory_sha256": artefact.inputs.get(trajectory),
     }
     if artefact.stage == "render":
         settings = config.render.augmentation
         words = {key: (config.seed, simulation.id, textures[key], name) for key in textures}
         expected |= {
+            "pose": cameras.pose(),
             "textures": textures,
             "augmentation": {
                 key: draw_augmentation(settings, *words[key]).record() for key in textures
@@ -277,31 +280,3 @@ def _rendered(
     if not isinstance(share, int | float) or not 0 <= share <= 1:
         yield "does not say what share of the cloth is in its images"
     yield from _differing(metadata, _plain(expected))
-
-
-def _cameras(
-    contents: Contents, config: Config, simulation: Simulation, viewpoint: str
-) -> dict[str, Any]:
-    """The cameras of a viewpoint: they follow the stage, whatever the cloth does."""
-    from slipstitch.render.shots import camera_record, shots
-    from slipstitch.simulate.drop_and_drag import draw_perturbation
-    from slipstitch.simulate.trajectory import Trajectory
-
-    settings = config.simulation
-    count = settings.frames
-    times_s = np.arange(count) / settings.frame_rate_hz
-    x_m, z_m = StagePath(**dict(settings.stage)).position_m(times_s)
-    z_m = z_m + draw_perturbation(settings, simulation.seed).height_m
-    # The size of the cloth follows from its corners.
-    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1.0)])
-    rest_m = SIDE_M * np.column_stack([np.zeros(4), corners * [1, -1]])
-    bare = Trajectory(
-        rest_m, corners, np.zeros((1, 3), int), np.zeros(1, int), np.arange(count), times_s, x_m,
-        z_m, np.zeros((count, 4, 3), np.float32),
-    )  # fmt: skip
-    render = config.render
-    if render.camera:
-        carried = contents.folder / carried_file(Path(render.camera).name)
-        render = render.model_copy(update={"camera": str(carried)})
-    wanted = shots(bare, viewpoint, render, config.sample.frames_kept)
-    return camera_record(wanted, render)
