@@ -136,7 +136,7 @@ def _read(contents: Contents, name: str, read) -> None:
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:
-    odd = check_parquet(path, None, images=False)
+    odd = check_parquet(path, images=False)
     if odd:
         contents.findings.append(Finding(Kind.BROKEN, MANIFEST, odd))
     schema = pq.read_schema(path)
