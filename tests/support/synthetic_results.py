@@ -98,6 +98,10 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
     both = config.calibrate, config.simulation
     trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
     result["strip"] = strip_calibration(*both, trials, protocol_answer)
+    if chosen:  # the trial with these settings, as if the configured had failed
+        trials = result["strip"]["trials"]
+        tried = next(t for t in trials if t["settings"] == trials[0]["settings"] | chosen)
+        result["strip"]["chosen"] |= {k: v for k, v in tried.items() if k != "runs"}
     result["settings"] |= chosen or {}
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     write_calibration(result, path, provenance_record("calibrate", config=sections))

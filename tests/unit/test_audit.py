@@ -427,7 +427,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
 
 def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     """The chain's calibration chose other settings than configured: released, intact, not stale."""
-    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0, "halvings_max": 9})
+    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0})
     out = tmp_path / "release"
     write_release(CONFIG, results, out, ROOT)
     contents = read_contents(out)

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,22 +12,26 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slipstitch.audit.admission import check_entries, check_parquet, short_texts, text_columns
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.config import Config, load_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata
-from slipstitch.release.assembly import CONFIG, RELEASE_RECORD
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.currency import calibrated_by
 from slipstitch.release.manifest import MANIFEST
 from slipstitch.release.records import (
+    CONFIG,
     RECORD_SUFFIX,
     RECORDS,
+    RELEASE_RECORD,
     Artefact,
     carried_file,
     read_record,
     record_file,
 )
+
+FRAMES_MAX = 1_000_000
 
 
 @dataclass
@@ -39,6 +44,7 @@ class Contents:
     notes: dict[str, Any] = field(default_factory=dict)
     artefacts: dict[str, Artefact] = field(default_factory=dict)
     release: dict[str, Any] = field(default_factory=dict)
+    schema: pa.Schema | None = None
     config: Config | None = None
     findings: list[Finding] = field(default_factory=list)
 
@@ -93,10 +99,13 @@ def read_contents(folder: Path) -> Contents:
     Raises
     ------
     BadInput
-        If the folder is not there or no release: a foreign folder, or one half written.
+        If the folder is not there or no release: a foreign folder, one half written, or one that
+        cannot be read without harm.
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
+    if os.path.lexists(folder / SUMS):
+        check_entries(folder)
     contents = Contents(folder, dict(read_sums(folder)))
     for name in (MANIFEST, RELEASE_RECORD, CONFIG):
         if name not in contents.sums:
@@ -119,20 +128,30 @@ def _read(contents: Contents, name: str, read) -> None:
     except BadInput as error:
         what = str(error).removeprefix(f"{contents.folder}/")
         contents.findings.append(Finding(Kind.BROKEN, name, what))
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+    except RecursionError:
+        contents.findings.append(Finding(Kind.BROKEN, name, "cannot be read: nested too deeply"))
+    except (OSError, ValueError, KeyError, TypeError, MemoryError, pa.ArrowException) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         contents.findings.append(Finding(Kind.BROKEN, name, f"cannot be read: {what}"))
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:
+    odd = check_parquet(path, images=False)
+    if odd:
+        contents.findings.append(Finding(Kind.BROKEN, MANIFEST, odd))
     schema = pq.read_schema(path)
     for column, kind in NEEDED_COLUMNS.items():
         if column not in schema.names or schema.field(column).type != kind:
             raise ValueError(f"no column {column!r} of type {kind}")
+    contents.schema = schema
     contents.notes = read_metadata(schema)
-    rows = pq.read_table(path).to_pylist()
+    table = pq.read_table(path, read_dictionary=text_columns(path))
+    short_texts(table, path)
+    rows = table.to_pylist()
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
-        raise ValueError("missing value")
+        raise ValueError("a value is missing")
+    if any(not 0 < row["frames"] <= FRAMES_MAX for row in rows):
+        raise ValueError(f"a video of no images, or of more than {FRAMES_MAX}")
     if len({row["video"] for row in rows}) != len(rows):
         raise ValueError("duplicate video")
     contents.rows = rows

@@ -26,6 +26,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--explain", metavar="CLIP", help="instead: trace one clip back to its origin"
     )
     parser.add_argument(
+        "--verify",
+        type=Path,
+        metavar="ALLOWED_SIGNERS",
+        help="who may have signed it: a file of lines NAME PUBLIC_KEY, as for ssh-keygen -Y",
+    )
+    parser.add_argument(
         "--rebuild",
         metavar="CLIP",
         help="instead: simulate and render one clip from its record and compare the pixels",
@@ -106,7 +112,9 @@ def _audit(arguments: argparse.Namespace) -> int:
     from slipstitch.config import load_config
 
     config = load_config(*arguments.config) if arguments.config else None
-    audit = audit_release(arguments.release, config, arguments.expect, arguments.jobs)
+    audit = audit_release(
+        arguments.release, config, arguments.expect, arguments.jobs, arguments.verify
+    )
     _write(json.dumps(audit.as_json(), indent=1), arguments.json)
     if arguments.page:
         write_page(audit, Path(arguments.page))

@@ -26,6 +26,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=Path(__file__).resolve().parents[3],
         help="checkout of Slipstitch (default: the running one)",
     )
+    parser.add_argument(
+        "--sign",
+        metavar="KEY",
+        help="SSH key to sign it with; slipstitch audit --verify checks the signature",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -34,7 +39,11 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.release.assembly import write_release
 
     done = write_release(
-        load_config(*arguments.config), arguments.results, arguments.out_dir, arguments.project
+        load_config(*arguments.config),
+        arguments.results,
+        arguments.out_dir,
+        arguments.project,
+        arguments.sign,
     )
     print(
         f"{arguments.out_dir}: {done.videos} videos, {done.images} images, {done.files} files, "

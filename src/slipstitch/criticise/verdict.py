@@ -218,8 +218,9 @@ def sentence(verdict: dict) -> str:
         return f"The model is wrong and no known mechanism explains how{where}."
     if kind == "confounded":
         rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
-        return "The model is wrong, but these data cannot distinguish between these causes: "
-        f"{rivals}."
+        return (
+            f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
+        )
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
         f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"

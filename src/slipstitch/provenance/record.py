@@ -23,12 +23,16 @@ METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
 # A checksum a page: damage is noticed when a file is read (slipstitch.provenance.reading).
 WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
+#: What of a checkout decides about results, beside the configuration, whose values are recorded.
+TRACKED = ("Snakefile", "rules", "envs", "src", "workflow", "LICENSE", "CITATION.cff")
 RECORDED_PACKAGES = (
+    "av",
     "bpy",
     "cvxopt",
     "numpy",
     "opencv-python-headless",
     "pandas",
+    "pillow",
     "pyarrow",
     "pydantic",
     "safetensors",
@@ -70,7 +74,7 @@ def _git() -> tuple[str | None, bool | None]:
     top = ask("rev-parse", "--show-toplevel")
     if top is None or Path(top).resolve() != root:  # installed inside somebody else's checkout
         return None, None
-    changes = ask("status", "--porcelain", "--untracked-files=normal", "--", "src", "rules")
+    changes = ask("status", "--porcelain", "--untracked-files=normal", "--", *TRACKED)
     return ask("rev-parse", "HEAD"), None if changes is None else bool(changes)
 
 

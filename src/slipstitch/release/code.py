@@ -11,7 +11,21 @@ SNAKEFILE = f"{CODE}/Snakefile"
 SOURCES = f"{CODE}/src"
 _NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff", "src/slipstitch")
 _TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
+#: Files and folders of a checkout that a release carries.
+COPIED = (*_NEEDED, *_TOO, "src/slipstitch")
+LOCK = "envs/requirements.lock"
 _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~", ".*")
+
+
+def locked_versions(project: Path) -> dict[str, str]:
+    """Package, in lower case -> version that the project's lock names; empty without one."""
+    try:
+        text = (project / LOCK).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return {}
+    lines = (line.partition(";")[0].strip() for line in text.splitlines())
+    pairs = (line.split("==") for line in lines if line.count("==") == 1 and line[0] != "#")
+    return {name.strip().lower(): version.strip() for name, version in pairs}
 
 
 def check_project(project: str | os.PathLike) -> Path:

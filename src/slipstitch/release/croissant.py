@@ -114,8 +114,8 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
     )
 
 
-def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``croissant.json``; mlcroissant has checked it against the specification then.
+def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
+    """Text of ``croissant.json``; mlcroissant has checked it against the specification then.
 
     Raises
     ------
@@ -126,5 +126,9 @@ def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
         content = croissant(folder, facts).to_json()
     except mlc.ValidationError as error:
         raise SlipstitchError(f"Croissant metadata is not valid: {error}") from None
-    text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
-    (folder / FILE).write_text(text + "\n", encoding="utf-8")
+    return json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n"
+
+
+def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write ``croissant.json``; see `croissant_text`."""
+    (folder / FILE).write_text(croissant_text(folder, facts), encoding="utf-8")

@@ -97,14 +97,21 @@ def released_schema(sampled: pa.Schema, splits: Sequence[str]) -> pa.Schema:
     return pa.schema(fields)
 
 
+def notes_of(
+    rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str]
+) -> dict[str, Any]:
+    """What the release's manifest says of itself."""
+    return {
+        "dataset_digest": dataset_digest(rows),
+        "sampled_columns": sampled.names,
+        "splits": {name: question(name) for name in splits},
+    }
+
+
 def write_manifest(
     rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str], folder: Path
 ) -> None:
     """Write ``manifest.parquet``; nothing in it differs between equal runs."""
     table = pa.Table.from_pylist(list(rows), schema=released_schema(sampled, splits))
-    notes = {
-        "dataset_digest": dataset_digest(rows),
-        "sampled_columns": sampled.names,
-        "splits": {name: question(name) for name in splits},
-    }
+    notes = notes_of(rows, sampled, splits)
     pq.write_table(attach_metadata(table, notes), folder / MANIFEST, compression="zstd")

@@ -16,6 +16,9 @@ from slipstitch.provenance import file_digest, read_metadata, read_parquet, read
 RECORDS = "records"
 #: Written beside the dataset: a sample of its images against direct renders.
 VERIFICATION = "results/render/verification.json"
+CONFIG = f"{RECORDS}/config.json"
+GRID = f"{RECORDS}/grid.parquet"
+RELEASE_RECORD = f"{RECORDS}/release.json"
 RECORD_SUFFIX = ".record.json"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
@@ -64,7 +67,12 @@ class Artefact:
 
 def rows_digest(path: str | os.PathLike) -> str:
     """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
-    table = read_parquet(path).replace_schema_metadata(None)
+    return table_digest(read_parquet(path))
+
+
+def table_digest(table: pa.Table) -> str:
+    """SHA-256 of a table's rows, whatever its metadata and chunks."""
+    table = table.replace_schema_metadata(None)
     sink = hashlib.sha256()
     sink.update(table.schema.to_string().encode())
     for name in table.column_names:
@@ -154,6 +162,23 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
         return found[path]
 
     for path in start:
+        visit(path)
+    return found
+
+
+def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
+    """The same, inputs before what was made from them, whatever order they came in."""
+    found: dict[str, Artefact] = {}
+
+    def visit(path: str) -> None:
+        if path in artefacts and path not in waiting:
+            waiting.add(path)
+            for name in sorted(artefacts[path].inputs):
+                visit(name)
+            found[path] = artefacts[path]
+
+    waiting: set[str] = set()
+    for path in sorted(artefacts):
         visit(path)
     return found
 

@@ -1,5 +1,6 @@
 """Comparison of a random sample of images with direct renders of the textured cloth in Blender."""
 
+import base64
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -20,7 +21,7 @@ from slipstitch.provenance import (
 )
 from slipstitch.render.augmentation import pixel_noise
 from slipstitch.render.composition import compose_light, join
-from slipstitch.render.encoding import encode_srgb
+from slipstitch.render.encoding import encode_png, encode_srgb
 from slipstitch.render.packing import Job, read_pack, usable_trajectory
 from slipstitch.render.preview import decode_image
 from slipstitch.render.shards import SCHEMA, Rectifier, cameras
@@ -48,6 +49,9 @@ class Comparison:
     ssim: float
     least_psnr_db: float
     as_stored: bool
+    #: PNG files, base64: whoever has them can compare again.
+    composed_png: str
+    direct_png: str
 
     @property
     def passed(self) -> bool:
@@ -130,7 +134,14 @@ def compare(
         ssim(composed, reference),
         LEAST_PSNR_DB[pack.surroundings.reflects],
         bool((image[..., ::-1] == again).all()),
+        *(base64.b64encode(encode_png(one)).decode() for one in (composed, reference)),
     )
+
+
+def drawn_rows(seed: int, wanted: int, rows: int) -> list[int]:
+    """Which of the rows of all shards, in the order of their names, are compared."""
+    chosen = generator(seed, "verification").choice(rows, min(wanted, rows), replace=False)
+    return sorted(map(int, chosen))
 
 
 def verify(
@@ -170,9 +181,8 @@ def verify(
             if file.schema_arrow.names != SCHEMA.names:
                 raise BadInput(f"{path}: not an image shard")
             rows += [(path, row) for row in range(file.metadata.num_rows)]
-    rng = generator(config.seed, "verification")
-    count = min(config.render.verified_images, len(rows))
-    chosen = [rows[k] for k in sorted(rng.choice(len(rows), count, replace=False))]
+    drawn = drawn_rows(config.seed, config.render.verified_images, len(rows))
+    chosen = [rows[k] for k in drawn]
     comparisons, inputs = [], set()
     for path, row in progress(chosen):
         simulation = Path(path).stem.rsplit("_", 1)[0]

@@ -106,8 +106,10 @@ def load_checkpoint(
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
         return None, f"{path}: no readable checkpoint; starting from scratch"
     if not same:
-        return None, f"{path}: from another training (data, settings or code differ); starting "
-        "from scratch"
+        return (
+            None,
+            f"{path}: from another training (data, settings or code differ); starting from scratch",
+        )
     network.load_state_dict(
         {
             name.removeprefix("network."): value
