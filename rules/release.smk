@@ -1,4 +1,4 @@
-"""The dataset as a folder to hand out; not part of `all`."""
+"""The dataset as a folder to hand out."""
 
 
 rule release:
@@ -15,8 +15,8 @@ rule release_folder:
         rules.render.input.verification,
         grid="results/grid.parquet",
     output:
-        # Write-protected: a release that was handed out is removed by hand or not at all.
-        protected(directory("results/release")),
+        # Made anew with what is behind it; what is handed out is a copy.
+        directory("results/release"),
     log:
         "results/logs/release/release.log",
     benchmark:

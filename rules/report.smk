@@ -16,6 +16,8 @@ rule report_page:
         dataset=rules.sample.input,
         networks=rules.train.input,
         evaluation=rules.evaluate.input,
+        criticism=rules.criticise.input,
+        audit=rules.audit.input,
     output:
         report(
             "results/report/index.html",
