@@ -8,7 +8,7 @@ rule release:
 
 rule release_folder:
     input:
-        rules.calibrate.input,
+        rules.calibrate_settings.output,
         rules.simulate.input,
         rules.render.input.shards,
         rules.sample.input,

@@ -8,7 +8,7 @@ rule report:
 
 rule report_page:
     input:
-        calibration=rules.calibrate.input,
+        calibration=rules.calibrate_settings.output,
         simulations=rules.simulate.input,
         grid="results/grid.parquet",
         previews=rules.render.input.previews,

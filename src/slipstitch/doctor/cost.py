@@ -233,8 +233,8 @@ def estimate(config: Config) -> list[StageEstimate]:
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        # A job a swept setting, one for the configured settings, one that chooses and checks.
-        StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
+        # A job a swept setting, the configured settings, the choice with its checks, the pictures.
+        StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate(
             "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
         ),
