@@ -236,7 +236,7 @@ def test_the_report_shows_criticism_release_and_audit(results):
     for case in ("paper_on_paper", "surrogate_anisotropic"):
         verdict = json.loads((results / "criticise" / case / "verdict.json").read_text())
         assert verdict["verdict"] in ("cause", "confounded")
-        assert f"../criticise/{case}/index.html" in page
+        assert f"results/criticise/{case}/index.html" in page
     audit = json.loads((results / "audit/audit.json").read_text())
     assert audit["verdict"] == "intact", audit["findings"]
     assert audit["sums_sha256"] == file_digest(results / "release/SHA256SUMS")
