@@ -24,9 +24,10 @@ include: "rules/train.smk"
 include: "rules/instrument.smk"
 include: "rules/evaluate.smk"
 include: "rules/ablate.smk"
-include: "rules/report.smk"
-include: "rules/release.smk"
 include: "rules/criticise.smk"
+include: "rules/release.smk"
+include: "rules/audit.smk"
+include: "rules/report.smk"
 include: "rules/captures.smk"
 include: "rules/status.smk"
 
@@ -43,9 +44,10 @@ localrules:
     instrument,
     evaluate,
     ablate,
-    report,
-    release,
     criticise,
+    release,
+    audit,
+    report,
     captures,
 
 
@@ -66,4 +68,7 @@ rule all:
         rules.train.input,
         rules.instrument.input,
         rules.evaluate.input,
+        rules.criticise.input,
+        rules.release.input,
+        rules.audit.input,
         rules.report.input,

@@ -42,7 +42,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no kill after this time")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary folder by default")
     parser.add_argument("--out", type=Path, help="JSON lines, one a kill")
-    parser.add_argument("--targets", nargs="*", default=["release"], help="besides all")
+    parser.add_argument("--targets", nargs="*", default=[], help="besides all")
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
     began = time.monotonic()

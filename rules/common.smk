@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import sys
+from contextlib import contextmanager
 
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
@@ -15,11 +16,19 @@ from slipstitch.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"
 
-try:
+
+@contextmanager
+def one_line_errors():
+    """Bad input ends the run in one line, without Snakemake's traceback."""
+    try:
+        yield
+    except BadInput as error:
+        print(f"snakemake: error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+with one_line_errors():
     CONFIG = resolve_config(config, sources=("configuration",), words=True)
-except BadInput as error:
-    print(f"snakemake: error: {error}", file=sys.stderr)
-    sys.exit(2)
 
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]

@@ -1,4 +1,4 @@
-"""The dataset as a folder to distribute; not part of `all`."""
+"""The dataset as a folder to distribute."""
 
 
 rule release:
@@ -8,15 +8,15 @@ rule release:
 
 rule release_folder:
     input:
-        rules.calibrate.input,
+        rules.calibrate_settings.output,
         rules.simulate.input,
         rules.render.input.shards,
         rules.sample.input,
         rules.render.input.verification,
         grid="results/grid.parquet",
     output:
-        # Write-protected: a release that was handed out is removed by hand or not at all.
-        protected(directory("results/release")),
+        # Made anew with what is behind it; what is handed out is a copy.
+        directory("results/release"),
     log:
         "results/logs/release/release.log",
     benchmark:

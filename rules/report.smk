@@ -8,7 +8,7 @@ rule report:
 
 rule report_page:
     input:
-        calibration=rules.calibrate.input,
+        calibration=rules.calibrate_settings.output,
         simulations=rules.simulate.input,
         grid="results/grid.parquet",
         previews=rules.render.input.previews,
@@ -16,6 +16,8 @@ rule report_page:
         dataset=rules.sample.input,
         networks=rules.train.input,
         evaluation=rules.evaluate.input,
+        criticism=rules.criticise.input,
+        audit=rules.audit.input,
     output:
         report(
             "results/report/index.html",

@@ -13,6 +13,7 @@ from slipstitch.cli.main import main
 KEYS = {
     "case",
     "spec_version",
+    "about",
     "verdict",
     "causes",
     "alternatives",

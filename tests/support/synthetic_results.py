@@ -22,7 +22,7 @@ from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.config.grid import simulations
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.provenance import provenance_record, write_sidecar
+from slipstitch.provenance import provenance_record, write_json, write_sidecar, write_text
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_videos
@@ -278,6 +278,34 @@ def write_captures(folder: Path, surrogate=True, seeds=(0,)) -> None:
     pq.write_table(pa.Table.from_pylist(rows), out / "predictions.parquet")
 
 
+def write_criticise(config: Config, folder: Path) -> None:
+    """criticise/<case>/, as little of it as the report shows."""
+    for case in config.criticise.cases:
+        out = folder / "criticise" / Path(case).name
+        verdict = {
+            "case": Path(case).name,
+            "about": "Invented.",
+            "verdict": "unknown",
+            "reason": "two shapes are left over",
+            "residual_tests": [{"shape": "a step", "name": "place on the substrate"}],
+        }
+        write_json(out / "verdict.json", verdict)
+        write_json(out / "resimulation.json", {"reason": "no drop-and-drag runs"})
+        write_text(out / "picture.svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>')
+
+
+def write_audit(folder: Path, verdict: str = "intact") -> None:
+    """audit/audit.json, as little of it as the report shows."""
+    content = {
+        "verdict": verdict,
+        "sums_sha256": "5e" * 32,
+        "numbers": {"files": 40, "bytes": 2e6, "images": 90, "clips": 9, "wall_s": 1.5},
+        "counts": {"altered": int(verdict == "damaged"), "stale": 0},
+        "notes": ["no digest of SHA256SUMS from elsewhere was given (--expect)"],
+    }
+    write_json(folder / "audit" / "audit.json", content)
+
+
 def write_benchmarks(config: Config, folder: Path) -> None:
     """benchmarks/*/*.tsv as Snakemake lays them out, invented."""
     columns = ["s", "h:m:s", "max_rss", "max_vms", "max_uss", "max_pss", "io_in", "io_out"]
@@ -301,4 +329,6 @@ def write_all(config: Config, folder: Path) -> None:
     write_render_and_sample(config, folder)
     write_train(folder)
     write_evaluate(config, folder)
+    write_criticise(config, folder)
+    write_audit(folder)
     write_benchmarks(config, folder)

@@ -13,6 +13,7 @@ SOURCE = Path(slipstitch.__file__).parent
 FLOORS = (
     # what happened, and what is wrong
     {"errors", "progress", "threads"},
+    {"project"},
     {"provenance"},
     {"catalogue"},
     # what is known before anything is computed

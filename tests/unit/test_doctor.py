@@ -112,6 +112,7 @@ def test_other_python_is_missing(monkeypatch):
 
 def test_requirements_are_those_of_the_lock():
     direct = checks.pinned_versions(ROOT / "envs/requirements.txt")
+    direct |= checks.pinned_versions(ROOT / "envs/development.txt")
     lock = {
         name.lower(): version
         for name, version in checks.pinned_versions(ROOT / "envs/requirements.lock").items()

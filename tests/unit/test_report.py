@@ -79,6 +79,17 @@ def test_nothing_is_called_missing_where_everything_is_there(page):
     assert "not there" not in text
 
 
+def test_criticism_and_audit_are_shown_and_damage_is_not_hidden(whole, page, tmp_path):
+    text = text_of(page)
+    assert "The model is wrong and no known mechanism explains how" in text
+    assert "clearest trace is a step in the place on the substrate" in text
+    assert "The audit: intact ." in text and "5e" * 32 in text
+    synthetic_results.write_audit(tmp_path, "damaged")
+    shown = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
+    assert "The audit: damaged (altered: 1)." in shown
+    assert "No measured case has been judged." in shown
+
+
 def test_the_result_is_that_of_held_out_simulations_beside_chance(page, whole):
     scores = Results(whole, CONFIG).metrics()["by_simulation"]
     best = max(row["friction_lt_0.1"] for row in scores.values())

@@ -77,7 +77,7 @@ def test_simulations_in_batches_are_a_job_a_batch(workflow):
     assert "simulate_one" not in counts
 
 
-def test_release_is_a_target_of_its_own(workflow):
+def test_a_release_needs_no_network(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "release")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
@@ -140,10 +140,27 @@ def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, probl
     assert "Traceback" not in answer.stdout + answer.stderr
 
 
-def test_measured_cases_are_a_target_of_their_own(workflow):
+def test_measured_cases_need_no_simulation(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "criticise")
     assert answer.returncode == 0, answer.stderr
-    assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 1, "total": 2}
+    assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 2, "total": 3}
+
+
+def test_a_case_is_looked_for_in_the_working_folder_first(workflow):
+    (workflow.folder / "mine" / "linen").mkdir(parents=True)
+    overrides = ("--config", "criticise={cases: [mine/linen, data/cases/paper_on_paper]}")
+    answer = workflow.snakemake("-n", "--printshellcmds", *overrides, "--", "criticise")
+    assert answer.returncode == 0, answer.stderr
+    assert "slipstitch criticise mine/linen " in answer.stdout
+    shipped = workflow.project / "data/cases/paper_on_paper"
+    assert f"slipstitch criticise {shipped} " in answer.stdout
+
+
+def test_a_missing_case_is_one_line(workflow):
+    answer = workflow.snakemake("-n", "--config", "criticise={cases: [gone]}", "--", "criticise")
+    assert answer.returncode == 2
+    said = [line for line in answer.stderr.splitlines() if line]
+    assert said == ["snakemake: error: criticise.cases: gone: no such folder"]
 
 
 def test_surrogate_captures_are_a_target_of_their_own(workflow):

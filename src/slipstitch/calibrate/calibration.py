@@ -21,6 +21,7 @@ from slipstitch.calibrate.choice import (
 from slipstitch.calibrate.experiments import Check, experiments
 from slipstitch.calibrate.sweep import run_settings, sweep, variations
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
@@ -241,6 +242,8 @@ def calibrate_to_file(
     out: str | os.PathLike,
     pictures: Mapping[str, str | os.PathLike],
     sweeps: list[str | os.PathLike] | None = None,
+    *,
+    only_failures: bool = False,
 ) -> dict:
     """Calibrate with a whole configuration and write JSON and pictures.
 
@@ -255,6 +258,8 @@ def calibrate_to_file(
         are drawn also if a demand is not met, then with ``.failed`` before the suffix.
     sweeps : list of path, optional
         What `sweep_to_file` wrote, of all keys; made now if not given.
+    only_failures : bool
+        Leave the drawing to `draw_again` where the demands are met.
 
     Returns
     -------
@@ -291,9 +296,24 @@ def calibrate_to_file(
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
-    _draw(pictures, calibration, record, failed=not calibration["met"])
+    if not (calibration["met"] and only_failures):
+        _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
     return calibration
+
+
+def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike]) -> None:
+    """Draw the pictures of a calibration from its file.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read.
+    """
+    started = start_clock()
+    calibrated_settings(path)  # says what is wrong with it
+    record = provenance_record("calibrate", inputs=[path], started=started)
+    _draw(pictures, read_json(path), record, failed=False)
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:

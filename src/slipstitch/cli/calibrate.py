@@ -13,12 +13,12 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_config(parser)
+    add_config(parser, required=False)
     parser.add_argument(
-        "--out",
-        type=output_file,
-        required=True,
-        help="JSON file with settings and checks (with --sweep: its runs)",
+        "--out", type=output_file, help="JSON file of settings and checks (with --sweep: its runs)"
+    )
+    parser.add_argument(
+        "--draw", metavar="FILE", help="instead: only draw the pictures of this calibration"
     )
     parser.add_argument(
         "--sweep",
@@ -36,23 +36,35 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--settings-picture", type=output_file, help="PNG or SVG: errors by numerical setting"
     )
+    parser.add_argument(
+        "--only-failures",
+        action="store_true",
+        help="draw only where a demand is not met, as NAME.failed.png",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Sweep, choose and check; print one line a setting and a check."""
-    from slipstitch.calibrate.calibration import calibrate_to_file, sweep_to_file
+    from slipstitch.calibrate.calibration import calibrate_to_file, draw_again, sweep_to_file
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.errors import BadInput
 
+    pictures = _pictures(arguments)
+    if arguments.draw:
+        draw_again(arguments.draw, pictures)
+        return
+    if not arguments.config or not arguments.out:
+        raise BadInput("--config and --out are needed, or --draw")
     config = load_config(*arguments.config)
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):
             raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
-    pictures = _pictures(arguments)
-    calibration = calibrate_to_file(config, arguments.out, pictures, arguments.sweeps)
+    calibration = calibrate_to_file(
+        config, arguments.out, pictures, arguments.sweeps, only_failures=arguments.only_failures
+    )
     for trial in calibration["strip"]["trials"]:
         print(_trial_line(trial, calibration["strip"]["chosen"]))
     for check in calibration["checks"]:

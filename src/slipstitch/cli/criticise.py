@@ -22,6 +22,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--report", type=output_file, metavar="FILE", help="the verdict as an HTML page"
     )
     parser.add_argument(
+        "--picture", type=output_file, metavar="FILE", help="what is left over, drawn, as SVG"
+    )
+    parser.add_argument(
         "--model", type=output_file, metavar="FILE", help="the extended model as YAML"
     )
     parser.add_argument(
@@ -61,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.replicates,
         verdict_path=arguments.out,
         page_path=arguments.report,
+        picture_path=arguments.picture,
         model_path=arguments.model,
         resimulation_path=arguments.resimulate,
     )

@@ -23,6 +23,7 @@ from slipstitch.threads import use_one_thread
 # In the order of the chain.
 VERBS = (
     "doctor",
+    "init",
     "calibrate",
     "simulate",
     "render",

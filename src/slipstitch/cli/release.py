@@ -1,9 +1,9 @@
 """slipstitch release: the dataset as a folder to distribute."""
 
 import argparse
-from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_folder
+from slipstitch.project import project_folder
 
 SUMMARY = "write the dataset as a folder to distribute: shards, splits, card, metadata, records"
 EXAMPLE = (
@@ -23,8 +23,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--project",
-        default=Path(__file__).resolve().parents[3],
-        help="checkout of Slipstitch (default: the running one)",
+        default=project_folder(),
+        help="folder of the workflow that was run (default: the one of the package)",
     )
     parser.add_argument(
         "--sign",

@@ -35,6 +35,8 @@ def run(arguments: argparse.Namespace) -> None:
             "sample": context["dataset"],
             "train": context["networks"],
             "evaluate": context["test_sets"],
+            "criticise": context["criticism"],
+            "release": context["release"],
         }.items()
         if not there
     ]

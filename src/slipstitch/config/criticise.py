@@ -12,9 +12,9 @@ class CriticiseSettings(Section):
     """Which measured cases are judged."""
 
     cases: tuple[str, ...] = Field(
-        ("data/cases/surrogate_anisotropic",),
-        description="case folders (docs/measurements.md), relative to the project; a folder's "
-        "name is the case's id",
+        ("data/cases/paper_on_paper", "data/cases/surrogate_anisotropic"),
+        description="case folders (docs/measurements.md), from the working folder on, or ones that "
+        "come with the workflow; a folder's name is the case's id",
     )
 
     @field_validator("cases")

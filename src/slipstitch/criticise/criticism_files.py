@@ -20,6 +20,7 @@ def criticise_to_files(
     *,
     verdict_path: str,
     page_path: str | None,
+    picture_path: str | None,
     model_path: str | None,
     resimulation_path: str | None,
 ) -> str:
@@ -30,8 +31,8 @@ def criticise_to_files(
     case : Case
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
-    verdict_path, page_path, model_path, resimulation_path : path
-        JSON, HTML, YAML, JSON; all but the verdict may be None.
+    verdict_path, page_path, picture_path, model_path, resimulation_path : path
+        JSON, HTML, SVG, YAML, JSON; all but the verdict may be None.
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
@@ -45,10 +46,13 @@ def criticise_to_files(
             again = resimulate(case, verdict)
             summary = again.summary
         write_json(resimulation_path, summary, allow_nan=True)
-    if page_path:
-        from slipstitch.criticise.report import page
+    if page_path or picture_path:
+        from slipstitch.criticise.report import left_over, page
 
-        write_text(page_path, page(verdict, analysis, again))
+        if page_path:
+            write_text(page_path, page(verdict, analysis, again))
+        if picture_path:
+            write_text(picture_path, left_over(verdict, analysis))
     if model_path:
         write_extended_model(verdict, Path(model_path))
     return sentence(verdict)

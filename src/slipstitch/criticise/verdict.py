@@ -30,6 +30,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
+        "about": str(case.meta.get("about", "")),
         "verdict": analysis.verdict,
         "causes": list(analysis.causes),
         "alternatives": [list(c) for c in analysis.alternatives],

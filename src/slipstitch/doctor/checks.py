@@ -12,9 +12,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[3]
-REQUIREMENTS = ROOT / "envs" / "requirements.txt"
-SYSTEM_PACKAGES = ROOT / "envs" / "system-packages.txt"
+from slipstitch.project import project_folder
+
+ENVIRONMENT = project_folder() / "envs"
+REQUIREMENTS = ENVIRONMENT / "requirements.txt"
+SYSTEM_PACKAGES = ENVIRONMENT / "system-packages.txt"
 DISK_NEEDED_BYTES = 2e9
 MEMORY_NEEDED_BYTES = 4e9
 

@@ -92,6 +92,8 @@ COSTS = {
         0.0003, "CPU s an image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
     ),
     "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
+    "audit_s": Cost(0.00045, "CPU s an image", "112 px: 23 CPU s for 51 840 images"),
+    "audit_start_s": Cost(2.0, "CPU s", "smoke chain"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
     "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
     "ingest_film_s": Cost(1.5, "CPU s a film", "97 frames of 160 px: 1.3 s, 1 s of it start"),
@@ -114,6 +116,7 @@ MEMORY_MIB = {
     "criticise": Cost(343, "MiB", "a case of 24 runs"),
     "report": Cost(254, "MiB", "smoke chain"),
     "release": Cost(230, "MiB", "smoke chain"),
+    "audit": Cost(230, "MiB", "smoke chain"),
 }
 MEMORY_MARGIN = 2.0
 
@@ -230,8 +233,8 @@ def estimate(config: Config) -> list[StageEstimate]:
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        # A job a swept setting, one for the configured settings, one that chooses and checks.
-        StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
+        # A job a swept setting, the configured settings, the choice with its checks, the pictures.
+        StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate(
             "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
         ),
@@ -255,12 +258,21 @@ def estimate(config: Config) -> list[StageEstimate]:
         StageEstimate(
             "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
         ),
+        StageEstimate(
+            "criticise",
+            len(config.criticise.cases),
+            len(config.criticise.cases) * _cost("criticise_s"),
+            1e6 * len(config.criticise.cases),
+        ),
+        _release(config),
+        StageEstimate(
+            "audit", 1, _cost("audit_start_s") + sampled * _cost("audit_s"), 1e5 + 30.0 * images
+        ),
         StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
     ]
 
 
-def estimate_release(config: Config) -> StageEstimate:
-    """Cost of a release of the finished dataset; it is not part of the chain."""
+def _release(config: Config) -> StageEstimate:
     runs, views = len(simulations(config)), len(viewpoints(config))
     images = runs * views * len(textures(config)) * config.sample.frames_kept
     shards = runs * (views + 2)
@@ -388,7 +400,7 @@ def job_cpu_s(kind: str, config: Config) -> float:
         return _compose_cpu_s(config)
     if kind == "verify":
         return verification_cpu_s(config)
-    stages = [*estimate(config), estimate_release(config), estimate_ablate(config)]
+    stages = [*estimate(config), estimate_ablate(config)]
     whole = next(stage for stage in stages if stage.stage == kind)
     return whole.cpu_s / whole.jobs
 
@@ -413,8 +425,8 @@ def estimate_line(config: Config) -> str:
 
 
 def estimate_table(config: Config) -> str:
-    """`estimate` as aligned text; release, captures and the line of the whole chain last."""
-    apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
+    """`estimate` as aligned text; ablations, captures and the line of the whole chain last."""
+    apart = [estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
         (stage.stage, str(stage.jobs), _time(stage.cpu_s), size(stage.disk_bytes))
         for stage in [*estimate(config), *apart]

@@ -5,11 +5,13 @@ import shutil
 from pathlib import Path
 
 from slipstitch.errors import BadInput
+from slipstitch.project import PACKAGE
 
 CODE = "code"
 SNAKEFILE = f"{CODE}/Snakefile"
 SOURCES = f"{CODE}/src"
-_NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff", "src/slipstitch")
+_PACKAGE = "src/slipstitch"
+_NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff")
 _TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
 #: Files and folders of a checkout that a release carries.
 COPIED = (*_NEEDED, *_TOO, "src/slipstitch")
@@ -29,28 +31,28 @@ def locked_versions(project: Path) -> dict[str, str]:
 
 
 def check_project(project: str | os.PathLike) -> Path:
-    """The project's folder.
+    """The folder of the Snakefile.
 
     Raises
     ------
     BadInput
-        If it is not the checkout that the running code comes from.
+        If it is none, or a checkout that the running code does not come from.
     """
     folder = Path(project).resolve()
     for name in _NEEDED:
         if not (folder / name).exists():
-            raise BadInput(f"{project}: not a checkout of Slipstitch: no {name}")
-    running = Path(__file__).resolve().parents[3]
-    if folder != running:
-        raise BadInput(f"{project}: the running code is in another folder ({running.name})")
+            raise BadInput(f"{project}: no workflow folder of Slipstitch: it has no {name}")
+    if (folder / _PACKAGE).exists() and (folder / _PACKAGE).resolve() != PACKAGE:
+        raise BadInput(f"{project}: the code that runs comes from another folder")
     return folder
 
 
 def copy_code(project: Path, release: Path) -> None:
     """Copy workflow and sources to ``code/`` in the release, licence and citation beside it."""
     target = release / CODE
-    for name in (*_NEEDED, *_TOO):
-        source, copy = project / name, target / name
+    sources = {name: project / name for name in (*_NEEDED, *_TOO)} | {_PACKAGE: PACKAGE}
+    for name, source in sources.items():
+        copy = target / name
         copy.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
             shutil.copytree(source, copy, ignore=_IGNORED, copy_function=shutil.copyfile)

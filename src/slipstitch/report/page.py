@@ -20,6 +20,7 @@ from slipstitch.provenance import provenance_record, start_clock, write_text
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import captures_section
 from slipstitch.report.cost import cost_section
+from slipstitch.report.criticism import criticism_section, release_section
 from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import (
     alarms,
@@ -144,6 +145,8 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "table_3": table_3(metrics, details, calibrated),
         "captures": captures,
         "not_tested": not_tested(metrics, captures) if metrics else [],
+        "criticism": criticism_section(results),
+        "release": release_section(results),
         "metrics": metrics_of(TEST_SETS),
         "test_sets": test_sets(metrics, details),
         "alarms": alarms(details),
@@ -210,6 +213,7 @@ def write_report(
             found.folder / "evaluate" / "predictions.parquet",
             found.folder / "captures" / "metrics.json",
             found.folder / "captures" / "predictions.parquet",
+            found.folder / "audit" / "audit.json",
         )
         if path.exists()
     ]

@@ -30,6 +30,9 @@ STAGES = (
     "train",
     "instrument",
     "evaluate",
+    "criticise",
+    "release",
+    "audit",
     "report",
 )
 
@@ -268,6 +271,24 @@ class Results:
                 return False
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
         return not weights[0] <= weights[1]
+
+    def verdict(self, case: str) -> Mapping[str, Any] | None:
+        """Content of a measured case's verdict.json."""
+        return _json_if_there(self.folder / "criticise" / case / "verdict.json")
+
+    def criticism_picture(self, case: str) -> str | None:
+        """What the friction law leaves over in a case, as the text of an SVG."""
+        path = self.folder / "criticise" / case / "picture.svg"
+        return path.read_text(encoding="utf-8") if path.exists() else None
+
+    def simulated_again(self, case: str) -> Mapping[str, Any] | None:
+        """Errors of a case's runs in the cloth simulator, without and with the extended law."""
+        again = _json_if_there(self.folder / "criticise" / case / "resimulation.json") or {}
+        return again.get("all")
+
+    def audit(self) -> Mapping[str, Any] | None:
+        """What an audit of the release found."""
+        return _json_if_there(self.folder / "audit" / "audit.json")
 
     def benchmarks(self) -> list[Benchmark]:
         """Cost of every stage that has benchmark files, in the order of the chain."""

@@ -11,7 +11,7 @@ from statistics import median
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.doctor.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, estimate, job_cpu_s
 from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
 
@@ -247,9 +247,7 @@ def _disk(folder: Path, config: Config | None, stages: dict[str, StageProgress])
     """Fill in the disk space used by the stages, and expected for their remaining jobs."""
     model = {}
     if config is not None:
-        model = {
-            stage.stage: stage.disk_bytes for stage in [*estimate(config), estimate_release(config)]
-        }
+        model = {stage.stage: stage.disk_bytes for stage in estimate(config)}
     for stage in stages.values():
         stage.disk_bytes = folder_bytes(folder / stage.name)
         if stage.done == stage.jobs:

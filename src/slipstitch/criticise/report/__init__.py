@@ -1,5 +1,5 @@
 """The verdict as a page for the experimenter."""
 
-from slipstitch.criticise.report.verdict_page import page
+from slipstitch.criticise.report.verdict_page import left_over, page, second_sentence
 
-__all__ = ["page"]
+__all__ = ["left_over", "page", "second_sentence"]

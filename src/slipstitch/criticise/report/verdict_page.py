@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.covariate_panels import covariate_picture
 from slipstitch.criticise.report.resimulation import before_and_after
@@ -15,7 +16,7 @@ from slipstitch.criticise.report.verdict_pictures import (
 )
 from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.verdict import sentence
-from slipstitch.page.figures import svg_element
+from slipstitch.page.figures import svg, svg_element
 from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.page.templates import render
 from slipstitch.page.wording import with_interval
@@ -26,16 +27,15 @@ _TONES = {"none": GOOD, "cause": BLUE, "confounded": DOUBT, "unknown": VERMILION
 
 def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -> str:
     """The page as HTML; it needs no other file. ``again`` adds before and after."""
-    named = verdict["verdict"] in ("cause", "confounded")
-    extended = analysis.chosen.fitted if named and analysis.chosen else None
+    extended = _extended(verdict, analysis)
     everything = covariate_picture(analysis)
     return render(
         _TEMPLATE,
         verdict=verdict,
         tone=_TONES.get(verdict["verdict"], SOFT),
         sentence=sentence(verdict),
-        second_sentence=_second_sentence(verdict),
-        named=named,
+        second_sentence=second_sentence(verdict),
+        named=verdict["verdict"] in ("cause", "confounded"),
         extended=extended is not None,
         residuals=svg_element(residual_picture(analysis, extended)),
         predictions=svg_element(prediction_picture(analysis, extended)),
@@ -50,7 +50,18 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
     )
 
 
-def _second_sentence(verdict: dict) -> str:
+def left_over(verdict: dict, analysis: Analysis) -> str:
+    """The picture of what is left over without and with the extended model, as an SVG."""
+    return svg(residual_picture(analysis, _extended(verdict, analysis)))
+
+
+def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
+    named = verdict["verdict"] in ("cause", "confounded")
+    return analysis.chosen.fitted if named and analysis.chosen else None
+
+
+def second_sentence(verdict: dict) -> str:
+    """What the extended model gains; without one, why none was named."""
     gain = verdict["gain"]
     if verdict["verdict"] in ("cause", "confounded"):
         return (
