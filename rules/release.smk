@@ -15,7 +15,7 @@ rule release_folder:
         rules.render.input.verification,
         grid="results/grid.parquet",
     output:
-        # Made anew with what is behind it; what is handed out is a copy.
+        # Regenerated when its inputs change; publish a copy.
         directory("results/release"),
     log:
         "results/logs/release/release.log",

@@ -16,7 +16,7 @@ class Viewpoint:
     ----------
     azimuth_deg : float
         Angle about the vertical axis; 0 looks against the drag direction (the camera stands
-        ahead of the stage), 90 looks along +y (the camera stands beside the track, at -y).
+        ahead of the stage), 90 looks along +y (from a camera beside the track, at -y).
     elevation_deg : float
         Angle of the optical axis below the horizontal.
     distance_m : float
@@ -76,7 +76,7 @@ def is_texture_file(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Floor:
-    """A substrate's look: a mirror of some roughness over a grey Lambertian body.
+    """Appearance of a substrate: a rough specular layer over a grey Lambertian body.
 
     Each pair is a range from which every simulation draws its own value.
 
@@ -85,7 +85,7 @@ class Floor:
     albedo : tuple of float
         Of the body.
     reflectance : tuple of float
-        Of the mirror at normal incidence; it grows towards grazing incidence (Schlick 1994).
+        Specular, at normal incidence; it grows towards grazing incidence (Schlick 1994).
     roughness : tuple of float
         As Blender has it: the width of the distribution of slopes (GGX) is its square.
     """
@@ -95,7 +95,7 @@ class Floor:
     roughness: tuple[float, float] = (0.0, 0.0)
 
 
-#: The paper's substrates, and two that stand for many. Reflectances at normal incidence are those
+#: The paper's substrates, and two generic ones. Reflectances at normal incidence are those
 #: of the materials (aluminium 0.91, steel 0.58, a refractive index of 1.5: 0.04) less what a film
 #: or a worn surface takes; roughness and albedo are estimates of what such plates look like.
 FLOORS: dict[str, Floor] = {

@@ -14,7 +14,7 @@ class BadInput(SlipstitchError):  # noqa: N818 - the name is what the user did, 
 
 
 class Damaged(BadInput):
-    """A file that is not as it was written; says how to make it anew.
+    """A damaged or altered file; the message says how to regenerate it.
 
     Parameters
     ----------

@@ -128,8 +128,8 @@ def test_a_video_of_the_board_will_do(work, tmp_path, capsys):
     assert "18 views" in capsys.readouterr().out
     content = json.loads(out.read_text())
     assert content["focal_px"] == pytest.approx([612, 631], rel=0.01)
-    # It does not say where the camera stands, so that nothing can be rendered from it.
-    with pytest.raises(BadInput, match="does not say where the camera stands"):
+    # It lacks the position of the camera, so that nothing can be rendered from it.
+    with pytest.raises(BadInput, match="does not contain the position of the camera"):
         read_camera_file(out)
 
 
@@ -251,10 +251,10 @@ def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
     [
         ({"format": "other"}, "not a camera file"),
         ({"focal_px": [600, -1]}, "not positive"),
-        ({"focal_px": [600]}, "focal_px must hold 2 finite numbers"),
+        ({"focal_px": [600]}, "focal_px must contain 2 finite numbers"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "not a rotation matrix"),
         ({"distortion": {"k1": 0.1}}, "distortion must contain k1, k2, p1, p2, k3"),
-        ({"translation_m": None}, "does not say where the camera stands"),
+        ({"translation_m": None}, "does not contain the position of the camera"),
     ],
 )
 def test_a_damaged_camera_file_is_bad_input(work, tmp_path, change, message):

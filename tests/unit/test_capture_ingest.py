@@ -180,7 +180,7 @@ def test_a_long_gap_is_refused(tmp_path):
 def test_a_wrong_frame_rate_is_noticed_and_can_be_stated(tmp_path):
     right = np.arange(0, 13.2, 1 / RATE_HZ)
     path = stage.write_video(tmp_path / "slow.mp4", images(right), right / 2)
-    with pytest.raises(BadInput, match=r"sinks (1\.9|2\.0)\d times as fast .*frame_rate_hz"):
+    with pytest.raises(BadInput, match=r"descends (1\.9|2\.0)\d times as fast .*frame_rate_hz"):
         read_stage_video(path, LENS, SCHEDULE)
     read = read_stage_video(path, LENS, SCHEDULE, frame_rate_hz=RATE_HZ)
     assert read.start.time_s == pytest.approx(START_S, abs=0.01)
@@ -249,8 +249,8 @@ def test_reference_values_fill_empty_cells(folder):
     ("row", "problem"),
     [
         (GOOD.replace("a.mp4", "c.mp4"), "line 2, video: 'c.mp4'; no such file below"),
-        (GOOD.replace("a.mp4", "../a.mp4"), "video: '../a.mp4'; a path below"),
-        (GOOD.replace("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; a path below"),
+        (GOOD.replace("a.mp4", "../a.mp4"), "video: '../a.mp4'; must be a path below"),
+        (GOOD.replace("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; must be a path below"),
         (GOOD.replace("camera.json", "no.json"), "camera: 'no.json'; no such file below"),
         (GOOD.replace("0.31", "-0.31"), "mu_ref: '-0.31'; must be a number from 0 to 10"),
         (GOOD.replace("0.31", "nan"), "mu_ref: 'nan'; must be a number from 0 to 10"),

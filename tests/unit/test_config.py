@@ -165,7 +165,7 @@ def test_written_configuration_holds_every_key(tmp_path):
 def test_schema_file_is_the_one_of_the_types():
     file = ROOT / "workflow/schemas/config.schema.json"
     assert file.read_text(encoding="utf-8") == schema_text(), (
-        f"write it anew: slipstitch schema > {file.relative_to(ROOT)}"
+        f"regenerate it: slipstitch schema > {file.relative_to(ROOT)}"
     )
 
 

@@ -222,7 +222,7 @@ def leaking(rows):
     ("change", "settings", "code", "words"),
     [
         (emptied, {}, 2, "friction 0.8 has no training video"),
-        (leaking, {}, 2, "stands in train and validation"),
+        (leaking, {}, 2, "is in train and validation"),
         (None, {"learning_rate": 1e30}, 1, "the loss became nan in epoch 1, step"),
         (None, {"learning_rate": 1e-9}, 1, "at chance"),
     ],

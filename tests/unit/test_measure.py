@@ -174,4 +174,4 @@ def test_a_stated_start_belongs_to_one_video(bench, capsys):
     files = [str(bench / "video.mp4")] * 2 + ["--camera", str(bench / "camera.json")]
     model = ["--model", str(bench / "results" / "instrument" / "seed0")]
     assert main(["measure", *files, *model, "--start-s", "2.9"]) == 2
-    assert "state it for one video only" in capsys.readouterr().err
+    assert "only allowed for a single video" in capsys.readouterr().err

@@ -244,7 +244,7 @@ def test_a_leaking_split_is_refused(dataset, tmp_path):
         rows[1]["split_by_simulation"] = "train"
 
     leaking = altered_copy(dataset, tmp_path / "leaking", leak)
-    with pytest.raises(BadInput, match=r"leaks: m\d\d_f\d\d_r\d\d stands in train and test"):
+    with pytest.raises(BadInput, match=r"leaks: m\d\d_f\d\d_r\d\d is in train and test"):
         train(leaking, tmp_path / "out")
 
 

@@ -252,7 +252,7 @@ def _by_simulation(predictions: list[Row]) -> dict[str, float]:
 
 
 def verdict(found: Row, reference: Row, row: Row) -> str:
-    """What the interval allows to say of the variant: better, worse, not told apart, or nothing."""
+    """Conclusion from the interval: better, worse, no significant difference, or none."""
     if found["low"] is None:
         return "not compared"
     if all(variant["stayed_at_chance"] == variant["seeds"] for variant in (reference, row)):

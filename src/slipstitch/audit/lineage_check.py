@@ -2,7 +2,7 @@
 
 Two sorts of evidence. Records are compared with each other: what a file was made from must be the
 file that the next record is about. And what follows from configuration and seed alone (labels,
-seeds, perturbations, stage positions, splits) is computed anew; no edit of the release can make
+seeds, perturbations, stage positions, splits) is recomputed; no edit of the release can make
 that agree, short of editing the configuration and every record with it.
 """
 
@@ -213,7 +213,7 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
 def _recomputed(
     lineage: Lineage, config: Config, shards: Mapping[str, Shard], stale: Collection[str]
 ) -> Iterator[Finding]:
-    """What follows from configuration and seed, computed anew by code that has not changed."""
+    """Everything determined by configuration and seed, recomputed by unchanged code."""
     contents = lineage.contents
     expected = _labels(config)
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
@@ -308,7 +308,7 @@ def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
-    """Splits, drawn anew."""
+    """Splits, redrawn."""
     try:
         expected = manifest_sides(config)
     except BadInput as error:

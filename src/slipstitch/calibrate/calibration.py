@@ -78,7 +78,7 @@ def calibrate(
     Parameters
     ----------
     settings : CalibrateSettings
-        Which experiments, and the demands.
+        Experiments and tolerances.
     simulation : SimulationSettings
         Settings to verify.
     run_protocol : callable
@@ -131,7 +131,7 @@ def calibrate(
 
 
 def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, record) -> None:
-    """Write a calibration that met its demands, with its provenance beside it.
+    """Write a calibration that met its requirements, with its provenance record.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
     Raises
     ------
     DemandNotMet
-        If a demand is not met: one line naming the check; nothing is written, and the whole
+        If a requirement is not met: one line naming the check; nothing is written, and the whole
         report goes to stderr.
     """
     failed = [check for check in calibration["checks"] if not check["met"]]
@@ -188,7 +188,7 @@ def strip_calibration(
     Raises
     ------
     DemandNotMet
-        If no settings that may be chosen meet the demand; ``trials`` is its second argument.
+        If no eligible settings meet the requirements; ``trials`` is its second argument.
     """
     judged = [judge(trial, settings) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
@@ -255,7 +255,7 @@ def calibrate_to_file(
         The JSON file.
     pictures : mapping
         PNG or SVG files by name (``checks``, ``strip``, ``settings``); those that can be drawn
-        are drawn also if a demand is not met, then with ``.failed`` before the suffix.
+        are drawn even if a requirement is not met, then with ``.failed`` before the suffix.
     sweeps : list of path, optional
         What `sweep_to_file` wrote, of all keys; made now if not given.
     only_failures : bool
@@ -270,8 +270,7 @@ def calibrate_to_file(
     ------
     BadInput
         If a sweep's file cannot be read or belongs to another configuration.
-    DemandNotMet
-        If a demand is not met.
+    DemandNotMet        If a requirement is not met.
     """
     from slipstitch.protocol.registry import run_protocol
 

@@ -3,7 +3,7 @@
 A film whose frame rate is stated wrong, or whose stage runs at another speed, shows every moment of
 the protocol too early or too late, and friction is then read off the wrong moments. The upper edge
 of the cloth moves with the clamps. It is looked for along the track in a frame a second, and the
-speed of the stage in the film's time is fitted to all places found.
+speed of the stage in the video's time is fitted to all positions found.
 """
 
 from dataclasses import dataclass
@@ -43,12 +43,12 @@ _FEWEST_PLACES = 12
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The clock of a film, told by the stage.
+    """The clock of a video relative to the stage.
 
     Attributes
     ----------
     rate : float
-        Speed of the stage in the film's time, in units of the protocol's.
+        Speed of the stage in the video's time, relative to the protocol's.
     rate_sd : float
         Standard deviation of `rate`.
     time_s, offset_m : ndarray (n,)
@@ -62,7 +62,7 @@ class TimeBase:
     offset_m: np.ndarray
 
     def worst_offset_m(self) -> float:
-        """The largest median offset over 10 s (a film that was cut jumps)."""
+        """The largest median offset over 10 s (a cut in the video is a jump)."""
         return max(
             (abs(float(np.median(self.offset_m[block]))) for block in _blocks(self.time_s)),
             default=0.0,

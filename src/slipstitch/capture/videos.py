@@ -43,13 +43,13 @@ class StageVideo:
     stage_x_m : ndarray (n,)
     start : StageStart
     time_base : TimeBase or None
-        The film's clock as the stage tells it; None where too little of the drag was recognised.
+        The video's clock relative to the stage; None if too little of the drag was detected.
     frame_interval_s, longest_gap_s : float
         Median and largest time between frames of the file, while the protocol ran.
     view_angle_deg : float
         Between the directions in which the real camera and the calibrated viewpoint stand.
     pose : dict
-        How the camera stands beside that viewpoint, see `slipstitch.render.bench_camera`.
+        Pose of the camera relative to that viewpoint, see `slipstitch.render.bench_camera`.
     inside : ndarray (n,)
         Share of each image that the real camera saw.
     notes : list of str
@@ -171,7 +171,7 @@ def _checked_start(path, start: StageStart | None) -> StageStart:
 
 
 def _checked_rate(path, time_base: TimeBase | None) -> float:
-    """The stage's speed in the film's time that frames are chosen by; BadInput if it is wrong."""
+    """The stage's speed in the video's time, to select frames by; BadInput if it is wrong."""
     if time_base is None:
         return 1.0
     off = time_base.rate - 1

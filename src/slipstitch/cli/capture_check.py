@@ -1,24 +1,27 @@
-"""slipstitch capture check: may this camera film for that instrument?"""
+"""slipstitch capture check: whether a camera is suitable for an instrument."""
 
 import argparse
 from pathlib import Path
 
 from slipstitch.cli.options import check_picture, output_path
 
-SUMMARY = "whether a camera stands where an instrument was trained, before anything is filmed"
+SUMMARY = "check whether the pose of a camera is in the training range of an instrument"
 EXAMPLE = (
     "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
     "--picture check.png"
 )
 
-# As of an alarm: an answer, but none to film by.
+# As for an alarm: a result, but not a usable one.
 OUTSIDE_EXIT_CODE = 3
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "camera", type=Path, metavar="CAMERA.json", help="file of slipstitch capture camera"
+        "camera",
+        type=Path,
+        metavar="CAMERA.json",
+        help="camera file written by slipstitch capture camera",
     )
     parser.add_argument(
         "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
@@ -27,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help="configuration that the instrument was trained with (default: config.json in the "
+        help="configuration the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )
     parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")

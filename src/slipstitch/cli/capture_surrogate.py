@@ -1,4 +1,4 @@
-"""slipstitch capture surrogate: films of a bench that does not exist."""
+"""slipstitch capture surrogate: simulated videos of a bench."""
 
 import argparse
 from functools import partial

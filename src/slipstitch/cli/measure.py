@@ -19,8 +19,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="VIDEO",
-        help="video of the whole protocol; several: repeats of one pair of fabric and substrate, "
-        "measured one by one and together",
+        help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
+        "measured individually and together",
     )
     parser.add_argument(
         "--camera",
@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--json", type=output_path, metavar="FILE", help="write all numbers as JSON"
     )
     parser.add_argument(
-        "--csv", type=output_path, metavar="FILE", help="table to write: a row a video"
+        "--csv", type=output_path, metavar="FILE", help="write a table, one row per video"
     )
     parser.add_argument(
         "--start-s",
@@ -64,7 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="measure although the camera stands where the instrument was not trained",
+        help="measure even if the pose of the camera is outside the training range",
     )
     add_threads(parser, default=2)
 
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         if value is not None and not (math.isfinite(value) and value >= lowest):
             raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
     if arguments.start_s is not None and len(arguments.videos) > 1:
-        raise BadInput("--start-s: each video starts at another time; state it for one video only")
+        raise BadInput("--start-s: only allowed for a single video")
     bench = measuring_bench(
         arguments.camera,
         arguments.model,

@@ -23,7 +23,7 @@ def _refuse_target(text: str, folder: bool) -> None:
 
 
 def output_file(text: str) -> str:
-    """The type of an option that names a file to write; ``-`` stands for the terminal."""
+    """The type of an option that names a file to write; ``-`` means the terminal."""
     if text != "-":
         _refuse_target(text, folder=False)
     return text

@@ -24,7 +24,7 @@ class CalibrateSettings(Section):
     """Which settings are tried, which known answers must come out, and how closely.
 
     The strip experiment is run with the settings of the section ``simulation`` and with one of them
-    changed at a time; the cheapest that meet the demand are used, never looser ones than
+    changed at a time; the cheapest that meet the requirements are used, never looser ones than
     ``simulation`` says. With them the other experiments are checked; an empty list of friction
     coefficients leaves its experiment out.
     """

@@ -7,7 +7,7 @@ from slipstitch.config.section import Fabric, Section
 
 
 class PairSettings(Section):
-    """One pair of fabric and substrate that stands for a real one."""
+    """A surrogate fabric-substrate pair."""
 
     material: Fabric = Field(description="a fabric of the catalogue")
     substrate: str = Field(description="a floor of the catalogue")
@@ -132,7 +132,7 @@ class CaptureSettings(Section):
         return self
 
     def surrogate_ids(self) -> list[str]:
-        """Ids of the films, c00_r01 ... as in a captures table."""
+        """Ids of the videos, c00_r01 ... as in a captures table."""
         return [
             f"c{pair:02d}_r{repeat:02d}"
             for pair in range(len(self.pairs))

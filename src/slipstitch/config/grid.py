@@ -112,7 +112,7 @@ def material_id(name: str) -> str:
 def simulation_seed(seed: int, material: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
-    A hash of what the bench is, not of where it stands in the grid: adding a material or a
+    A hash of the parameters of the bench, not of its position in the grid: adding a material or a
     replicate leaves the others as they are. The friction coefficient is no part of it: the bench is
     the same at every coefficient (common random numbers), so that nothing but contact tells them
     apart.

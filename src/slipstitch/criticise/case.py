@@ -50,7 +50,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     Raises
     ------
     BadInput
-        For anything that is not as the format demands.
+        For any violation of the format.
     """
     folder = Path(folder)
     if not folder.is_dir():

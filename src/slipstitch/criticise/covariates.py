@@ -44,7 +44,7 @@ class Covariate:
 
     @property
     def axis_label(self) -> str:
-        """What stands at its axis."""
+        """The label of its axis."""
         unit = f" ({self.unit})" if self.unit else ""
         return f"{'log₁₀ ' if self.logarithmic else ''}{self.title}{unit}"
 

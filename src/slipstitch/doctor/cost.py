@@ -58,14 +58,14 @@ COSTS = {
         "CPU s a frame at 112 px, 1 sample: traced, separated, smoothed, packed",
         "busy machine: 0.145, 0.222, 0.075 by view",
     ),
-    "mirror_factor": Cost(2.0, "of render_frame_s on a floor that mirrors", "two paths for one"),
+    "mirror_factor": Cost(2.0, "of render_frame_s on a reflective floor", "two paths for one"),
     "pack_bytes": Cost(8.0, "bytes a pixel", "112 px, matte"),
     "compose_start_s": Cost(0.6, "CPU s a simulation", "imports, textures drawn"),
     "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
     "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
     "direct_pixel_s": Cost(
         2.5e-4,
-        "CPU s a pixel at 256 samples; four times as many where the floor mirrors",
+        "CPU s a pixel at 256 samples; four times as many on a reflective floor",
         "about 1 M camera samples a second and core",
     ),
     "image_bytes": Cost(
@@ -96,12 +96,12 @@ COSTS = {
     "audit_start_s": Cost(2.0, "CPU s", "smoke chain"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
     "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
-    "ingest_film_s": Cost(1.5, "CPU s a film", "97 frames of 160 px: 1.3 s, 1 s of it start"),
+    "ingest_film_s": Cost(1.5, "CPU s per video", "97 frames of 160 px: 1.3 s, 1 s of it start"),
     "film_bytes": Cost(0.1, "bytes a pixel", "H.264 at quality 26, noise 0.02; an allowance"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
-# Resident memory of the largest job, from benchmark files or measured by hand.
+# Resident memory of the largest job, from benchmark files or measured manually.
 MEMORY_MIB = {
     "calibrate": Cost(312, "MiB", "smoke chain"),
     "simulate": Cost(349, "MiB", "smoke chain: 281 to 349; 302 at 41 x 41 vertices over 131 s"),
@@ -159,7 +159,7 @@ def _strip_cpu_s(config: Config) -> float:
 
 
 def _mirrors(config: Config) -> float:
-    """Share of the floors that mirror."""
+    """Share of reflective floors."""
     floors = config.render.floors
     return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
 

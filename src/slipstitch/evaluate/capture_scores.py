@@ -2,7 +2,7 @@
 
 The reference of a pair is an interval, r +- e: the error of a prediction is its distance from the
 interval, 0 inside. Of a pair's repeats the median counts; pairs whose repeats are all given the
-same friction, to half a grid step, are counted. Substrates that mirror are looked at apart.
+same friction, to half a grid step, are counted. Reflective substrates are evaluated separately.
 """
 
 from collections import defaultdict

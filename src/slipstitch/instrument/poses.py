@@ -1,4 +1,4 @@
-"""How the camera stands beside the calibrated viewpoint, as the network is told of it."""
+"""Pose of the camera relative to the calibrated viewpoint, as given to the network."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,9 +13,9 @@ _SCALE = {"yaw_deg": 10.0, "pitch_deg": 5.0, "roll_deg": 2.0, "log_distance": 0.
 #: Beyond the range of the training by more than this, a pose is refused.
 TOLERANCE = {"yaw_deg": 2.5, "pitch_deg": 2.5, "roll_deg": 2.0, "log_distance": 0.05}
 TITLES = {
-    "yaw_deg": ("turned about the vertical", "degrees"),
+    "yaw_deg": ("rotated about the vertical", "degrees"),
     "pitch_deg": ("higher", "degrees"),
-    "roll_deg": ("turned about its axis", "degrees"),
+    "roll_deg": ("rotated about its axis", "degrees"),
     "log_distance": ("farther, logarithm of the ratio", ""),
 }
 

@@ -23,7 +23,7 @@ class CameraCheck:
     Attributes
     ----------
     pose : dict
-        How the camera stands beside the calibrated viewpoint (`slipstitch.render.bench_camera`).
+        Pose of the camera relative to the calibrated viewpoint (`slipstitch.render.bench_camera`).
     tested : dict
         Least and largest of each number.
     viewpoint : tuple of ndarray
@@ -46,7 +46,7 @@ class CameraCheck:
             lines.append(f"{what}: {self.pose[name]:+.3g} {unit}".rstrip())
             lines[-1] += f" (trained on {low:+.3g} ... {high:+.3g})"
         if not self.outside:
-            return [*lines, "inside the poses of the training"]
+            return [*lines, "within the training range"]
         return lines + [f"OUTSIDE: {problem}" for problem in self.outside]
 
 

@@ -1,4 +1,4 @@
-"""Videos measured: what the instrument says, and what it looked at."""
+"""Measurement of videos: results of the instrument and its input frames."""
 
 import os
 from dataclasses import dataclass, replace
@@ -182,8 +182,8 @@ def measuring_bench(
     strange = outside(relative_pose(*lens.pose, schedule.pose), tested) if tested else []
     if strange and not force:
         raise BadInput(
-            f"{camera}: the camera stands where the instrument was not trained: "
-            f"{'; '.join(strange)}; `slipstitch capture check` draws it; --force measures anyway"
+            f"{camera}: the pose of the camera is outside the training range of the instrument: "
+            f"{'; '.join(strange)}; see `slipstitch capture check`; --force measures anyway"
         )
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.

@@ -70,7 +70,7 @@ def combined(friction: Sequence[float], intervals_90: Sequence[tuple[float, floa
 
 
 def _stated(intervals: np.ndarray) -> float:
-    """Standard deviation that the videos' intervals stand for, root mean square."""
+    """Standard deviation implied by the videos' intervals, root mean square."""
     return float(np.sqrt(np.mean((np.diff(intervals, axis=1) / (2 * HALF_WIDTH)) ** 2)))
 
 

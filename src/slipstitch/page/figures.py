@@ -63,7 +63,7 @@ def svg(figure: Figure) -> str:
 
 
 def svg_element(figure: Figure) -> str:
-    """A figure as an element that stands in a page's own HTML."""
+    """A figure as an element of the HTML of a page."""
     text = svg(figure)
     return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.S)
 

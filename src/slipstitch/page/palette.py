@@ -1,6 +1,6 @@
 """The colours of all pages and pictures."""
 
-# Okabe & Ito 2008: told apart by colour-blind readers.
+# Okabe & Ito 2008: distinguishable for colour-blind readers.
 BLUE, ORANGE, GREEN, PINK = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 SKY, VERMILION, BLACK = "#56B4E9", "#D55E00", "#000000"
 # For curves that have no colour of their own, in this order.

@@ -46,7 +46,7 @@ def parsed(text: str, name: str) -> ast.Module:
     Raises
     ------
     SyntaxError
-        If it is no Python; `name` stands in the message.
+        If it is not Python; the message contains `name`.
     """
     tree = ast.parse(text, filename=name)
     for node in ast.walk(tree):

@@ -30,7 +30,7 @@ _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 
 @dataclass(frozen=True)
 class BenchCamera:
-    """How a camera stands beside the calibrated viewpoint, and what is told wrongly of it.
+    """Pose of a camera relative to the calibrated viewpoint, and the errors of its calibration.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ def draw_bench_camera(
 def relative_pose(
     rotation: np.ndarray, translation_m: np.ndarray, viewpoint: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, float]:
-    """How a camera stands beside a viewpoint: the numbers of `POSE`.
+    """Pose of a camera relative to a viewpoint: the numbers of `POSE`.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Rendering(NamedTuple):
     uv : ndarray (rows, columns, 3) float32
         Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
     glossy : ndarray (rows, columns, 3) float32, optional
-        The part of the image that the floor mirrors, if it does.
+        The part of the image reflected by the floor, if reflective.
     """
 
     radiance: np.ndarray
@@ -212,7 +212,7 @@ class ClothScene:
         self._link(self._bpy.data.objects.new("floor", mesh))
 
     def _polish(self, tree) -> None:
-        """Put a mirror over the floor's Lambertian body, as the camera sees it.
+        """Add a specular layer, visible to the camera, to the floor's Lambertian body.
 
         Light that the floor throws onto the cloth stays Lambertian, with the mirror's share in its
         albedo: mirrored light on rough ground is what few paths resolve worst.

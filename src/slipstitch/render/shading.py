@@ -44,7 +44,7 @@ LIGHT_OVERSAMPLING = 2
 # the edges of shadows in it, the dome's is smooth but noisier.
 _FLOOR_BLUR = (0.7, 2.0)
 _CLOTH_BLUR = (1.2, 2.0)
-# Of light that the cloth throws onto a floor that mirrors besides.
+# Of light that the cloth casts onto a reflective floor.
 _CLOTH_LIGHT_BLUR = 1.4
 # On the cloth: this many pixels around, and weighted by nearness in texture coordinates.
 _CLOTH_RADIUS = 3
@@ -63,8 +63,7 @@ class Sight:
         Of the rays.
     floor : ndarray (rays pixels, rays pixels) bool
         The rays that see the floor.
-    mirrored : MirroredSight, optional
-        On a floor that mirrors.
+    mirrored : MirroredSight, optional        On a reflective floor.
     """
 
     rays: int
@@ -84,7 +83,7 @@ class Shading:
     cloth : ndarray (3, 2 pixels, 2 pixels)
         The same of the cloth, where there is any.
     mirrored : ndarray (2, pixels, pixels), optional
-        First- and second-order light that the floor mirrors (its scene light is in `still`).
+        First- and second-order light reflected by the floor (its scene light is in `still`).
     """
 
     still: np.ndarray

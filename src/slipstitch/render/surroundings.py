@@ -46,7 +46,7 @@ class Surroundings:
 
     @property
     def reflects(self) -> bool:
-        """Whether the floor mirrors anything."""
+        """Whether the floor is reflective."""
         return self.reflectance > 0
 
     def record(self) -> dict:

@@ -28,10 +28,10 @@ from slipstitch.render.shards import SCHEMA, Rectifier, cameras
 from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture
 
-#: Paths a pixel of the direct renders, by whether the floor mirrors: on rough metal two renders of
-#: 256 paths agree to an SSIM of 0.96 only, less than is demanded of a composed image.
+#: Paths per pixel of direct renders, for matte and reflective floors: on rough metal two renders
+#: of 256 paths agree to an SSIM of 0.96 only, less than required of a composed image.
 SAMPLES = {False: 256, True: 1024}
-#: What a composed image must reach, by whether its floor mirrors.
+#: Requirements on a composed image, for matte and reflective floors.
 LEAST_PSNR_DB = {False: 38.0, True: 36.0}
 LEAST_SSIM = 0.97
 #: What a verification does not depend on.

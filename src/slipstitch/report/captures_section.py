@@ -35,7 +35,7 @@ COLUMNS = metrics_of(CAPTURES, "friction", "capture")
 def training_floors(
     manifest: Sequence[Mapping[str, Any]], split: str
 ) -> dict[str, tuple[int, bool]]:
-    """Floor -> number of training simulations on it, and whether it mirrors.
+    """Floor -> number of training simulations on it, and whether it is reflective.
 
     Parameters
     ----------

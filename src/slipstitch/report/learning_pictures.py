@@ -242,7 +242,7 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
     panels : sequence of mapping
         ``title``, and ``curves``: name -> errors, shape (n,).
     paper_share : float
-        The paper's share of real films with an error of 0.1 at most.
+        The paper's share of real videos with an error of at most 0.1.
     """
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)

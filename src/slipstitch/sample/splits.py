@@ -1,7 +1,7 @@
 """Assignment of videos to training, validation and test.
 
 Two ways, because they answer different questions. `split_by_video` is the paper's: videos at
-random, so that the simulation of a test video stands in the training set too, seen from another
+random, so that the simulation of a test video is in the training set too, seen from another
 side or in another cloth. `split_by_simulation` keeps whole simulations from training; only it tells
 what a network is worth on a cloth that it has never watched move. docs/learning.md argues both.
 """
@@ -60,9 +60,9 @@ def split_by_simulation(
 
     With replicates, the last ones of every (material, friction) pair are held out (they differ by
     seeded perturbations only, so which ones does not matter): every pair trains and is tested on
-    a bench set up anew. Without, whole pairs are held out, in diagonals of the table of materials
-    and frictions: the network has met either, never both together. What is held out is divided
-    between validation and test for each friction separately, going round the materials.
+    an independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
+    materials and frictions: the network has seen each, never both together. Held-out simulations are
+    divided between validation and test for each friction separately, cycling through the materials.
 
     Parameters
     ----------

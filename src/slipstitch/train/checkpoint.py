@@ -68,7 +68,7 @@ def save_checkpoint(
 
 
 def _digest(tensors: dict[str, torch.Tensor]) -> str:
-    """SHA-256 of names and values: a flipped bit shall start a training anew, not bend it."""
+    """SHA-256 of names and values: a flipped bit must restart a training, not distort it."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         digest.update(name.encode())

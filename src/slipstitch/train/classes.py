@@ -15,7 +15,7 @@ def classes_of(rows: list[dict[str, Any]], target: str) -> list[dict[str, Any]]:
     Raises
     ------
     BadInput
-        If an id stands for two materials or coefficients.
+        If an id refers to two materials or coefficients.
     """
     key = "name" if target == "material" else "value"
     found = {row[f"{target}_id"]: row[target] for row in rows}

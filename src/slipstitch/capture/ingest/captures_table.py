@@ -34,13 +34,13 @@ class Capture:
     mu_ref, mu_ref_error : float
         Friction measured by other means, and half the width of its interval.
     reflective : bool
-        Whether the substrate mirrors.
+        Whether the substrate is reflective.
     start_s : float, optional
         Time in the video at which the stage starts; found in the frames if None.
     frame_rate_hz : float, optional
         Of the camera, where the file's own times are wrong; None: those are taken.
     surrogate : bool
-        True of a film that a simulation stood for: never called real.
+        True for simulated videos, which are never called real.
     """
 
     id: str

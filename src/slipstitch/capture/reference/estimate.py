@@ -152,7 +152,7 @@ class _Mixed:
         self.positions, self.counts = positions, positions.sum(axis=0)
         self.shared = positions @ positions.T
         self.identity = np.eye(len(values))
-        # With one position, or one measurement at each, positions are not told from repeats.
+        # With one position, or one measurement at each, positions cannot be separated from repeats.
         self.one_variance = positions.shape[1] < 2 or self.counts.max() == 1
         if self.one_variance:
             left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]

@@ -1,7 +1,7 @@
 """The surrogate bench: its camera, its inclined plane, variation between videos.
 
 Nothing of it is known to the networks, and only what a real bench would write down is handed on: a
-calibrated camera with its errors, slip angles, a table of films.
+calibrated camera with its errors, slip angles, a table of videos.
 """
 
 import csv
@@ -24,7 +24,7 @@ from slipstitch.render.camera_file import LensCamera, write_camera_file
 from slipstitch.render.shots import viewpoint_pose
 from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, generator
 
-# The whole travel fits into the film's width with this focal length (in widths).
+# With this focal length (in image widths) the whole travel is in the image.
 _FOCAL_WIDTHS = 1.72
 _PLACES, _REPEATS = 4, 2
 _ORIENTATIONS = {"warp": 0.01, "weft": -0.01}
@@ -54,7 +54,7 @@ class Film:
 
 
 def films(config: Config) -> list[Film]:
-    """All films that the configuration asks for, in the order of their ids."""
+    """All videos of the configuration, in the order of their ids."""
     settings = config.captures
     made = []
     for name in settings.surrogate_ids():
@@ -68,7 +68,7 @@ def films(config: Config) -> list[Film]:
 
 
 def find_film(config: Config, name: str) -> Film:
-    """The film with id `name`; BadInput if there is none."""
+    """The video with id `name`; BadInput if there is none."""
     known = {film.id: film for film in films(config)}
     if name not in known:
         raise BadInput(f"unknown surrogate capture {name!r}; known: {', '.join(known)}")
@@ -76,7 +76,7 @@ def find_film(config: Config, name: str) -> Film:
 
 
 def surrogate_simulation(config: Config) -> SimulationSettings:
-    """How films are simulated: as the training data, but for what makes them unlike."""
+    """Settings of the simulations: as for the training data, except for the distribution shift."""
     settings, training = config.captures, config.simulation
     duration_s = training.recorded_s
     factor = settings.bench_variation
@@ -99,7 +99,7 @@ def film_size(settings: CaptureSettings) -> tuple[int, int]:
 
 
 def true_camera(config: Config) -> LensCamera:
-    """The camera that films, as it is."""
+    """The true camera."""
     settings = config.captures
     fixed: Pose = viewpoint_pose("calibrated", config.render)
     place = pose(fixed) if isinstance(fixed, Viewpoint) else fixed
@@ -185,7 +185,7 @@ def captures_rows(config: Config) -> list[dict]:
 
 
 def write_bench(config: Config, folder: str | os.PathLike) -> None:
-    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the films come later."""
+    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
     started = start_clock()
     folder = Path(folder)
     lens = calibrated_camera(config)
