@@ -232,7 +232,7 @@ def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
 def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
     card = (release / "README.md").read_text()
     assert "| matte | 1 | 43.2 dB | 43.2 dB | 38 dB | 0.990 |" in card
-    assert "| mirrors | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
+    assert "| reflective | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
     assert "verification.json" in (release / "SHA256SUMS").read_text()
 
 

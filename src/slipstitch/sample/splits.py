@@ -61,7 +61,7 @@ def split_by_simulation(
     With replicates, the last ones of every (material, friction) pair are held out (they differ by
     seeded perturbations only, so which ones does not matter): every pair trains and is tested on
     an independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
-    materials and frictions: the network has seen each, never both together. Held-out simulations are
+    materials and frictions: the network has seen each, never both together. They are
     divided between validation and test for each friction separately, cycling through the materials.
 
     Parameters
