@@ -114,7 +114,7 @@ FLOORS: dict[str, Floor] = {
 def catalogue_entries(
     viewpoints: Iterable[str] = (), textures: Iterable[str] = (), floors: Iterable[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """What the catalogue says of these names: it is compared to tell what is up to date.
+    """The catalogue entries of these names, compared to determine what is up to date.
 
     Returns
     -------

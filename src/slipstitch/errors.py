@@ -69,7 +69,7 @@ _WORDS_OF_THE_MACHINE = {
 
 
 def refused_by_the_machine(error: BaseException) -> str | None:
-    """What the machine refused (disk, memory, permission), if that is what an error is about."""
+    """The failure of the machine (disk, memory, permission) that caused an error, if any."""
     code = error.errno if isinstance(error, OSError) else None
     if isinstance(error, MemoryError):
         code = errno.ENOMEM

@@ -347,7 +347,7 @@ def _at_chance(found: dict[str, Any], margin: float | None) -> bool:
 
 
 def _finished(marker: Path) -> dict[str, Any]:
-    """What was noted of a finished training whose model still is there; else nothing."""
+    """The record of a finished training whose model still exists; else nothing."""
     try:
         noted = json.loads(marker.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -73,7 +73,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Candidates:
-    """What of a manifest may train and test, from some viewpoints."""
+    """The videos of a manifest available for training and testing, from some viewpoints."""
 
     training: list[Row]
     held_out: list[Row]
@@ -98,7 +98,7 @@ def plan(
     settings: AblateSettings,
     seed: int,
 ) -> Plan:
-    """How a dataset answers a question.
+    """The plan for answering a question with a dataset.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def schedule(videos: Candidates, views: list[str], settings: AblateSettings, gen
 def initialisation(
     videos: Candidates, views: list[str], settings: AblateSettings, generator
 ) -> Plan:
-    """How the weights are drawn."""
+    """Initialisation of the weights."""
     chosen = _dealt(videos, settings, generator)
     phrases = {
         "he": "He's initialisation",

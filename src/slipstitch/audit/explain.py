@@ -113,7 +113,7 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
 
 
 def _says(contents: Contents, artefact: Artefact) -> list[str]:
-    """What an artefact tells of itself, in a few lines."""
+    """Description of an artefact in a few lines."""
     lines = [
         f"{name}: {_short(value)}"
         for name, value in artefact.metadata.items()

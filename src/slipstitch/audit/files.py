@@ -38,9 +38,9 @@ _BATCH_ROWS = 256
 
 @dataclass
 class Shard:
-    """What one shard holds: by video, the digest of its pixels, its labels, a flaw of an image.
+    """The content of a shard: by video, the digest of its pixels, its labels, a flaw of an image.
 
-    `problem` says why it could not be read, `odd` what about it is no shard's.
+    `problem` states why it could not be read, `odd` its deviations from the format.
     """
 
     pixels: dict[str, str] = field(default_factory=dict)
@@ -279,7 +279,7 @@ def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) ->
 
 
 def _labels(row: dict[str, Any], shard: Shard) -> str | None:
-    """What is wrong with the labels of a video's images, if anything."""
+    """Errors in the labels of a video's images."""
     video = row["video"]
     columns = shard.columns[video]
     for there, here in SHARED.items():

@@ -118,7 +118,7 @@ def sorted_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def in_words(clips: Sequence[str], all_clips: int) -> str:
-    """Which clips, in a few words."""
+    """A short list of the clips."""
     if not clips:
         return ""
     if len(clips) == all_clips:

@@ -69,7 +69,7 @@ class Lineage:
 
     @cached_property
     def _carried(self) -> dict[str, str]:
-        """Where a release keeps an artefact -> the artefact."""
+        """Path of an artefact in a release -> the artefact."""
         known = {*self.artefacts, *self.clips_after}
         return {carried_file(path): path for path in known}
 

@@ -279,7 +279,7 @@ _PARTS = {"": "name", "_id": "id", "_role": "role"}
 def _times(
     columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray | None
 ) -> str | None:
-    """What is wrong with frame numbers, times and stage positions of a clip."""
+    """Errors in frame numbers, times and stage positions of a clip."""
     if columns.get("frame") != frames.tolist():
         return "its frames are not the sampled ones"
     for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):

@@ -138,7 +138,7 @@ def _closest(allowed: Sequence[Trial], settings: CalibrateSettings) -> str:
 
 
 def describe(trial: Mapping[str, Any]) -> str:
-    """What distinguishes a trial's settings."""
+    """The distinguishing settings of a trial."""
     if trial["key"] == BASE:
         return "the configured settings"
     if trial["key"] not in trial["settings"]:

@@ -56,7 +56,7 @@ def variations(
 def sweep_inputs(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings
 ) -> dict[str, Any]:
-    """What the runs of one key depend on: they are made again when it changes."""
+    """The settings that the runs of one key depend on: they are rerun when one changes."""
     return {
         "tried": variations(key, settings, simulation),
         "frictions": settings.strip_frictions,

@@ -64,7 +64,7 @@ class Schedule:
 
     @property
     def time_s(self) -> np.ndarray:
-        """When the frames are, from the start of the stage's motion."""
+        """Times of the frames from the start of the stage's motion."""
         return self.frame / self.frame_rate_hz
 
     @property

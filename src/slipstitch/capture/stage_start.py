@@ -119,7 +119,7 @@ class _Strip:
 def find_start(
     moments: Iterable[Moment], lens: LensCamera, crop: Camera, path: StagePath
 ) -> StageStart | None:
-    """When the stage starts to sink, None if it never does.
+    """Time at which the stage starts to descend; None if it never does.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ class StageFollower:
         return _REACH_M + _REACH_RATE * self._path.speed_m_s * time_s
 
     def _maps(self, x_m: np.ndarray) -> np.ndarray:
-        """Where in the image the followed part is found if the stage stands at `x_m` (n,)."""
+        """Image position of the tracked part with the stage at `x_m` (n,)."""
         position = (x_m - self._knots_m[0]) / _KNOT_M
         below = np.clip(position.astype(int), 0, len(self._knots) - 2)
         share = (position - below).astype(np.float32)[:, None, None, None]
@@ -232,7 +232,7 @@ def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) 
 
 
 def _offsets_m(parameters, time_s, place_m, back, path: StagePath) -> np.ndarray:
-    """What rate, delay (s) and the leans ahead and back (m) leave of the places (m)."""
+    """Residuals of the positions (m) for rate, delay (s) and the leans ahead and back (m)."""
     rate, late_s, ahead_m, behind_m = parameters
     expected_m, _ = path.position_m(rate * (time_s - late_s))
     return place_m - expected_m - np.where(back, behind_m, ahead_m)

@@ -99,7 +99,7 @@ def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.
 
 @wp.struct
 class FrictionState:
-    """What the friction law may ask of a node; Coulomb's law asks for the coefficient alone.
+    """Quantities of a node available to the friction law; Coulomb's law uses only the coefficient.
 
     The direction is that of the anchor's pull and the speed that of the step being solved for:
     both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
@@ -133,7 +133,7 @@ class Nodes:
 
 @wp.struct
 class Ground:
-    """What each sheet lies on: curvature (1/m), penalty stiffness (N/m)."""
+    """The ground below each sheet: curvature (1/m), penalty stiffness (N/m)."""
 
     curvature: wp.array(dtype=wp.float64)
     normal_stiffness: wp.array(dtype=wp.float64)
@@ -212,7 +212,7 @@ def contact_kernels(extended: bool) -> ContactKernels:
     def touched(
         node: int, point: GroundPoint, nodes: Nodes, ground: Ground, law: FrictionState
     ) -> Touch:
-        """What a node bears at a point below the ground's surface."""
+        """The load on a node at a point below the ground's surface."""
         member = nodes.members[node]
         touch = Touch()
         touch.point = point

@@ -1,4 +1,4 @@
-"""Which pairs of the cloth's parts come near each other on their way, by trees of boxes."""
+"""Pairs of the cloth's parts that approach each other, found with bounding-box trees."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ class Sheets:
         ]
 
     def _entries(self, places: wp.array) -> Entries:
-        """Where the elements of one kind add to the matrices."""
+        """Positions in the matrices to which elements of one kind contribute."""
         entries = Entries()
         entries.place, entries.values = places, self._values
         entries.per_sheet = self.assembly.pattern.entry_count
@@ -203,7 +203,7 @@ class Sheets:
         return self._host_residual[self.nodes_of(member)].copy()
 
     def evaluated(self, member: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where a sheet's forces were last evaluated (V, 3), and the nodes' states (V,)."""
+        """Positions of a sheet's last force evaluation (V, 3), and the nodes' states (V,)."""
         nodes = self.nodes_of(member)
         return self._host_x[nodes], self._host_state[nodes]
 

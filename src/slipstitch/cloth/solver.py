@@ -115,7 +115,7 @@ class _TooLong(Exception):  # noqa: N818 - not an error: the step is halved
 
 @dataclass
 class StepRecord:
-    """What the steps cost and how well they converged, summed since the last reset."""
+    """Cost and convergence of the steps, summed since the last reset."""
 
     steps: int = 0
     newton_iterations: int = 0
@@ -469,7 +469,7 @@ class ClothSolver:
         return 0.5 * sqrt(np.einsum("ij,ij->", x - target, x - target) / len(x))
 
     def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
-        """Where to start to solve from, given where inertia alone would lead.
+        """Initial guess of the solution, given the purely inertial motion.
 
         As if the acceleration of the last steps went on: nearer than the target where it does. But
         nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth

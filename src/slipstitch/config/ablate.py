@@ -16,7 +16,7 @@ _OWN_INSTRUMENT = ("seeds", "epochs")
 
 
 class AblateSettings(Section):
-    """Which questions are asked, of which networks, at what budget."""
+    """Questions, networks and budget."""
 
     questions: list[Question] | None = Field(
         None, min_length=1, description="questions to answer; null: all that the dataset can answer"

@@ -21,7 +21,7 @@ Friction = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 
 
 class CalibrateSettings(Section):
-    """Which settings are tried, which known answers must come out, and how closely.
+    """Settings to sweep, known-answer experiments and their tolerances.
 
     The strip experiment is run with the settings of the section ``simulation`` and with one of them
     changed at a time; the cheapest that meet the requirements are used, never looser ones than

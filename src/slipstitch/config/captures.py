@@ -41,7 +41,7 @@ _PAIRS = [
 
 
 class CaptureSettings(Section):
-    """Which captures the target `captures` ingests, and how surrogates are made."""
+    """Captures of the target `captures`, and the generation of surrogates."""
 
     table: str | None = Field(
         None, description="captures table of a real bench; null: surrogates are generated"

@@ -6,7 +6,7 @@ from slipstitch.config.section import Section
 
 
 class ComputeSettings(Section):
-    """Where simulations run, and how many at once: to rounding, they are the same."""
+    """Device and batch size of simulations: results are equal up to rounding."""
 
     device: str = Field(
         "cpu",

@@ -9,7 +9,7 @@ from slipstitch.config.section import Fabrics, Friction, Section
 
 
 class ConvergenceSettings(Section):
-    """Which runs of drop-and-drag are compared, and what counts as converged.
+    """Runs of drop-and-drag to compare, and the criterion of convergence.
 
     At the first mesh the time step of the section ``simulation`` is halved; at that time step the
     meshes are refined. Everything else is as in ``simulation``.

@@ -9,7 +9,7 @@ from slipstitch.config.section import Section
 
 
 class CriticiseSettings(Section):
-    """Which measured cases are judged."""
+    """The measured cases."""
 
     cases: tuple[str, ...] = Field(
         ("data/cases/paper_on_paper", "data/cases/surrogate_anisotropic"),

@@ -8,7 +8,7 @@ from slipstitch.config.section import Section
 
 
 class EvaluateSettings(Section):
-    """What the tables count."""
+    """Definition of the metrics."""
 
     viewpoints: Literal["training", "calibrated"] = Field(
         "training",

@@ -60,7 +60,7 @@ class GridSettings(Section):
 
     @property
     def classes(self) -> dict[str, list]:
-        """What networks tell apart: fabrics, as in the catalogue, and friction coefficients."""
+        """The classes of the networks: fabrics, as in the catalogue, and friction coefficients."""
         return {
             "material": sorted(self.materials, key=fabric_names().index),
             "friction": list(self.frictions),

@@ -9,7 +9,7 @@ from slipstitch.config.section import Section
 
 
 class AugmentationSettings(Section):
-    """How far images differ from one another in what no network should read: all 0 means not."""
+    """Irrelevant variation between images, all off (0) by default."""
 
     lamp_m: float = Field(
         0.0,
@@ -83,7 +83,7 @@ class BenchCameraSettings(Section):
 
 
 class RenderSettings(Section):
-    """What is rendered of each simulation, and how."""
+    """Content and quality of the rendered images."""
 
     pixels: int = Field(64, ge=16, le=1024, description="side length of the square images")
     samples: int = Field(

@@ -8,7 +8,7 @@ from slipstitch.config.section import Section
 
 
 class SampleSettings(Section):
-    """How many frames of a video the networks see, and which videos test them."""
+    """Number of frames per video, and the test videos."""
 
     frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
     phases: int = Field(

@@ -8,7 +8,7 @@ from slipstitch.config.section import Section
 
 
 class StageSettings(Section):
-    """How the stage carries the clamps: down, then forth and back (the paper, Sec. 4.1)."""
+    """Motion of the clamps: down, then forward and back (the paper, Sec. 4.1)."""
 
     start_height_m: float = Field(
         0.21, gt=0, le=10, description="height of the clamps above the floor at the start"
@@ -33,7 +33,7 @@ class StageSettings(Section):
 
 
 class SimulationSettings(Section):
-    """How one drop-and-drag run is simulated."""
+    """Settings of a drop-and-drag simulation."""
 
     vertices_per_side: int = Field(
         41, ge=5, le=401, description="vertices per side of the 20 cm square"

@@ -59,7 +59,7 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
 
 
 def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
-    """When a value first becomes positive, interpolated."""
+    """Interpolated time at which a value first becomes positive."""
     after = np.flatnonzero(value > 0)
     if not len(after):
         return None
@@ -71,7 +71,7 @@ def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
 
 
 def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict[str, Any]:
-    """How far apart two runs are, vertex by vertex, at the same times and at shifted ones.
+    """Distance between two runs, vertex by vertex, at the same times and at shifted ones.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
 
 
 def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What the simulations' own records say: the chosen settings, pair by pair.
+    """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
     Returns
     -------

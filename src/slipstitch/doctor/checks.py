@@ -22,7 +22,7 @@ MEMORY_NEEDED_BYTES = 4e9
 
 
 class Standing(enum.Enum):
-    """How a finding stands: needed and there, worth knowing, needed and not there."""
+    """State of a finding: requirement met, information, requirement missing."""
 
     GOOD = "ok"
     NOTE = "note"

@@ -17,7 +17,7 @@ from slipstitch.evaluate.metrics import PredictionsAndTruth, distance, scores_of
 
 @dataclass(frozen=True)
 class Predictions:
-    """What one trained model says of all captures.
+    """Predictions of one trained model for all captures.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Predictions:
 
 
 def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
-    """What the videos are: the first line of all that is said of them."""
+    """Kind of the videos: the first line of every page about them."""
     if known[0]["surrogate"]:
         return (
             "Surrogate captures: simulated videos with a distribution shift from the training "

@@ -21,7 +21,7 @@ TEST_SETS, CAPTURES = "test sets", "captures"
 
 @dataclass(frozen=True)
 class PredictionsAndTruth:
-    """What one trained model says of n videos, beside what is true; None where it says nothing.
+    """Predictions of a trained model for n videos, with the true values; None where not predicted.
 
     Attributes
     ----------
@@ -247,7 +247,7 @@ def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, f
 
 
 def chance(truth: np.ndarray, classes: int) -> dict[str, float]:
-    """What ignoring the video gives: a uniform guess, and always the test set's largest class."""
+    """Chance levels: a uniform random guess, and always the test set's largest class."""
     return {
         "uniform": 1.0 / classes,
         "majority": float(np.bincount(truth, minlength=classes).max() / len(truth)),

@@ -58,7 +58,7 @@ def thumbnails(videos: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Alarm:
-    """What training videos look like, and how strange is too strange.
+    """Statistics of the training videos, and the thresholds of the alarm.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the instrument says of one video.
+    """Result of the instrument for one video.
 
     Attributes
     ----------
@@ -294,7 +294,7 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
 
 
 class _Card(BaseModel):
-    """What of a card the network is built from and used by."""
+    """The entries of a card required to build and use the network."""
 
     model_config = ConfigDict(strict=True)
 

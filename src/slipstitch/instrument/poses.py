@@ -39,7 +39,7 @@ def pose_range(poses: np.ndarray) -> dict[str, list[float]]:
 
 
 def outside(pose: Mapping[str, float], tested: Mapping[str, Sequence[float]]) -> list[str]:
-    """What of a pose lies outside the range that an instrument was trained on, in words."""
+    """Description of the parts of a pose outside the training range of an instrument."""
     found = []
     for name in POSE:
         low, high = tested[name]

@@ -1,4 +1,4 @@
-"""Where a camera stands, and where the poses end that an instrument was trained on."""
+"""Pose of a camera, and the training range of an instrument."""
 
 import os
 from dataclasses import dataclass

@@ -47,7 +47,7 @@ class MeasuredPair:
 
     @property
     def together(self) -> Repeats | None:
-        """What they say together; None if every one raised its alarm."""
+        """The combined result; None if every video raised its alarm."""
         if not self.used:
             return None
         measured = [video.measurement for video in self.used]

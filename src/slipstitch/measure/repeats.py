@@ -22,7 +22,7 @@ OUTLIER_CHANCE = 0.05  # of naming any video of a pair, where none is an outlier
 
 @dataclass(frozen=True)
 class Repeats:
-    """What n videos of one pair say together.
+    """Combined result of n videos of one pair.
 
     Attributes
     ----------

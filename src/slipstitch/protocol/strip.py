@@ -122,7 +122,7 @@ def strip(
 
 
 def theory_regime(friction: float, strain: float = LARGEST_STRAIN) -> str:
-    """What a weightless strip pushed to a strain has done, by theory."""
+    """Theoretical state of a weightless strip pushed to a strain."""
     slips_at = theory.strip_slip_strain(friction)
     if slips_at is not None and slips_at <= strain:
         return "slipped"

@@ -168,7 +168,7 @@ def _attributes_in(text: str, name: str) -> frozenset[str]:
 
 
 def _names_spoken(modules: dict[str, Path], base: Path) -> tuple[set[str], set[str]]:
-    """What modules speak of that may be a piece of the configuration.
+    """Names in modules that may refer to a part of the configuration.
 
     Returns
     -------
@@ -269,7 +269,7 @@ def _base(root: str | Path | None) -> Path:
 
 
 def _contents(modules: dict[str, Path], base: Path) -> dict[Path, bytes]:
-    """What counts of each file, sorted by the files' paths below the root."""
+    """The relevant content of each file, sorted by path below the root."""
     contents = {path: path.read_bytes() for path in _data_files(modules, base)}
     for name, source in modules.items():
         form = without_entries if _is_in(name, CATALOGUES) else normal_form

@@ -1,4 +1,4 @@
-"""What of a Python module computes, as text: the same for sources that differ in words only.
+"""The computing part of a Python module as text, independent of wording.
 
 The text is written from the syntax tree. Left out are
 
@@ -132,7 +132,7 @@ def without_entries(text: str, name: str) -> str:
 
 
 def computing_definitions(text: str, name: str) -> Iterator[tuple[str, bool, ast.AST]]:
-    """What computes in a source of settings, piece by piece.
+    """The computing parts of a source of settings.
 
     Functions, methods, properties and constants; of a class without its methods its decorators and
     bases. Fields are left out, with defaults and bounds, and so are validators: they decide which

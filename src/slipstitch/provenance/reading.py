@@ -36,7 +36,7 @@ def _first_line(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
-    """What goes wrong in the block is said of the file at `path`, which is to be a `kind`.
+    """Errors in the block are reported for the file at `path`, which should be a `kind`.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
 
 
 def _values(content: Any) -> int:
-    """How many values a structure has, aliases written out; stops at `YAML_VALUES_MAX`."""
+    """Number of values in a structure with aliases expanded; stops at `YAML_VALUES_MAX`."""
     count, waiting = 0, [content]
     while waiting and count <= YAML_VALUES_MAX:
         value = waiting.pop()
@@ -186,7 +186,7 @@ def _values(content: Any) -> int:
 
 
 def load_yaml(text: str, where: str) -> Any:
-    """What a YAML text says; plain data only.
+    """The content of a YAML text; plain data only.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def host_kind() -> str:
-    """What sort of machine this is (never which one): system, processor, number of CPUs."""
+    """The kind of machine (not its identity): system, processor, number of CPUs."""
     model = platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as stream:
@@ -134,7 +134,7 @@ def provenance_record(
     seed: int | None = None,
     started: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """What made an artefact.
+    """The origin of an artefact.
 
     Parameters
     ----------

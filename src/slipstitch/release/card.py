@@ -74,7 +74,7 @@ def split_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list
 
 
 def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """What the videos differ in: column of labels -> its values, test-only ones marked.
+    """Variation of the videos: column of labels -> its values, test-only ones marked.
 
     Numbers of many values are shown by their range. Ids, digests, places and splits are no labels.
     """

@@ -52,7 +52,7 @@ COLUMNS = {
 
 
 def described(column: str) -> str:
-    """What a column of the manifest or of a shard means."""
+    """The meaning of a column of the manifest or of a shard."""
     if column in COLUMNS:
         return COLUMNS[column]
     if column.endswith("_role"):

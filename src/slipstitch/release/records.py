@@ -120,7 +120,7 @@ def is_ours(path: str) -> bool:
 
 
 def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
-    """Where the file is that records call `path`."""
+    """The location of the file called `path` in the records."""
     place = root / path
     return place if place.exists() else outside.get(path, place)
 
@@ -184,12 +184,12 @@ def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
 
 
 def carried_file(path: str) -> str:
-    """Where a release keeps the artefact `path` itself, if it carries it."""
+    """Location of the artefact `path` in a release, if included."""
     return f"{RECORDS}/{path.removeprefix('results/')}"
 
 
 def record_file(path: str) -> str:
-    """Where a release keeps the record of the artefact `path`."""
+    """Location of the record of the artefact `path` in a release."""
     return carried_file(path) + RECORD_SUFFIX
 
 

@@ -27,7 +27,7 @@ QUESTIONS = {
 
 
 def question(name: str) -> str:
-    """What a split asks, in words."""
+    """The question of a split, in words."""
     if name in QUESTIONS:
         return QUESTIONS[name]
     kind = name.removeprefix("unseen_")

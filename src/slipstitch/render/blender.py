@@ -38,7 +38,7 @@ _FILL_FROM = (-0.30, -0.80, 0.52)
 
 
 class Rendering(NamedTuple):
-    """What Blender drew.
+    """The output of Blender.
 
     Attributes
     ----------

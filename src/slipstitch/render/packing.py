@@ -119,7 +119,7 @@ class Job:
 
     @property
     def bench_camera(self) -> BenchCamera | None:
-        """Where the camera stands, if its viewpoint is a family's; None of all others."""
+        """Pose of the camera, if its viewpoint belongs to a family; otherwise None."""
         if not VIEWPOINTS[self.viewpoint].drawn:
             return None
         return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
@@ -130,7 +130,7 @@ class Job:
         return [self.trajectory_path, *([camera] if camera else [])]
 
     def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
-        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        """Catalogue entries for the record: viewpoint, floors, and the textures composed."""
         return catalogue_entries([self.viewpoint], textures, self.settings.floors)
 
 

@@ -53,7 +53,7 @@ _CLOTH_NEARBY = 0.06
 
 @dataclass(frozen=True)
 class Sight:
-    """What one frame's rays see.
+    """Visibility of the rays of one frame.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def look(
     camera: Camera,
     surroundings: Surroundings = MATTE,
 ) -> Sight:
-    """What the rays of an image see.
+    """Visibility of the rays of an image.
 
     Parameters
     ----------

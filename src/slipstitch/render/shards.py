@@ -88,7 +88,7 @@ class Rectifier:
         )
 
     def pose(self, shots: list[Shot]) -> dict[str, float]:
-        """What a calibration tells of the camera beside the calibrated viewpoint."""
+        """Pose of the camera relative to the calibrated viewpoint, according to its calibration."""
         if self.bench is None:
             return dict.fromkeys(POSE, 0.0)
         stated = self.bench.stated(shots[0].camera)

@@ -64,7 +64,7 @@ def shots(
 
 
 def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
-    """Where a viewpoint's fixed camera stands: as calibrated, or as the catalogue says."""
+    """Pose of a viewpoint's fixed camera: from the calibration or the catalogue."""
     seen_from = VIEWPOINTS[viewpoint]
     path = settings.camera_of(viewpoint)
     if path is None:

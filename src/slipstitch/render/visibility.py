@@ -30,7 +30,7 @@ def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Visibility:
-    """What a camera's rays see, one ray a pixel.
+    """Visibility of a camera's rays, one ray per pixel.
 
     Attributes
     ----------

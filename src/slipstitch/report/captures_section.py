@@ -54,7 +54,7 @@ def training_floors(
 
 
 def floors_in_words(floors: Mapping[str, tuple[int, bool]]) -> str:
-    """What the floors of the training simulations were."""
+    """The floors of the training simulations."""
     if not floors:
         return "floors unknown"
     mirrors = {name: count for name, (count, mirror) in floors.items() if mirror}
@@ -135,7 +135,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
 
 @dataclass(frozen=True)
 class _OtherTraining:
-    """What networks of another run, trained with reflective floors, say of the same captures."""
+    """Results of another run, with networks trained on reflective floors, for the same captures."""
 
     floors: str = ""
     metrics: Mapping[str, Any] = field(default_factory=dict)

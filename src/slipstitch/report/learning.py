@@ -65,7 +65,7 @@ def score(metrics, details, test_set: str, network: str, metric: str) -> Score:
 
 
 def seeds_of(entries: Mapping[str, Mapping[str, Any]]) -> str:
-    """How many seeds the models of a test set have, in words."""
+    """The number of seeds of the models of a test set, in words."""
     counts = sorted({len(row["seeds"]) for row in entries.values() if row.get("seeds")})
     if not counts:
         return ""
@@ -157,7 +157,7 @@ def unseen_texture(metrics, details) -> dict[str, Any] | None:
 
 
 def not_tested(metrics, captures) -> list[str]:
-    """What of the paper's Sec. 6 this run has no videos for, and where they would come from."""
+    """Parts of the paper's Sec. 6 without videos in this run, and their sources."""
     wanted = {
         "an unseen texture (Sec. 6.2.1; render.test_textures)": "unseen_texture" in metrics,
         "rotated viewpoints (Table 3; render.test_viewpoints)": any(
@@ -206,7 +206,7 @@ def _test_row(model: str, row, detail, of_split) -> dict[str, Any]:
 
 
 def alarms(details) -> list[dict[str, Any]]:
-    """How often the instruments' alarm is raised, a row an instrument."""
+    """Alarm rates of the instruments, one row per instrument."""
     return [
         {"split": SPLIT_TITLES[split], "seed": seed, "rates": rates}
         for split in ("by_simulation", "by_video")

@@ -23,7 +23,7 @@ SPLIT_NAMES = {"by_video": "by video (the paper's)", "by_simulation": "by simula
 
 
 def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """Where the schedule changes: (last epoch before, name of what follows)."""
+    """Changes of the schedule: (last epoch before, name of the next phase)."""
     return [
         (0.5 * (before["epoch"] + after["epoch"]), str(after["stage"]))
         for before, after in pairwise(epochs)

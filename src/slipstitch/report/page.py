@@ -40,7 +40,7 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def scale_in_words(config: Config) -> str:
-    """What the grid holds, in one line."""
+    """The grid in one line."""
     grid = config.grid
     names = len(config.render.textures) + len(config.render.test_textures)
     views = len(config.render.viewpoints) + len(config.render.test_viewpoints)

@@ -118,7 +118,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
 
 
 def _refinement(kind: str, finest: str) -> str:
-    """What the finest run of a kind was, from its id such as m05_f01_n61_h0."""
+    """Description of the finest run of a kind, from its id such as m05_f01_n61_h0."""
     side, _, halvings = finest.partition("_n")[2].partition("_h")
     if not halvings:
         return f"finest {kind}"

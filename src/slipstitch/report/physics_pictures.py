@@ -116,7 +116,7 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
 
 @styled
 def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
-    """Where the lower edge is, relative to the clamps, over time: what a camera can read.
+    """Position of the lower edge relative to the clamps over time: the main visual cue.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ STAGES = (
 
 @dataclass(frozen=True)
 class SimulationSummary:
-    """What the report shows of one simulation.
+    """The content of the report on one simulation.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class SimulationSummary:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What the jobs of one stage cost together, from Snakemake's benchmark files.
+    """Total cost of the jobs of one stage, from Snakemake's benchmark files.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Results:
         return own or _json_if_there(self.folder / "published" / "convergence" / "convergence.json")
 
     def simulation_path(self, simulation: Simulation) -> Path:
-        """Where a simulation's trajectory lies."""
+        """Path of a simulation's trajectory."""
         return self.folder / "simulate" / f"{simulation.id}.parquet"
 
     def simulated(self) -> list[Simulation]:
@@ -253,7 +253,7 @@ class Results:
         return _json_if_there(self.folder / "captures" / "metrics.json")
 
     def capture_predictions(self) -> list[dict[str, Any]] | None:
-        """What every model says of every capture."""
+        """Predictions of every model for every capture."""
         path = self.folder / "captures" / "predictions.parquet"
         if not path.exists():
             return None

@@ -143,7 +143,7 @@ def split_by_simulation(
 
 
 def _held(count: int, fraction: float) -> int:
-    """How many of `count` are held out: some, never all."""
+    """Number of held-out items of `count`: at least one, never all."""
     return min(max(1, round(count * fraction)), max(0, count - 1))
 
 

@@ -130,5 +130,5 @@ def takes_part(row: dict[str, Any]) -> bool:
 
 
 def test_only(row: dict[str, Any]) -> set[str]:
-    """What in a video is for testing only: material, friction, texture, viewpoint."""
+    """Test-only properties of a video: material, friction, texture, viewpoint."""
     return {kind for kind in ROLES if row[f"{kind}_role"] == "test"}

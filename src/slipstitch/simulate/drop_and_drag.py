@@ -31,7 +31,7 @@ from slipstitch.simulate.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class BenchPerturbation:
-    """What a bench cannot hold constant from one replicate to the next.
+    """Quantities that vary between replicates on a bench.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class DropAndDrag:
     seed: int
 
     def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
-        """What the record says of the fabric's measured numbers."""
+        """The fabric's measured data for the record."""
         return {"fabrics": {self.material: fabric_digest(self.material)}}
 
 

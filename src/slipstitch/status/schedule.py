@@ -10,7 +10,7 @@ def finish_times_s(
     cores: int,
     threads: Mapping[int, int] | None = None,
 ) -> dict[int, float]:
-    """When each job ends if every job starts as soon as it is ready and its cores are free.
+    """End time of each job if jobs start as soon as they are ready and their cores are free.
 
     Of several ready jobs, those with the lower number start first; a job with too few free
     cores lets smaller ones overtake it, as in Snakemake.

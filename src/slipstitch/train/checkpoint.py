@@ -22,7 +22,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass
 class Progress:
-    """How far a training has come: finished epochs, steps of the current one and its sums.
+    """Progress of a training: finished epochs, steps of the current one and its sums.
 
     Attributes
     ----------

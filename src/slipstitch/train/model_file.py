@@ -31,7 +31,7 @@ class TrainedModel:
 
     @property
     def target(self) -> str:
-        """What the classes are: material or friction."""
+        """Kind of the classes: material or friction."""
         return self.card["target"]
 
 

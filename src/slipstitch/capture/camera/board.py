@@ -90,7 +90,7 @@ class Board:
         return cls(size, square_mm / 1e3, marker_mm / 1e3, dictionary)
 
     def record(self) -> dict:
-        """What the camera file says about the board."""
+        """Description of the board for the camera file."""
         return asdict(self)
 
     def find(self, grey: np.ndarray) -> Sighting | None:

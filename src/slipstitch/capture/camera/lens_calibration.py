@@ -33,7 +33,7 @@ _MODELS = {
 
 @dataclass(frozen=True)
 class FloorPlace:
-    """Where the board lies on the floor: its first corner, its width's direction, its height."""
+    """Position of the board on the floor: its first corner, its width's direction, its height."""
 
     x_mm: float
     y_mm: float
@@ -134,7 +134,7 @@ class Calibration:
         )
 
     def stand(self, grey: np.ndarray, board: Board, place: FloorPlace, name: str) -> StagePose:
-        """Where the camera stands, from one image of the board lying on the floor.
+        """Position of the camera, from one image of the board lying on the floor.
 
         Raises
         ------
@@ -260,7 +260,7 @@ def _fit(views: list[View], model: str) -> Calibration:
 
 
 def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> dict:
-    """What `slipstitch.render.camera_file.write_camera_file` writes."""
+    """The content for `slipstitch.render.camera_file.write_camera_file`."""
     per_view = {
         view.name: _rms(residuals)
         for view, residuals in zip(result.views, result.residuals_px, strict=True)

@@ -140,7 +140,7 @@ def surroundings(config: Config, pair: PairSettings) -> Surroundings:
 
 
 def slip_angles(config: Config) -> list[dict]:
-    """What an inclined plane with an error of its own measures of each pair."""
+    """Measurements of each pair by an inclined plane with its own error."""
     error_deg = config.captures.incline_error_deg
     rows = []
     for pair in config.captures.pairs:
