@@ -112,7 +112,7 @@ def mesh_part(_):
 def _line(row):
     return (
         f"{row['material']:<16} friction {row['friction']:<4g} "
-        f"{row['vertices_per_side']:>4} a side: {row['cpu_s_per_s']:7.2f} CPU s a second; "
+        f"{row['vertices_per_side']:>4} a side: {row['cpu_s_per_s']:7.2f} CPU s per second; "
         f"a step {row['iterations_per_step']:.1f} "
         f"iterations, {row['factorisations_per_step']:.2f} factorisations; "
         f"{row['memory_mib']:.0f} MiB"

@@ -17,7 +17,7 @@ ABOUT = (
     "Measured: a paper-covered slider pulled over paper by a spring (Colas et al. 2019). No cloth."
 )
 SPIKE_SAMPLES = 5
-KEPT_EVERY = 4  # of 2000 samples a second; the fastest swing has a period of 23 ms
+KEPT_EVERY = 4  # of 2000 samples per second; the fastest swing has a period of 23 ms
 
 
 def write_paper_case(data: Path, folder: Path) -> None:

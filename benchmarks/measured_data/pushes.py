@@ -39,7 +39,7 @@ def _yaw_deg(row: dict, end: str) -> float:
 
 
 def read_pushes(folder: Path) -> pd.DataFrame:
-    """One line a push: force over weight, turn of the block, direction of motion, covariates.
+    """One line per push: force over weight, turn of the block, direction of motion, covariates.
 
     Raises
     ------

@@ -139,7 +139,7 @@ def _predictions(answer: dict[str, Any], network: str, variant: str, tested_on: 
 
 
 def _rows(answers: Sequence[dict[str, Any]], step: float) -> list[Row]:
-    """A row a network, test set and variant."""
+    """One row per network, test set and variant."""
     first = answers[0]
     rows = []
     for network in dict.fromkeys(variant["network"] for variant in first["variants"]):

@@ -145,7 +145,7 @@ def _shapes(axes: Axes, runs: Sequence[Mapping[str, Any]], moduli: Sequence[floa
 
 
 def settings_figure(calibration: Mapping[str, Any]) -> Figure:
-    """One column a setting: slip strain with each value, and the largest error against the value.
+    """One column per setting: slip strain with each value, and the largest error against the value.
 
     Parameters
     ----------

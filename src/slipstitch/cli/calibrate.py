@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Sweep, choose and check; print one line a setting and a check."""
+    """Sweep, choose and check; print one line per setting and per check."""
     from slipstitch.calibrate.calibration import calibrate_to_file, draw_again, sweep_to_file
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS

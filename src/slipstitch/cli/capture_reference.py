@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Estimate, write, print one line a pair."""
+    """Estimate, write, print one line per pair."""
     from slipstitch.capture.reference.reference_files import reference_to_files
 
     check_picture(arguments.picture)

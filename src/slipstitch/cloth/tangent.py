@@ -80,7 +80,7 @@ class _Pattern:
 
 
 class Assembly:
-    """Positions in the tangent stiffness to which elements of a mesh contribute, for all its sheets.
+    """Positions in the tangent stiffness to which the elements of a mesh contribute.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ class TrainSettings(Section):
         if len(self.channels) != len(self.convolutions):
             raise ValueError(
                 f"channels names {len(self.channels)} blocks, convolutions "
-                f"{len(self.convolutions)}: one number a block in both"
+                f"{len(self.convolutions)}: one number per block in both"
             )
         if min(self.channels) < 1 or min(self.convolutions) < 1:
             raise ValueError("channels and convolutions must be positive")

@@ -35,7 +35,7 @@ def simulate_case(
     name : str
         The case's id.
     out : path
-        Parquet file, one row a frame.
+        Parquet file, one row per frame.
     calibration : path, optional
         The file that settings were taken from, for the record.
 

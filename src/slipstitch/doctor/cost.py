@@ -29,7 +29,7 @@ COSTS = {
         20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
     ),
     "strip_s": Cost(
-        1.2, "CPU s a push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
+        1.2, "CPU s per push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
     ),
     "simulate_step_s": Cost(
         0.022,
@@ -48,56 +48,58 @@ COSTS = {
         "166 simulations of 38 s at 21 x 21, 5.3 CPU s in the mean, beside 8 of 131 s at 41 x 41",
     ),
     "trajectory_bytes": Cost(
-        12.0, "bytes a vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
+        12.0, "bytes per vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
     ),
     "render_start_s": Cost(
         1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
     ),
     "render_frame_s": Cost(
         0.14,
-        "CPU s a frame at 112 px, 1 sample: traced, separated, smoothed, packed",
+        "CPU s per frame at 112 px, 1 sample: traced, separated, smoothed, packed",
         "busy machine: 0.145, 0.222, 0.075 by view",
     ),
     "mirror_factor": Cost(2.0, "of render_frame_s on a reflective floor", "two paths for one"),
-    "pack_bytes": Cost(8.0, "bytes a pixel", "112 px, matte"),
-    "compose_start_s": Cost(0.6, "CPU s a simulation", "imports, textures drawn"),
-    "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
-    "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
+    "pack_bytes": Cost(8.0, "bytes per pixel", "112 px, matte"),
+    "compose_start_s": Cost(0.6, "CPU s per simulation", "imports, textures drawn"),
+    "look_frame_s": Cost(0.025, "CPU s per frame", "112 px: 0.017, 0.043, 0.009 by view"),
+    "texture_s": Cost(0.0045, "CPU s per image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
     "direct_pixel_s": Cost(
         2.5e-4,
-        "CPU s a pixel at 256 samples; four times as many on a reflective floor",
-        "about 1 M camera samples a second and core",
+        "CPU s per pixel at 256 samples; four times as many on a reflective floor",
+        "about 1 M camera samples per second and core",
     ),
     "image_bytes": Cost(
         1.15,
-        "bytes a pixel of PNG",
+        "bytes per pixel of PNG",
         "64 px, 810 images of one simulation in nine textures: calibrated 1.16, frontal 1.47, side "
         "0.68; the paper's nine viewpoints have seven like the first; 1.7 at 32 px",
     ),
-    "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
-    "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
-    "sample_s": Cost(0.0003, "CPU s an image", "demo: 2.1 s for 6480 images"),
+    "preview_s": Cost(0.8, "CPU s per simulation", "smoke chain: mean of 4"),
+    "preview_bytes": Cost(75e3, "bytes per simulation", "smoke chain, 32 px: mean of 4"),
+    "sample_s": Cost(0.0003, "CPU s per image", "demo: 2.1 s for 6480 images"),
     "train_frame_s": Cost(
         0.0020,
-        "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
+        "CPU s per frame, forward and backward, 64 px, a quarter of the paper's width",
         "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
     ),
     "instrument_frame_s": Cost(
-        0.0008, "CPU s a frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
+        0.0008, "CPU s per frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
     ),
-    "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
-    "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
+    "evaluate_frame_s": Cost(0.0008, "CPU s per frame", "a third of train_frame_s: forward only"),
+    "criticise_s": Cost(
+        40.0, "CPU s per case", "24 runs simulated again twice: 26 s; an allowance"
+    ),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
     "release_s": Cost(
-        0.0003, "CPU s an image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
+        0.0003, "CPU s per image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
     ),
     "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
-    "audit_s": Cost(0.00045, "CPU s an image", "112 px: 23 CPU s for 51 840 images"),
+    "audit_s": Cost(0.00045, "CPU s per image", "112 px: 23 CPU s for 51 840 images"),
     "audit_start_s": Cost(2.0, "CPU s", "smoke chain"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
-    "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
+    "record_bytes": Cost(8e3, "bytes per simulation or image shard", "smoke chain"),
     "ingest_film_s": Cost(1.5, "CPU s per video", "97 frames of 160 px: 1.3 s, 1 s of it start"),
-    "film_bytes": Cost(0.1, "bytes a pixel", "H.264 at quality 26, noise 0.02; an allowance"),
+    "film_bytes": Cost(0.1, "bytes per pixel", "H.264 at quality 26, noise 0.02; an allowance"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
@@ -233,7 +235,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        # A job a swept setting, the configured settings, the choice with its checks, the pictures.
+        # Jobs: one per swept setting, the configured ones, the choice with its checks, the pictures.
         StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate(
             "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory

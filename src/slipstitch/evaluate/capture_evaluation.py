@@ -146,7 +146,7 @@ def _likeliest_first(probabilities: dict[str, float]) -> list[str]:
 def evaluate_captures(
     settings: EvaluateSettings, dataset: str | os.PathLike, found: Sequence[Predictions]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Metrics by subset and model, means over seeds; and a row a capture and model.
+    """Metrics by subset and model, means over seeds; and one row per capture and model.
 
     Returns
     -------

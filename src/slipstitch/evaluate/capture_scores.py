@@ -72,7 +72,7 @@ def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
 def pair_medians(
     known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
 ) -> list[dict[str, Any]]:
-    """A row a pair: its reference, the predictions of its repeats, their median and its error."""
+    """One row per pair: reference, predictions of the repeats, their median and its error."""
     members: dict[str, list[int]] = defaultdict(list)
     for k in np.flatnonzero(chosen):
         members[known[k]["pair"]].append(int(k))

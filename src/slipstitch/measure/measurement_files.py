@@ -97,7 +97,7 @@ class MeasuredPair:
         }
 
     def table(self) -> str:
-        """CSV: a row a video, then the combined value."""
+        """CSV: one row per video, then the combined value."""
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(COLUMNS)

@@ -100,7 +100,7 @@ def _distribution(result: MeasuredVideo) -> dict:
 
 
 def _timeline(result: MeasuredVideo, weights: np.ndarray) -> dict:
-    """The stage's path over time, and a disc a frame as large as its weight."""
+    """The stage's path over time, and one disc per frame as large as its weight."""
     path, video = result.stage_path, result.video
     end_s = float(video.time_s[-1]) or 1.0
 

@@ -68,7 +68,7 @@ def _is_model(model: object) -> bool:
 
 
 def predictions(verdict: dict, case: Case) -> pd.DataFrame:
-    """One line a run and quantity: run_id, quantity, null and extended mean and total sd."""
+    """One line per run and quantity: run_id, quantity, null and extended mean and total sd."""
     design = assemble(case, measured=False)
     table = design.rows[["run_id", "quantity"]].copy()
     for name, label in (("null", "null"), ("extended", "ext")):

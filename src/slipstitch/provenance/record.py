@@ -21,7 +21,7 @@ from slipstitch.provenance.reading import SIDECAR_SUFFIX, open_parquet
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
-# A checksum a page: damage is noticed when a file is read (slipstitch.provenance.reading).
+# A checksum per page: damage is noticed when a file is read (slipstitch.provenance.reading).
 WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 #: What of a checkout decides about results, beside the configuration, whose values are recorded.
 TRACKED = ("Snakefile", "rules", "envs", "src", "workflow", "LICENSE", "CITATION.cff")

@@ -16,7 +16,7 @@ three channels follow the same paths, so the solution holds path by path and add
 
 Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths
 a pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16
-rays a pixel, 64 in small images (`slipstitch.render.visibility`). `slipstitch.render.composition`
+rays per pixel, 64 in small images (`slipstitch.render.visibility`). `slipstitch.render.composition`
 joins the two and puts textures on.
 """
 

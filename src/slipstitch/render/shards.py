@@ -118,7 +118,7 @@ def render_shard(
     ----------
     job : Job
     out : path
-        Parquet file, one row an image; written whole or not at all.
+        Parquet file, one row per image; written whole or not at all.
     pack_path : path, optional
         Take the light from this file, instead of rendering it in Blender; the pixels are the same.
     progress : callable

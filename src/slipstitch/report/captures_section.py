@@ -68,7 +68,7 @@ def floors_in_words(floors: Mapping[str, tuple[int, bool]]) -> str:
 
 
 def captures_section(results: Results, metrics, details, predictions) -> dict[str, Any] | None:
-    """Captures beside the simulated test set: a table a model, and the curves.
+    """Captures beside the simulated test set: one table per model, and the curves.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from slipstitch.report.results import Benchmark
 
 
 def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
-    """A row a stage, their picture and their sum; None without benchmark files."""
+    """One row per stage, their picture and their sum; None without benchmark files."""
     if not benchmarks:
         return None
     return {

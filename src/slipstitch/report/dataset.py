@@ -9,7 +9,7 @@ from slipstitch.page.wording import evenly
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
 
-# The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s a stroke).
+# The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s per stroke).
 MID_STROKE_S = 22.5
 
 

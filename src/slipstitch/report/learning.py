@@ -101,7 +101,7 @@ def headline(config: Config, metrics, details) -> dict[str, Any] | None:
 def beside_paper(
     metrics, details, titles: Mapping[str, str], quoted: Mapping[tuple[str, str], float]
 ) -> dict[str, Any]:
-    """A table of the paper's metrics: its own figures, then a column a test set of ours.
+    """A table of the paper's metrics: its own figures, then one column per test set of ours.
 
     Parameters
     ----------

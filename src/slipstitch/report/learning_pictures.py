@@ -33,7 +33,7 @@ def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]
 
 @styled
 def training(histories: Sequence[History]) -> Figure | None:
-    """Loss against epoch, a panel a network and split; chance as a dotted line."""
+    """Loss against epoch, one panel per network and split; chance as a dotted line."""
     if not histories:
         return None
     networks = [
@@ -235,7 +235,7 @@ _CURVES = {
 
 @styled
 def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> Figure | None:
-    """Share of videos against the error, simulated and captured, a panel a model.
+    """Share of videos against the error, simulated and captured, one panel per model.
 
     Parameters
     ----------

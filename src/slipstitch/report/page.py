@@ -110,7 +110,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     Returns
     -------
     dict
-        One entry a section; None or empty where a stage was not run.
+        One entry per section; None or empty where a stage was not run.
     """
     config = results.config
     metrics, details = results.metrics(), results.details()

@@ -24,7 +24,7 @@ def friction_colour(friction: float, frictions: Sequence[float]):
 
 @styled
 def calibration(data: Mapping[str, Any]) -> Figure:
-    """Measured against theory, a panel an experiment."""
+    """Measured against theory, one panel per experiment."""
     return calibration_figure(data)
 
 

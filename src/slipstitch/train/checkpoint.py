@@ -30,7 +30,7 @@ class Progress:
     sums : dict
         Losses and other columns of the history, summed over the current epoch's videos so far.
     history : list of dict
-        A row a finished epoch.
+        One row per finished epoch.
     """
 
     epoch: int = 0

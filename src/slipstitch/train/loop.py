@@ -143,7 +143,7 @@ def train_learner(
     Returns
     -------
     list of dict
-        The history, a row an epoch.
+        The history, one row per epoch.
 
     Raises
     ------
