@@ -48,5 +48,5 @@ def lay_out(folder: Path) -> None:
     """
     there = [part for part in PARTS if (folder / part).exists()]
     if there:
-        raise BadInput(f"{folder / there[0]}: is there already; nothing is overwritten")
+        raise BadInput(f"{folder / there[0]}: already exists; nothing is overwritten")
     copy_parts(project_folder(), folder)

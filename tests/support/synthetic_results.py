@@ -301,7 +301,7 @@ def write_audit(folder: Path, verdict: str = "intact") -> None:
         "sums_sha256": "5e" * 32,
         "numbers": {"files": 40, "bytes": 2e6, "images": 90, "clips": 9, "wall_s": 1.5},
         "counts": {"altered": int(verdict == "damaged"), "stale": 0},
-        "notes": ["no digest of SHA256SUMS from elsewhere was given (--expect)"],
+        "notes": ["no independently published digest of SHA256SUMS was given (--expect)"],
     }
     write_json(folder / "audit" / "audit.json", content)
 

@@ -387,7 +387,7 @@ def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
 
 
 def test_folder_that_is_no_checkout_is_refused(results, tmp_path):
-    with pytest.raises(BadInput, match="no workflow folder of Slipstitch: it has no Snakefile"):
+    with pytest.raises(BadInput, match="not a workflow folder of Slipstitch: no Snakefile"):
         write_release(CONFIG, results, tmp_path / "out", tmp_path)
 
 

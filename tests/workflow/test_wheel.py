@@ -73,7 +73,7 @@ def test_it_says_what_is_missing_and_lays_the_workflow_out_on_the_standard_libra
     again = environment.run("slipstitch", "init", "here")
     assert again.returncode == 2
     assert again.stderr == (
-        "slipstitch init: error: here/Snakefile: is there already; nothing is overwritten\n"
+        "slipstitch init: error: here/Snakefile: already exists; nothing is overwritten\n"
     )
 
 

@@ -59,7 +59,7 @@ def check_entries(folder: Path) -> None:
                     raise BadInput(f"{folder}: more than {ENTRIES_MAX} files; not a release")
                 name = Path(entry.path).relative_to(folder).as_posix()
                 if not name.isprintable():
-                    raise BadInput(f"{folder}: {name!r}: a name that is not printable")
+                    raise BadInput(f"{folder}: {name!r}: the name is not printable")
                 status = entry.stat(follow_symlinks=False)
                 if stat.S_ISDIR(status.st_mode):
                     waiting.append((Path(entry.path), depth + 1))
@@ -69,23 +69,25 @@ def check_entries(folder: Path) -> None:
                         (k for test, k in _KINDS.items() if test(status.st_mode)), "no file"
                     )
                     raise BadInput(
-                        f"{folder}: {name} is {kind}; a release holds plain files only "
-                        "(a folder of links: copy it with cp -rL)"
+                        f"{folder}: {name} is {kind}; a release contains only regular files (for "
+                        "a folder of links, copy it with cp -rL)"
                     )
                 total += _checked_size(folder, name, status)
     if total > BYTES_MAX:
-        raise BadInput(f"{folder}: {total} bytes beside the shards, at most {BYTES_MAX} are read")
+        raise BadInput(
+            f"{folder}: {total} bytes besides the shards; at most {BYTES_MAX} are allowed"
+        )
 
 
 def _checked_size(folder: Path, name: str, status: os.stat_result) -> int:
     """Bytes of a file that is no shard; 0 of a shard."""
     if status.st_size > FILE_BYTES_MAX and 4 * 512 * status.st_blocks < status.st_size:
-        raise BadInput(f"{folder}: {name}: {status.st_size} bytes, most of them a hole")
+        raise BadInput(f"{folder}: {name}: {status.st_size} bytes, mostly a hole (sparse file)")
     if name.startswith(f"{FOLDER}/"):
         return 0
     if status.st_size > FILE_BYTES_MAX:
         raise BadInput(
-            f"{folder}: {name}: {status.st_size} bytes, at most {FILE_BYTES_MAX} are read"
+            f"{folder}: {name}: {status.st_size} bytes; at most {FILE_BYTES_MAX} are allowed"
         )
     return status.st_size
 
@@ -114,20 +116,20 @@ def check_parquet(path: Path, images: bool) -> str | None:
         footer, size = file.metadata, os.path.getsize(path)
         # Ids and digests of a row take 8 bytes, however well they are compressed.
         if footer.num_rows > size / 8:
-            raise BadInput(f"{path}: {footer.num_rows} rows packed into {size} bytes; not read")
+            raise BadInput(f"{path}: {footer.num_rows} rows compressed to {size} bytes; not read")
         groups = [footer.row_group(number) for number in range(footer.num_row_groups)]
         chunks = [group.column(k) for group in groups for k in range(footer.num_columns)]
         labels = [one for one in chunks if not (images and one.path_in_schema[:6] == "image.")]
         packed = sum(chunk.total_uncompressed_size for chunk in labels)
         if packed > _LABEL_RATIO * size + 2**20:
-            raise BadInput(f"{path}: {packed} bytes packed into {size}; not read")
+            raise BadInput(f"{path}: {packed} bytes compressed to {size}; not read")
         for chunk in chunks:
             stored = chunk.compression == "UNCOMPRESSED" and not chunk.has_dictionary_page
             coded = any("DICTIONARY" in encoding for encoding in chunk.encodings)
             if chunk not in labels and (not stored or coded):
                 raise BadInput(f"{path}: its images are compressed or coded again; not read")
         known = sum(chunk.total_compressed_size for chunk in chunks) + footer.serialized_size + 12
-        return None if known == size else f"{size - known} bytes of it belong to no column"
+        return None if known == size else f"{size - known} bytes do not belong to any column"
 
 
 def text_columns(path: Path) -> list[str]:

@@ -55,7 +55,8 @@ def _audit(
     every = tuple(contents.clips)
     findings, notes = list(contents.findings), []
     if expected is not None and contents.sums_sha256 != expected.lower():
-        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
+        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: a different "
+        "release"
         findings.append(Finding(Kind.ALTERED, SUMS, what, every))
     if signers is not None:
         signer, problem = verify(folder, signers)
@@ -65,7 +66,7 @@ def _audit(
             notes.append(f"signed by {signer}")
     elif expected is None:
         how = "--verify" if (folder / SIGNATURE).is_file() else "--expect"
-        notes.append(f"not compared with anything from elsewhere ({how}): see docs/release.md")
+        notes.append(f"not compared with any external reference ({how}): see docs/release.md")
     of_files, numbers, shards = check_files(contents, jobs)
     parts = [
         check_lineage(contents, shards),

@@ -149,9 +149,9 @@ def _read_manifest(contents: Contents, path: Path) -> None:
     short_texts(table, path)
     rows = table.to_pylist()
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
-        raise ValueError("a value is missing")
+        raise ValueError("missing value")
     if any(not 0 < row["frames"] <= FRAMES_MAX for row in rows):
-        raise ValueError(f"a video of no images, or of more than {FRAMES_MAX}")
+        raise ValueError(f"a video without images, or with more than {FRAMES_MAX}")
     if len({row["video"] for row in rows}) != len(rows):
         raise ValueError("duplicate video")
     contents.rows = rows

@@ -67,13 +67,14 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
         What could not be made again, and why.
     """
     if not contents.rows or contents.config is None:
-        return [], ["without manifest and configuration, nothing is made again and compared"]
+        return [], ["without manifest and configuration, nothing can be regenerated and compared"]
     findings = [*_files(contents), *_manifest(contents), *_head(contents), *_copies(contents)]
     findings += _grid(contents)
     made_by = contents.release.get("provenance", {}).get("code_digest")
     if made_by != current_digest("release"):
-        note = "card, Croissant, crate and previews were written by other code of release: "
-        return findings, [note + "only the splits on the card's head are compared"]
+        note = "card, Croissant, crate and previews were written by a different version of "
+        "release: "
+        return findings, [note + "only the splits in the card's header are compared"]
     drawn: dict[str, tuple[str, Image.Image]] = {}
     made: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         (RELEASE_RECORD, lambda: _facts(contents)),
@@ -87,7 +88,7 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
             findings += check()
         except _UNUSABLE as error:
             words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            what = f"cannot be made again from the records: {words}"
+            what = f"cannot be regenerated from the records: {words}"
             findings.append(Finding(Kind.BROKEN, name, what))
     return findings, []
 
@@ -102,10 +103,10 @@ def _files(contents: Contents) -> Iterator[Finding]:
     code = tuple(f"{CODE}/{name}" for name in COPIED)
     for name in sorted(set(contents.sums) - expected):
         if not (name in code or name.startswith(tuple(f"{folder}/" for folder in code))):
-            yield Finding(Kind.UNEXPLAINED, name, "a release has no such file")
+            yield Finding(Kind.UNEXPLAINED, name, "not a file of a release")
     for name in (*_BESIDE, CONFIG, RELEASE_RECORD, f"{CODE}/Snakefile"):
         if name not in contents.sums:
-            yield Finding(Kind.MISSING, name, "every release has it")
+            yield Finding(Kind.MISSING, name, "required in every release")
 
 
 def _manifest(contents: Contents) -> Iterator[Finding]:
@@ -116,9 +117,9 @@ def _manifest(contents: Contents) -> Iterator[Finding]:
     schema = contents.schema
     if schema is not None and not schema.equals(expected, check_metadata=False):
         odd = sorted(set(schema.names) ^ set(expected.names)) or ["their order or types"]
-        yield Finding(Kind.BROKEN, MANIFEST, f"its columns are not a manifest's: {odd[0]}")
+        yield Finding(Kind.BROKEN, MANIFEST, f"its columns are not those of a manifest: {odd[0]}")
     if contents.notes != notes_of(contents.rows, MANIFEST_SCHEMA, splits):
-        yield Finding(Kind.BROKEN, MANIFEST, "its notes are not what its rows give")
+        yield Finding(Kind.BROKEN, MANIFEST, "its metadata do not match its rows")
     shards: dict[str, list[str]] = defaultdict(list)
     for row in contents.rows:
         if row["shard"] not in shards[row["part"]]:
@@ -128,7 +129,7 @@ def _manifest(contents: Contents) -> Iterator[Finding]:
         named = {f"data/{part}-{number:05d}-of-{count:05d}.parquet" for number in range(count)}
         for shard in sorted(set(found) - named):
             clips = tuple(row["video"] for row in contents.rows if row["shard"] == shard)
-            what = f"holds clips of {part}, whose {count} shards have other names"
+            what = f"contains clips of {part}, whose {count} shards have other names"
             yield Finding(Kind.BROKEN, shard, what, clips)
 
 
@@ -145,7 +146,8 @@ def _head(contents: Contents) -> Iterator[Finding]:
             for one in entry["data_files"]
         }
     except (*_UNUSABLE, UnicodeDecodeError) as error:
-        what = f"its head names no splits: {str(error).splitlines()[0] if str(error) else error!r}"
+        what = "its header names no splits: "
+        f"{str(error).splitlines()[0] if str(error) else error!r}"
         yield Finding(Kind.BROKEN, card.CARD, what)
         return
     expected = card.data_files(sides_of_parts(contents.rows))
@@ -153,7 +155,7 @@ def _head(contents: Contents) -> Iterator[Finding]:
         one, other = found.get((split, side)), expected.get((split, side))
         if one != other:
             clips = tuple(r["video"] for r in contents.rows if r.get(f"{PREFIX}{split}") == side)
-            what = f"its head loads {one} as {side} of {split}; the manifest has {other} there"
+            what = f"its header loads {one} as {side} of {split}; the manifest has {other} there"
             yield Finding(Kind.BROKEN, card.CARD, what, clips)
 
 
@@ -201,7 +203,7 @@ def _facts(contents: Contents) -> Iterator[Finding]:
     }
     for key, value in expected_record.items():
         if record.get(key) != value:
-            yield Finding(Kind.BROKEN, RELEASE_RECORD, f"its {key} is not what the release has")
+            yield Finding(Kind.BROKEN, RELEASE_RECORD, f"its {key} does not match the release")
     for problem in other_versions(record, locked_versions(contents.folder / CODE)):
         yield Finding(Kind.BROKEN, RELEASE_RECORD, problem)
 
@@ -226,7 +228,7 @@ def _same_text(contents: Contents, name: str, expected: str) -> Iterator[Finding
     lines = difflib.ndiff(expected.splitlines(), found.splitlines())
     odd = next((line for line in lines if line[0] in "+-"), "  ")
     said = f"says {_short(odd[2:])!r}" if odd[0] == "+" else f"lacks {_short(odd[2:])!r}"
-    yield Finding(Kind.BROKEN, name, f"is not what manifest and records give: {said}")
+    yield Finding(Kind.BROKEN, name, f"does not match manifest and records: {said}")
 
 
 def _short(text: str) -> str:
@@ -253,7 +255,7 @@ def _same_json(contents: Contents, name: str, text: str) -> Iterator[Finding]:
     for key in sorted({*found, *expected} - {"@context"}):
         if found.get(key) != expected.get(key):
             odd = _first_difference(expected.get(key), found.get(key), key)
-            yield Finding(Kind.BROKEN, name, f"is not what the release holds: {odd}")
+            yield Finding(Kind.BROKEN, name, f"does not match the release: {odd}")
             return
 
 

@@ -128,9 +128,9 @@ def _difference(found: pa.Schema, expected: pa.Schema) -> str:
     more = [name for name in found.names if name not in expected.names]
     fewer = [name for name in expected.names if name not in found.names]
     if more or fewer:
-        return f"{more[0]!r} more" if more else f"{fewer[0]!r} is not there"
+        return f"{more[0]!r} more" if more else f"{fewer[0]!r} is missing"
     of_type = [f.name for f, e in zip(found, expected, strict=False) if f.type != e.type]
-    return f"{of_type[0]!r} is of another type" if of_type else "order or metadata"
+    return f"{of_type[0]!r} has another type" if of_type else "order or metadata"
 
 
 def admit_shards(contents: Contents) -> dict[str, str]:
@@ -268,7 +268,7 @@ def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) ->
             what = f"an image of {video} {shard.flaws[video]}"
             findings.append(Finding(Kind.ALTERED, name, what, (video,)))
         elif found != row["pixels_sha256"]:
-            what = f"the decoded pixels of {video} are not those of the manifest"
+            what = f"the decoded pixels of {video} do not match the manifest"
             findings.append(Finding(Kind.ALTERED, name, what, (video,)))
         problem = _labels(row, shard)
         if problem:

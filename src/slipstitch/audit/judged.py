@@ -64,7 +64,7 @@ def check_judged(
             problems = list(check(read_json(place)))
         except _UNUSABLE as error:
             words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            problems = [f"cannot be judged again: {words}"]
+            problems = [f"cannot be checked: {words}"]
         for problem in problems:
             yield Finding(Kind.BROKEN, carried_file(path), problem, every)
 
@@ -76,7 +76,7 @@ def _calibration(content: Mapping[str, Any], config: Config) -> Iterator[str]:
     planned = experiments(settings)
     options = [(one.protocol, one.options) for one in planned]
     if [(run["protocol"], run["options"]) for run in runs] != options:
-        yield "its experiments are not those of the configuration"
+        yield "its experiments do not match the configuration"
         return
     judged = []
     for experiment, run in zip(planned, runs, strict=True):
@@ -88,17 +88,17 @@ def _calibration(content: Mapping[str, Any], config: Config) -> Iterator[str]:
     if content["checks"] != [check.as_dict() for check in judged]:
         pairs = zip(content["checks"], judged, strict=False)
         odd = next((check.describe() for stated, check in pairs if stated != check.as_dict()), None)
-        yield f"its checks are not those of its runs: {odd or 'another number of them'}"
+        yield f"its checks do not match its runs: {odd or 'a different number'}"
     for check in judged:
         if not check.met:
-            yield f"a demand is not met: {check.describe()}"
+            yield f"a requirement is not met: {check.describe()}"
         elif check.demand > 0 and check.error == 0 and check.theory:
             yield f"{check.name}: a simulation that agrees with theory to the last bit"
     if content["met"] is not all(check.met for check in judged):
-        yield "says wrongly that its demands are met"
+        yield "states wrongly that its requirements are met"
     strip = content["strip"]
     if content["settings"] != verified_settings(chosen_simulation(simulation, strip)):
-        yield "its settings are not the configured ones with those that the strip chose"
+        yield "its settings are not the configured ones combined with those chosen by the strip"
     yield from _strip(strip, config)
 
 
@@ -126,7 +126,7 @@ def _strip(strip: Mapping[str, Any], config: Config) -> Iterator[str]:
         for tried in variations(key, settings, config.simulation)
     ]
     if [(one["key"], one["settings"]) for one in trials if one["key"] != COMBINATION] != expected:
-        yield "the settings that its strip was pushed with are not those of the configuration"
+        yield "the settings of its strip do not match the configuration"
         return
     base = trials[0]["settings"]
     for trial in trials:
@@ -139,9 +139,9 @@ def _strip(strip: Mapping[str, Any], config: Config) -> Iterator[str]:
     chosen = strip["chosen"]
     same = [one for one in trials if one["settings"] == chosen["settings"]]
     if not any(one["meets"] and one["may_be_chosen"] for one in same):
-        yield "the settings that it chose are none that may be chosen and meet the demand"
+        yield "the settings that it chose are not eligible or do not meet the requirements"
     elif not any(_as_tried(chosen, one) for one in same):
-        yield "what it says of the chosen settings is not what their trial says"
+        yield "its data on the chosen settings do not match their trial"
 
 
 def _as_tried(chosen: Mapping[str, Any], trial: Mapping[str, Any]) -> bool:
@@ -157,21 +157,21 @@ def _verification(
 
     compared = content["comparisons"]
     if [(one["video"], one["frame"]) for one in compared] != _drawn(config):
-        yield "its images are not those that the seed draws"
+        yield "its images are not those drawn from the seed"
         return
     lowest = {key: min(one[key] for one in compared) for key in ("psnr_db", "ssim")}
     summed = {"images": len(compared), **{f"lowest_{key}": value for key, value in lowest.items()}}
     if {key: value for key, value in content.items() if key != "comparisons"} != summed:
-        yield "its lowest figures are not those of its images"
+        yield "its lowest values do not match its images"
     for one in compared:
         where = f"{one['video']} frame {one['frame']}"
         row = contents.row_of[one["video"]]
         least = LEAST_PSNR_DB[row["floor_reflectance"] > 0]
         if (one["floor"], one["least_psnr_db"]) != (row["floor"], least):
-            yield f"{where}: floor or demand is not that of the clip"
+            yield f"{where}: floor or limit do not match the clip"
         images = [_decoded(one[key]) for key in ("composed_png", "direct_png")]
         if images[0].shape != images[1].shape:
-            yield f"{where}: its two images are of different sizes"
+            yield f"{where}: its two images have different sizes"
             continue
         again = {"psnr_db": psnr_db(*images), "ssim": ssim(*images)}
         for key, value in again.items():
@@ -179,10 +179,10 @@ def _verification(
                 yield f"{where}: its {key} is {one[key]:.6g}, that of the two images {value:.6g}"
         good = again["psnr_db"] >= least and again["ssim"] >= LEAST_SSIM
         if not (good and one["as_stored"] is True and one["passed"] is True):
-            yield f"{where}: is not near enough to the direct render"
+            yield f"{where}: deviates too much from the direct render"
         released = _released(contents, config, one, shards)
         if released is not None and not _photographed(contents, config, one, released, images[0]):
-            yield f"{where}: the image that was compared is not the released one"
+            yield f"{where}: the compared image is not the released one"
 
 
 def _drawn(config: Config) -> list[tuple[str, int]]:

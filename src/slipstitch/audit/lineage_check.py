@@ -222,7 +222,7 @@ def _recomputed(
     for row in contents.rows:
         video = row["video"]
         if video not in expected:
-            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: not of the configured grid", (video,))
+            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: not in the configured grid", (video,))
             continue
         for name, value in expected[video].items():
             if row.get(name) != value:
@@ -234,18 +234,18 @@ def _recomputed(
         if problem:
             yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
         if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
-            what = f"{video}: no rendering or no simulation stands behind it"
+            what = f"{video}: its rendering or simulation is missing"
             yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
         for record in lineage.of_stage(row, "render"):
             pose = record.metadata.get("pose")
             if pose != {n[5:]: value for n, value in row.items() if n.startswith("pose_")}:
-                what = f"{video}: its pose is not the one that its images were rendered from"
+                what = f"{video}: its pose is not the one its images were rendered from"
                 yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
         if "render" not in stale:
             yield from _drawn(config, row)
     missing = sorted(set(expected) - set(contents.clips))
     if missing:
-        what = f"the grid's clip {missing[0]} is not in it ({len(missing)} are missing)"
+        what = f"the clip {missing[0]} of the grid is missing ({len(missing)} are missing)"
         yield Finding(Kind.BROKEN, MANIFEST, what)
     if "sample" not in stale:
         yield from _sides(contents, config)
@@ -303,7 +303,8 @@ def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
     }
     for name, value in labels.items():
         if row.get(name) != value:
-            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
+            what = f"{row['video']}: {name} is {row.get(name)!r}, but {value!r} is drawn from "
+            "the seed"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 

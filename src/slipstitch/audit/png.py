@@ -22,15 +22,15 @@ def png_problem(data: bytes, size: tuple[int, int] | None = None) -> str | None:
         Width and height that the image must have.
     """
     if not data.startswith(_SIGNATURE):
-        return "is no PNG file"
+        return "is not a PNG file"
     place, packed, kinds = len(_SIGNATURE), [], []
     while place < len(data) and kinds[-1:] != [b"IEND"]:
         if place + 12 > len(data):
-            return "is cut off"
+            return "is truncated"
         length, kind = struct.unpack_from(">I4s", data, place)
         end = place + 12 + length
         if end > len(data):
-            return "is cut off"
+            return "is truncated"
         body = data[place + 8 : end - 4]
         if struct.unpack_from(">I", data, end - 4)[0] != zlib.crc32(body, zlib.crc32(kind)):
             return f"has a damaged chunk {kind!r}"
@@ -45,13 +45,13 @@ def png_problem(data: bytes, size: tuple[int, int] | None = None) -> str | None:
         elif kind == b"IDAT":
             packed.append(body)
         elif kind != b"IEND" or length:
-            return f"holds a chunk {kind!r}"
+            return f"contains a chunk {kind!r}"
         kinds.append(kind)
         place = end
     if place != len(data):
         return f"goes on for {len(data) - place} bytes after its end"
     if kinds[:1] != [b"IHDR"] or kinds[-1:] != [b"IEND"] or not packed:
-        return "is not whole"
+        return "is incomplete"
     count = height * (1 + 3 * width)
     stream = zlib.decompressobj()
     try:
@@ -59,5 +59,5 @@ def png_problem(data: bytes, size: tuple[int, int] | None = None) -> str | None:
     except zlib.error:
         return "cannot be decoded"
     if len(lines) != count or not stream.eof or stream.unused_data:
-        return "holds more or less than its lines"
+        return "contains more or less than its lines"
     return None

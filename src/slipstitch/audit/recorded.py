@@ -79,7 +79,7 @@ def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterato
             continue
         stage = next((name for start, name in STAGES.items() if path.startswith(start)), None)
         if stage != artefact.stage:
-            yield _broken(lineage, artefact, f"says that {artefact.stage!r} made it")
+            yield _broken(lineage, artefact, f"names {artefact.stage!r} as its stage")
             continue
         problems = list(other_versions(artefact.record, lock))
         try:
@@ -88,7 +88,7 @@ def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterato
                 problems += checks[stage](artefact, contents, config, grid)
         except _UNUSABLE as error:
             words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            problems.append(f"cannot be followed: {words}")
+            problems.append(f"cannot be traced: {words}")
         for problem in problems:
             yield _broken(lineage, artefact, problem)
 
@@ -100,7 +100,7 @@ def _broken(lineage: Lineage, artefact: Artefact, what: str) -> Finding:
 def _simulation_of(artefact: Artefact, grid: Mapping[str, Simulation]) -> Simulation:
     name = "_".join(Path(artefact.path).stem.split("_")[:3])
     if name not in grid:
-        raise ValueError(f"{name} is not of the configured grid")
+        raise ValueError(f"{name} is not in the configured grid")
     return grid[name]
 
 
@@ -120,9 +120,9 @@ def _made_with(
         keys = set(found) if isinstance(found, Mapping) else set()
         missing = set(plain[section]) - keys - _NOT_NEEDED.get(section, set())
         if missing:
-            yield f"does not say with which {section}.{min(missing)} it was made"
+            yield f"does not state the {section}.{min(missing)} it was made"
         if keys - set(plain[section]):
-            yield f"was made with {section}.{min(keys - set(plain[section]))}: there is no such key"
+            yield f"was made with {section}.{min(keys - set(plain[section]))}: no such key"
     seed: int | None = config.seed
     if artefact.stage == "simulate":
         seed = _simulation_of(artefact, grid).seed
@@ -159,11 +159,11 @@ def _differing(found: Mapping[str, Any], expected: Mapping[str, Any]) -> Iterato
     """Keys that are not there, are too many, or hold something else."""
     for key in sorted({*found, *expected}):
         if key not in found:
-            yield f"does not tell its {key}"
+            yield f"does not state its {key}"
         elif key not in expected:
-            yield f"tells a {key}, which no such record has"
+            yield f"contains a {key}, which is not part of such a record"
         elif not _alike(found[key], expected[key]):
-            yield f"its {key} is not what configuration and seed give"
+            yield f"its {key} does not match configuration and seed"
 
 
 def _alike(one: Any, other: Any) -> bool:
@@ -218,7 +218,7 @@ def _simulated(
     solver = metadata.pop("solver", {})
     device, at_once = metadata.pop("device", None), metadata.pop("simulated_at_once", 0)
     if not isinstance(device, str) or not 1 <= at_once <= len(grid):
-        yield "does not say where it was simulated, and with how many others"
+        yield "does not state its device and batch size"
     yield from _differing(metadata, expected)
     settled = ceil(settings.settle_s / (frame_s / steps) - 1e-9)
     yield from _possible(solver, settings, settled + (settings.frames - 1) * steps)
@@ -232,7 +232,7 @@ def _possible(solver: Mapping[str, Any], settings: SimulationSettings, steps: in
     taken, residual = solver["steps"], solver["largest_residual"]
     tolerance = settings.friction_tolerance
     if taken < steps:
-        yield f"took {taken} steps; to its last frame it is {steps} at least"
+        yield f"took {taken} steps; at least {steps} are required up to its last frame"
     if solver["newton_iterations"] < taken:
         yield f"took {solver['newton_iterations']} Newton iterations for {taken} steps"
     if not 0 < residual <= tolerance:
@@ -278,5 +278,5 @@ def _rendered(
     metadata = dict(artefact.metadata)
     share = metadata.pop("smallest_share_of_cloth_in_image", None)
     if not isinstance(share, int | float) or not 0 <= share <= 1:
-        yield "does not say what share of the cloth is in its images"
+        yield "does not state the share of the cloth in its images"
     yield from _differing(metadata, _plain(expected))

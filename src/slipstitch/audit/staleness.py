@@ -64,14 +64,14 @@ def _other_code(artefact: Artefact) -> Iterator[str]:
         return
     same_sources = current_digest(artefact.stage, None, versions)
     if same_sources is None:
-        yield "there is no such stage any more"
+        yield "the stage no longer exists"
     elif same_sources != made_by:
         yield "its code has changed"
     else:
         for package in sorted(RESULT_PACKAGES.values()):
             then, now = versions.get(package), installed_version(package)
             if then is not None and now is not None and then.split("+")[0] != now.split("+")[0]:
-                yield f"it was made with {package} {then}, {now} is installed"
+                yield f"it was made with {package} {then}; {now} is installed"
 
 
 def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], list[str]]:

@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--verify",
         type=Path,
         metavar="ALLOWED_SIGNERS",
-        help="who may have signed it: a file of lines NAME PUBLIC_KEY, as for ssh-keygen -Y",
+        help="allowed signers: a file with lines NAME PUBLIC_KEY, as for ssh-keygen -Y",
     )
     parser.add_argument(
         "--rebuild",

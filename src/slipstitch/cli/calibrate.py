@@ -15,10 +15,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser, required=False)
     parser.add_argument(
-        "--out", type=output_file, help="JSON file of settings and checks (with --sweep: its runs)"
+        "--out",
+        type=output_file,
+        help="JSON file with settings and checks (with --sweep: its runs)",
     )
     parser.add_argument(
-        "--draw", metavar="FILE", help="instead: only draw the pictures of this calibration"
+        "--draw", metavar="FILE", help="instead: only draw the plots of this calibration"
     )
     parser.add_argument(
         "--sweep",
@@ -39,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only-failures",
         action="store_true",
-        help="draw only where a demand is not met, as NAME.failed.png",
+        help="draw only if a requirement is not met, as NAME.failed.png",
     )
 
 
@@ -55,7 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
         draw_again(arguments.draw, pictures)
         return
     if not arguments.config or not arguments.out:
-        raise BadInput("--config and --out are needed, or --draw")
+        raise BadInput("--config and --out are required, or --draw")
     config = load_config(*arguments.config)
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):

@@ -4,7 +4,7 @@ import argparse
 
 from slipstitch.cli.options import output_folder_path
 
-SUMMARY = "lay out a folder to run the workflow in: Snakefile, rules, configurations, cases"
+SUMMARY = "create a workflow folder: Snakefile, rules, configurations, cases"
 EXAMPLE = "slipstitch init friction && cd friction && snakemake --cores 2 all"
 
 
@@ -18,4 +18,4 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.project import lay_out
 
     lay_out(arguments.folder)
-    print(f"{arguments.folder}: config.yaml is the demo; run it there: snakemake --cores 2 all")
+    print(f"{arguments.folder}: config.yaml is the demo; to run it there: snakemake --cores 2 all")

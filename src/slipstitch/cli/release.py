@@ -27,9 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="folder of the workflow that was run (default: the one of the package)",
     )
     parser.add_argument(
-        "--sign",
-        metavar="KEY",
-        help="SSH key to sign it with; slipstitch audit --verify checks the signature",
+        "--sign", metavar="KEY", help="SSH key for a signature; slipstitch audit --verify checks it"
     )
 
 

@@ -13,8 +13,8 @@ class CriticiseSettings(Section):
 
     cases: tuple[str, ...] = Field(
         ("data/cases/paper_on_paper", "data/cases/surrogate_anisotropic"),
-        description="case folders (docs/measurements.md), from the working folder on, or ones that "
-        "come with the workflow; a folder's name is the case's id",
+        description="case folders (docs/measurements.md), relative to the working folder, or "
+        "included in the workflow; a folder's name is the case's id",
     )
 
     @field_validator("cases")

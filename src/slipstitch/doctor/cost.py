@@ -235,7 +235,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        # Jobs: one per swept setting, the configured ones, the choice with its checks, the pictures.
+        # Jobs: one per swept setting, the configured ones, the choice with checks, the pictures.
         StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate(
             "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory

@@ -94,7 +94,7 @@ def check_current(
             )
         for problem in other_versions(artefact.record, lock):
             raise BadInput(
-                f"{artefact.path}: {problem}; install these, or bring the lock up to date"
+                f"{artefact.path}: {problem}; install these versions, or update the lock"
             )
         changes = config_changes(artefact, config, calibrated)
         if changes:

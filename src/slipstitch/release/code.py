@@ -41,9 +41,9 @@ def check_project(project: str | os.PathLike) -> Path:
     folder = Path(project).resolve()
     for name in _NEEDED:
         if not (folder / name).exists():
-            raise BadInput(f"{project}: no workflow folder of Slipstitch: it has no {name}")
+            raise BadInput(f"{project}: not a workflow folder of Slipstitch: no {name}")
     if (folder / _PACKAGE).exists() and (folder / _PACKAGE).resolve() != PACKAGE:
-        raise BadInput(f"{project}: the code that runs comes from another folder")
+        raise BadInput(f"{project}: the running code is in another folder")
     return folder
 
 

@@ -123,7 +123,7 @@ def draw_previews(folder: Path, rows: Sequence[Row]) -> dict[str, tuple[str, Ima
     tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
     draw(
         NAMES[0], tiles, downs, [f"friction {mu:g}" for mu in acrosses],
-        f"Fabrics by friction coefficient, all at the same moment (texture {first['texture']}, "
+        f"Fabrics by friction coefficient, all at the same time (texture {first['texture']}, "
         f"viewpoint {first['viewpoint']})",
     )  # fmt: skip
     same = [row for row in rows if row["simulation"] == first["simulation"]]

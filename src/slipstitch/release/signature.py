@@ -31,7 +31,7 @@ def check_key(key: str | os.PathLike) -> None:
     """
     _tool()
     if not Path(key).is_file():
-        raise BadInput(f"{key}: no such file; an SSH key to sign with is needed")
+        raise BadInput(f"{key}: no such file; must be an SSH key for signing")
 
 
 def sign(folder: Path, key: str | os.PathLike) -> None:
@@ -77,14 +77,17 @@ def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
     """
     tool = _tool()
     if not signers.is_file():
-        raise BadInput(f"{signers}: no such file; who may sign, a line each: NAME PUBLIC_KEY")
+        raise BadInput(
+            f"{signers}: no such file; must be a list of allowed signers, one per "
+            "line: NAME PUBLIC_KEY"
+        )
     if not (folder / SIGNATURE).is_file():
         return None, "the release is not signed"
     files = ["-s", str(folder / SIGNATURE), "-f", str(signers)]
     sums = (folder / SUMS).read_bytes()
     found = _run(tool, ["-Y", "find-principals", *files])
     if found.returncode != 0 or not found.stdout.strip():
-        return None, f"is not by any of the signers in {signers}"
+        return None, f"was not signed by any of the signers in {signers}"
     signer = found.stdout.decode(errors="replace").splitlines()[0].strip()
     words = ["-Y", "verify", *files, "-n", NAMESPACE, "-I", signer]
     if _run(tool, words, sums).returncode != 0:
