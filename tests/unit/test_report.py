@@ -87,7 +87,7 @@ def test_criticism_and_audit_are_shown_and_damage_is_not_hidden(whole, page, tmp
     synthetic_results.write_audit(tmp_path, "damaged")
     shown = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
     assert "The audit: damaged (altered: 1)." in shown
-    assert "No measured case has been judged." in shown
+    assert "No measured case has been analysed." in shown
 
 
 def test_the_result_is_that_of_held_out_simulations_beside_chance(page, whole):
