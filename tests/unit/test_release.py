@@ -368,7 +368,9 @@ def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
 
 def test_other_configuration_than_the_results_were_made_with_is_refused(results, tmp_path):
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
-    with pytest.raises(BadInput, match=r"another configuration: sample.test_fraction: 0.1 -> 0.3"):
+    with pytest.raises(
+        BadInput, match=r"different configuration: sample.test_fraction: 0.1 -> 0.3"
+    ):
         write_release(other, results, tmp_path / "out", ROOT)
 
 

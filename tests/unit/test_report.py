@@ -157,8 +157,8 @@ TURNED = {"view_-15": 6, "view_-10": 11, "view_+5": 30, "view_+15": 9}
 def test_every_turn_of_the_camera_has_its_own_scores(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, **TURNED}, (0, 1, 2))
     rows = {row[0]: row for row in table(page_of(tmp_path), "Table 3")}
-    head = ["turn", "videos", "sim.", "paper", "material network", "baseline network"]
-    assert list(rows["turn"])[:6] == head
+    head = ["rotation", "videos", "sim.", "paper", "material network", "baseline network"]
+    assert list(rows["rotation"])[:6] == head
     shown = {turn: row for turn, row in rows.items() if turn.endswith("°")}
     assert list(shown) == ["−15°", "−10°", "0°", "+5°", "+15°"]
     assert [row[5] for row in shown.values()] == [
@@ -266,7 +266,7 @@ def test_a_run_that_is_no_other_training_on_the_same_captures_is_refused(whole, 
     captured = other / "captures" / "predictions.parquet"
     rows = pq.read_table(captured).to_pylist()
     pq.write_table(pa.Table.from_pylist([{**row, "mu_ref": 0.5} for row in rows]), captured)
-    with pytest.raises(BadInput, match="its captures are not those of"):
+    with pytest.raises(BadInput, match="its captures differ from those of"):
         page_of(mine, naming(other))
 
 
@@ -354,7 +354,7 @@ def test_checks_show_measured_theory_and_demand(page):
 def test_an_empty_folder_gives_a_page_that_says_so_for_every_stage(tmp_path):
     text = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
     assert text.count("Not run.") == 10
-    assert "None of the 12 simulations is there" in text
+    assert "None of the 12 simulations is finished" in text
     assert "0 of 12" in text
 
 

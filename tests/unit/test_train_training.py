@@ -182,7 +182,7 @@ def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys)
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=few, after_step=kill)
     train(dataset, tmp_path, changes=few, seed=1)
-    assert "of another training" in capsys.readouterr().err
+    assert "from another training" in capsys.readouterr().err
     train(dataset, tmp_path / "fresh", changes=few, seed=1)
     weights = "model.safetensors"
     assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
@@ -199,7 +199,7 @@ def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_pa
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=few, after_step=kill, threads=2)
     train(dataset, tmp_path, changes=few)
-    assert "of another training" in capsys.readouterr().err
+    assert "from another training" in capsys.readouterr().err
 
 
 def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
@@ -301,7 +301,7 @@ def test_an_unknown_viewpoint_is_refused(dataset, tmp_path):
 def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_path):
     with pytest.raises(BadInput, match="has split 'by_simulation', 'by_video' is needed"):
         train(dataset, tmp_path, "friction_conditional", "by_video", material_model=material)
-    with pytest.raises(BadInput, match="needs --material-model"):
+    with pytest.raises(BadInput, match="requires --material-model"):
         train(dataset, tmp_path, "friction_conditional")
     with pytest.raises(BadInput, match="does not take --material-model"):
         train(dataset, tmp_path, "friction_baseline", material_model=material)
@@ -353,4 +353,4 @@ def test_the_command_trains_and_answers_bad_input_in_one_line(dataset, tmp_path,
     assert "42 epochs on 26 videos" in capsys.readouterr().out
     assert main([*words, "--network", "friction_conditional"]) == 2
     message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "needs --material-model" in message
+    assert message.count("\n") == 1 and "requires --material-model" in message
