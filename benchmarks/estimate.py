@@ -1,4 +1,4 @@
-"""Estimate of a scale's cost against what a measured part of it predicts.
+"""Estimated cost of a scale against an extrapolation from a measured part of it.
 
     python benchmarks/estimate.py [--scale config/paper.yaml] [--simulation m05_f06_r00]
         [--viewpoints v00 v01 v02 v03] [--keep DIR]

@@ -1,4 +1,4 @@
-"""kill -9 at random moments of every stage of the smoke chain: are the results the same?
+"""kill -9 at random moments in every stage of the smoke chain: are the results identical?
 
 Every kill starts from an undisturbed run, removes what one job made, has it made again, kills the
 machine's processes, the working process or Snakemake alone at a random moment, gives the same

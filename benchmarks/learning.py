@@ -1,4 +1,4 @@
-"""Training: videos a second, and how far gradients in bfloat16 are from those in float32.
+"""Training: videos per second, and deviation of bfloat16 gradients from float32.
 
     python benchmarks/learning.py [--threads 2] [--pixels 64 112] [--steps 6]
 

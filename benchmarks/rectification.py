@@ -1,4 +1,4 @@
-"""How far an instrument's answers move if its images are rectified a little wrong.
+"""Sensitivity of an instrument's estimates to rectification errors of its images.
 
     python benchmarks/rectification.py --instrument results/instrument/by_simulation/seed0 \
         --dataset results/sample

@@ -1,4 +1,4 @@
-"""What images cost: Blender and textures apart, memory and open files of a long process.
+"""Cost of images: Blender and textures separately, memory and open files of a long process.
 
     python benchmarks/render.py                          # cost, at least 2000 images
     python benchmarks/render.py --long 500 --pixels 32   # one process, 500 frames

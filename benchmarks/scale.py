@@ -1,4 +1,4 @@
-"""What 10^4 and 10^6 simulations would take: the measured costs of jobs, played through a cluster.
+"""Projected cost of 10^4 and 10^6 simulations: a cluster model with the measured costs of jobs.
 
 The cost of jobs is that of `slipstitch.doctor.cost`; building graphs and running jobs that of
 `benchmarks/dag.py`. A file system that all share serves bytes and operations in the order in which

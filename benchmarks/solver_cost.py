@@ -1,4 +1,4 @@
-"""What the simulator costs, and SolverVBD of Newton physics beside it.
+"""Cost of the simulator, compared with SolverVBD of Newton physics.
 
     python benchmarks/solver_cost.py [--full | --window S] [--only protocol mesh side-by-side]
 

@@ -1,4 +1,4 @@
-"""Input from strangers: nothing is run, file names are only names, errors are one clean line."""
+"""Untrusted input: nothing is executed, file names are only names, errors are one clean line."""
 
 import ast
 import json
