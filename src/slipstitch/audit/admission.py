@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from slipstitch.errors import BadInput
-from slipstitch.provenance import open_parquet
+from slipstitch.provenance import reading
+from slipstitch.release.records import RECORDS
 from slipstitch.release.shards import FOLDER
 
 ENTRIES_MAX = 200_000
@@ -28,7 +30,10 @@ BYTES_MAX = 512 * 2**20
 TEXT_BYTES_MAX = 1000
 #: An audit takes a quarter of it for its libraries, images one by one.
 MEMORY_BYTES = 768 * 2**20
+NESTING_MAX = 200
 _LABEL_RATIO = 50
+_STEPS = np.zeros(256, np.int8)
+_STEPS[[ord(sign) for sign in "[{"]], _STEPS[[ord(sign) for sign in "]}"]] = 1, -1
 _KINDS = {
     stat.S_ISLNK: "a link",
     stat.S_ISFIFO: "a pipe",
@@ -36,6 +41,10 @@ _KINDS = {
     stat.S_ISCHR: "a device",
     stat.S_ISBLK: "a device",
 }
+
+
+class Harmful(BadInput):
+    """A file that takes far more memory than it has bytes; it was not read."""
 
 
 def check_entries(folder: Path) -> None:
@@ -92,6 +101,20 @@ def _checked_size(folder: Path, name: str, status: os.stat_result) -> int:
     return status.st_size
 
 
+def check_nesting(folder: Path) -> None:
+    """Refuse JSON that is nested more deeply than a parser can follow.
+
+    Raises
+    ------
+    BadInput
+    """
+    for path in sorted(folder.glob(f"{RECORDS}/**/*.json")):
+        steps = _STEPS[np.frombuffer(path.read_bytes(), np.uint8)]
+        # Brackets in texts count too: no record has hundreds of them.
+        if len(steps) and np.cumsum(steps, dtype=np.int32).max() > NESTING_MAX:
+            raise BadInput(f"{path}: nested more than {NESTING_MAX} deep; not read")
+
+
 def check_parquet(path: Path, images: bool) -> str | None:
     """Whether a Parquet file holds what it seems to hold, by its footer alone.
 
@@ -109,25 +132,25 @@ def check_parquet(path: Path, images: bool) -> str | None:
 
     Raises
     ------
-    BadInput
+    Harmful
         If reading it could take far more memory than it has bytes.
     """
-    with open_parquet(path) as file:
+    with reading(path, "Parquet file"), pq.ParquetFile(path) as file:
         footer, size = file.metadata, os.path.getsize(path)
         # Ids and digests of a row take 8 bytes, however well they are compressed.
         if footer.num_rows > size / 8:
-            raise BadInput(f"{path}: {footer.num_rows} rows compressed to {size} bytes; not read")
+            raise Harmful(f"{path}: {footer.num_rows} rows compressed to {size} bytes; not read")
         groups = [footer.row_group(number) for number in range(footer.num_row_groups)]
         chunks = [group.column(k) for group in groups for k in range(footer.num_columns)]
         labels = [one for one in chunks if not (images and one.path_in_schema[:6] == "image.")]
         packed = sum(chunk.total_uncompressed_size for chunk in labels)
         if packed > _LABEL_RATIO * size + 2**20:
-            raise BadInput(f"{path}: {packed} bytes compressed to {size}; not read")
+            raise Harmful(f"{path}: {packed} bytes compressed to {size}; not read")
         for chunk in chunks:
             stored = chunk.compression == "UNCOMPRESSED" and not chunk.has_dictionary_page
             coded = any("DICTIONARY" in encoding for encoding in chunk.encodings)
             if chunk not in labels and (not stored or coded):
-                raise BadInput(f"{path}: its images are compressed or coded again; not read")
+                raise Harmful(f"{path}: its images are compressed or coded again; not read")
         known = sum(chunk.total_compressed_size for chunk in chunks) + footer.serialized_size + 12
         return None if known == size else f"{size - known} bytes do not belong to any column"
 
@@ -143,7 +166,7 @@ def short_texts(batch: Any, path: Path) -> None:
 
     Raises
     ------
-    BadInput
+    Harmful
     """
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
         chunks = getattr(column, "chunks", [column])
@@ -154,7 +177,7 @@ def short_texts(batch: Any, path: Path) -> None:
                 else 0
             )
             if (longest or 0) > TEXT_BYTES_MAX:
-                raise BadInput(f"{path}: a text of {longest} bytes in {name}; not read")
+                raise Harmful(f"{path}: a text of {longest} bytes in {name}; not read")
 
 
 @contextlib.contextmanager
@@ -162,6 +185,11 @@ def limited_memory(more: int = MEMORY_BYTES) -> Iterator[None]:
     """Let this process take `more` bytes than it has, not the machine's whole memory.
 
     What a file's headers claim falsely ends in a MemoryError then.
+
+    Raises
+    ------
+    BadInput
+        Where the block ends in one.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     try:
@@ -176,5 +204,7 @@ def limited_memory(more: int = MEMORY_BYTES) -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     try:
         yield
+    except MemoryError:
+        raise BadInput(f"reading it takes more than {more // 2**20} MiB; not a release") from None
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))

@@ -38,7 +38,12 @@ def as_text(audit: Audit) -> str:
             lines.append(f"  ... and {len(found) - _MOST_LINES} more (all are in --json or --page)")
     if audit.notes:
         lines += ["", *(f"note: {note}" for note in audit.notes)]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
+
+
+def printable(line: str) -> str:
+    """A line without what would move a terminal's cursor: names in a release are anybody's."""
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in line)
 
 
 def write_page(audit: Audit, path: Path) -> None:

@@ -12,11 +12,18 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.audit.admission import check_entries, check_parquet, short_texts, text_columns
+from slipstitch.audit.admission import (
+    Harmful,
+    check_entries,
+    check_nesting,
+    check_parquet,
+    short_texts,
+    text_columns,
+)
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.config import Config, load_config
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_metadata
+from slipstitch.provenance import file_digest, read_metadata
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.currency import calibrated_by
 from slipstitch.release.manifest import MANIFEST
@@ -67,6 +74,10 @@ class Contents:
                 settings |= calibrated_by([path], lambda name: self.folder / carried_file(name))
         return settings
 
+    def as_listed(self, name: str) -> bool:
+        """Whether a file has the digest that ``SHA256SUMS`` names: then nobody damaged it."""
+        return file_digest(self.folder / name) == self.sums.get(name)
+
     @property
     def name(self) -> str:
         """Name and version."""
@@ -106,6 +117,7 @@ def read_contents(folder: Path) -> Contents:
         raise BadInput(f"{folder}: no such folder")
     if os.path.lexists(folder / SUMS):
         check_entries(folder)
+        check_nesting(folder)
     contents = Contents(folder, dict(read_sums(folder)))
     for name in (MANIFEST, RELEASE_RECORD, CONFIG):
         if name not in contents.sums:
@@ -126,11 +138,13 @@ def _read(contents: Contents, name: str, read) -> None:
     try:
         read(contents, contents.folder / name)
     except BadInput as error:
+        if isinstance(error, Harmful) and contents.as_listed(name):
+            raise
         what = str(error).removeprefix(f"{contents.folder}/")
         contents.findings.append(Finding(Kind.BROKEN, name, what))
     except RecursionError:
-        contents.findings.append(Finding(Kind.BROKEN, name, "cannot be read: nested too deeply"))
-    except (OSError, ValueError, KeyError, TypeError, MemoryError, pa.ArrowException) as error:
+        raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         contents.findings.append(Finding(Kind.BROKEN, name, f"cannot be read: {what}"))
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
@@ -52,6 +53,7 @@ _UNUSABLE = (
     ZeroDivisionError,
     OSError,
     RecursionError,
+    pa.ArrowException,
     SlipstitchError,
 )
 
@@ -174,7 +176,7 @@ def _grid(contents: Contents) -> Iterator[Finding]:
     try:
         check_parquet(path, images=False)
         same = table_digest(pq.read_table(path)) == table_digest(expected)
-    except (*_UNUSABLE, MemoryError) as error:
+    except _UNUSABLE as error:
         what = f"cannot be read: {str(error).removeprefix(f'{path}: ')}"
         yield Finding(Kind.BROKEN, GRID, what)
         return

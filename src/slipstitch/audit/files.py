@@ -14,12 +14,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.audit.admission import check_parquet, short_texts, text_columns
+from slipstitch.audit.admission import Harmful, check_parquet, short_texts, text_columns
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import Lineage
 from slipstitch.audit.png import png_problem
-from slipstitch.errors import BadInput, Damaged
+from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest
 from slipstitch.release.checksums import files_below
 from slipstitch.release.shards import FOLDER, shard_schema
@@ -34,6 +34,8 @@ SHARED = {
     "viewpoint_id": "viewpoint",
 }
 _BATCH_ROWS = 256
+_BUFFER_BYTES = 2**20
+_GROWS = "takes far more memory than it has bytes; not read"
 
 
 @dataclass
@@ -50,6 +52,7 @@ class Shard:
     images: int = 0
     problem: str | None = None
     odd: str | None = None
+    grows: bool = False
     flaws: dict[str, str] = field(default_factory=dict)
 
 
@@ -61,7 +64,6 @@ _UNREADABLE = (
     TypeError,
     AttributeError,
     OverflowError,
-    MemoryError,
     cv2.error,
     pa.ArrowException,
     BadInput,
@@ -70,7 +72,8 @@ _UNREADABLE = (
 
 def _batches(path: Path) -> Iterator[pa.RecordBatch]:
     # Texts as dictionaries: a long one that every row repeats is held once.
-    with pq.ParquetFile(path, read_dictionary=text_columns(path)) as file:
+    texts = text_columns(path)
+    with pq.ParquetFile(path, read_dictionary=texts, buffer_size=_BUFFER_BYTES) as file:
         for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=False):
             short_texts(batch, path)
             yield batch
@@ -117,6 +120,10 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
                     shard.columns[video][name].append(values[number])
                 shard.columns[video]["path"].append(paths[number].as_py())
                 shard.images += 1
+    except MemoryError:
+        shard.problem, shard.grows = _GROWS, True
+    except Harmful as error:
+        shard.problem, shard.grows = str(error).removeprefix(f"{path}: "), True
     except _UNREADABLE as error:
         shard.problem = str(error).splitlines()[0] if str(error) else type(error).__name__
     shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
@@ -148,10 +155,8 @@ def admit_shards(contents: Contents) -> dict[str, str]:
             continue
         try:
             check_parquet(path, images=True)
-        except Damaged as error:
-            problems[name] = str(error).removeprefix(f"{path}: ")
         except BadInput as error:
-            if file_digest(path) == contents.sums[name]:
+            if isinstance(error, Harmful) and contents.as_listed(name):
                 raise
             problems[name] = str(error).removeprefix(f"{path}: ")
     return problems
@@ -203,6 +208,9 @@ def check_files(
             return read_shard(folder / name, pixels)
 
         decoded = dict(zip(shards, pool.map(read, shards), strict=True))
+    for name, shard in decoded.items():
+        if shard.grows and digests[name] == sums[name]:
+            raise Harmful(f"{folder / name}: {shard.problem}")
     owner = {digest: name for name, digest in sums.items()}
     stated = contents.release.get("files", {})
     for name in present:

@@ -71,9 +71,11 @@ def run(arguments: argparse.Namespace) -> int:
                 "choose another folder"
             )
     if arguments.explain:
+        from slipstitch.audit.audit_page import printable
         from slipstitch.audit.explain import explain
 
-        print(explain(read_contents(arguments.release), arguments.explain))
+        story = explain(read_contents(arguments.release), arguments.explain)
+        print("\n".join(map(printable, story.split("\n"))))
         return 0
     if arguments.rebuild:
         return _rebuild(arguments)
