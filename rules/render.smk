@@ -10,9 +10,12 @@ SHADING_SETTINGS = settings(
         "test_textures",
         "augmentation",
         "verified_images",
+        "threads",
     },
 )
-RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints", "verified_images"})
+RENDER_SETTINGS = settings(
+    "render", render={"viewpoints", "test_viewpoints", "verified_images", "threads"}
+)
 
 
 def camera_file(wildcards):
