@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import contextmanager
 
-from slipstitch.config import resolve_config, write_config
+from slipstitch.config import read_mapping, resolve_config, write_config
 from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
 from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
@@ -28,6 +28,9 @@ def one_line_errors():
 
 
 with one_line_errors():
+    # Snakemake has merged them already; a key given twice is lost by then.
+    for file in workflow.configfiles if workflow.is_main_process else ():
+        read_mapping(file)
     CONFIG = resolve_config(config, sources=("configuration",), words=True)
 
 # The slipstitch beside this Python, also where the virtual environment is not active.
