@@ -24,7 +24,7 @@ def page(pair: "MeasuredPair") -> str:
         mu=number(together.friction_coefficient) if together else None,
         interval=span(together.interval_90) if together else None,
         scatter=number(together.scatter) if together else None,
-        figure=svg_element(_figure(pair)),
+        figure=svg_element(_figure(pair), "Friction of each video with its interval"),
         rows=[
             {
                 "name": video.name,
