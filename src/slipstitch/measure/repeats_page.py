@@ -29,7 +29,7 @@ def page(pair: "MeasuredPair") -> str:
             {
                 "name": video.name,
                 "mu": number(video.measurement.friction_coefficient),
-                "interval": span(video.measurement.interval_90),
+                "interval": video.without_error_bar or span(video.measurement.interval_90),
                 "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
                 "alarm": video.measurement.alarm_reason,
                 "outlier": video.name in pair.outliers,
