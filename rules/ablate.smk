@@ -29,9 +29,13 @@ rule ablate_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("ablate", CONFIG),
     params:
-        *settings("train", "instrument", "ablate", ablate={"seeds"}),
-        frames=CONFIG.sample.frames,
-        view_order=CONFIG.view_order,
+        *settings(
+            "train",
+            "instrument",
+            "ablate",
+            also=("sample.frames", "view_order"),
+            ablate={"seeds"},
+        ),
         code=code_of("ablate.answering"),
         config=CONFIG_FILE,
     message:

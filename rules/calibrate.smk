@@ -26,9 +26,12 @@ rule calibrate_sweep:
         mem_mb=job_memory_mb("calibrate"),
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
-        inputs=lambda wildcards: json.dumps(
-            sweep_inputs(wildcards.swept, CONFIG.calibrate, CONFIG.simulation)
-        ),
+        inputs=lambda wildcards: [
+            f"{key}: {json.dumps(value)}"
+            for key, value in sweep_inputs(
+                wildcards.swept, CONFIG.calibrate, CONFIG.simulation
+            ).items()
+        ],
         code=code_of("calibrate"),
         config=CONFIG_FILE,
     message:

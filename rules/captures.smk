@@ -35,8 +35,7 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("seed", "captures"),
-        view=CONFIG.render.camera,
+        *settings("seed", "captures", also=("render.camera",)),
         catalogue=entries(
             viewpoints=["calibrated"],
             floors={pair.substrate for pair in CONFIG.captures.pairs},
@@ -62,8 +61,7 @@ rule surrogate_film:
         mem_mb=job_memory_mb("render"),
         runtime=120,
     params:
-        *settings("seed", "simulation", "captures"),
-        render=(CONFIG.render.camera, CONFIG.render.samples),
+        *settings("seed", "simulation", "captures", also=("render.camera", "render.samples")),
         fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
         catalogue=lambda wildcards: entries(
             viewpoints=["calibrated"],

@@ -5,8 +5,9 @@ import json
 import os
 import sys
 from contextlib import contextmanager
+from operator import attrgetter
 
-from slipstitch.config import resolve_config, write_config
+from slipstitch.config import read_mapping, resolve_config, write_config
 from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
 from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
@@ -28,6 +29,9 @@ def one_line_errors():
 
 
 with one_line_errors():
+    # Snakemake has merged them already; a key given twice is lost by then.
+    for file in workflow.configfiles if workflow.is_main_process else ():
+        read_mapping(file)
     CONFIG = resolve_config(config, sources=("configuration",), words=True)
 
 # The slipstitch beside this Python, also where the virtual environment is not active.
@@ -44,7 +48,7 @@ wildcard_constraints:
     seed=r"\d+",
 
 
-def settings(*sections, **exclude):
+def settings(*sections, also=(), **exclude):
     """Sections of the configuration, one parameter per key: the rule reruns when one changes."""
     kept = CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude)
     parameters = []
@@ -53,6 +57,7 @@ def settings(*sections, **exclude):
             parameters += [f"{section}.{key}: {json.dumps(values[key])}" for key in values]
         else:
             parameters.append(f"{section}: {json.dumps(values)}")
+    parameters += [f"{key}: {json.dumps(attrgetter(key)(CONFIG))}" for key in also]
     return parameters
 
 
@@ -62,7 +67,7 @@ def code_of(stage):
     Only the main process compares a job's parameters with those that its files were made with; the
     processes of single jobs do not read all sources again.
     """
-    return code_digest(stage) if workflow.is_main_process else stage
+    return f"code of {stage}: {code_digest(stage)}" if workflow.is_main_process else stage
 
 
 def fabrics(*names):

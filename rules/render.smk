@@ -2,7 +2,9 @@
 
 # The shading depends neither on the set of shards nor on what is applied to it afterwards.
 SHADING_SETTINGS = settings(
+    "seed",
     "render",
+    also=("sample.frames_kept", "render.augmentation.lamp_m"),
     render={
         "viewpoints",
         "test_viewpoints",
@@ -10,9 +12,12 @@ SHADING_SETTINGS = settings(
         "test_textures",
         "augmentation",
         "verified_images",
+        "threads",
     },
 )
-RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints", "verified_images"})
+RENDER_SETTINGS = settings(
+    "seed", "render", render={"viewpoints", "test_viewpoints", "verified_images", "threads"}
+)
 
 
 def camera_file(wildcards):
@@ -51,9 +56,6 @@ rule render_shading:
         runtime=job_runtime_min("render", CONFIG),
     params:
         *SHADING_SETTINGS,
-        lamp=CONFIG.render.augmentation.lamp_m,
-        seed=CONFIG.seed,
-        frames=CONFIG.sample.frames_kept,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
         catalogue=lambda wildcards: entries(
             viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]], floors=CONFIG.render.floors
@@ -86,7 +88,6 @@ rule render_images:
         runtime=job_runtime_min("compose", CONFIG),
     params:
         *RENDER_SETTINGS,
-        seed=CONFIG.seed,
         catalogue=entries(textures=CONFIG.render.texture_ids().values()),
         code=code_of("render"),
         config=CONFIG_FILE,
@@ -112,8 +113,8 @@ rule render_verification:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("verify", CONFIG),
     params:
+        *settings("seed"),
         images=CONFIG.render.verified_images,
-        seed=CONFIG.seed,
         code=code_of("render"),
         config=CONFIG_FILE,
     message:

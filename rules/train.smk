@@ -52,8 +52,7 @@ rule train_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("train", CONFIG),
     params:
-        *settings("seed", "train", train={"seeds", "splits"}),
-        view_order=CONFIG.view_order,
+        *settings("seed", "train", also=("view_order",), train={"seeds", "splits"}),
         code=code_of("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),

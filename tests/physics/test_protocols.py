@@ -192,6 +192,7 @@ def test_frictionless_cloth_slides_on_any_slope():
         ("tilt", {}, "unknown protocol 'tilt'; allowed: incline"),
         ("incline", {"friction": 0.3}, "slope_deg is missing"),
         ("incline", {"friction": -0.3, "slope_deg": 5}, "friction -0.3: must be finite"),
+        ("flat-drag", {"friction": 50.0}, "friction 50.0: must be at most 10"),
         ("flat-drag", {"friction": float("nan")}, "friction nan: must be finite"),
         ("flat-drag", {"friction": 0.3, "colour": 1}, "unknown option 'colour'"),
         ("strip", {"friction": 0.3, "vertices": 3}, "vertices 3: must be at least 8"),

@@ -287,6 +287,7 @@ def write_criticise(config: Config, folder: Path) -> None:
             "about": "Invented.",
             "verdict": "unknown",
             "reason": "two shapes are left over",
+            "gain": {},
             "residual_tests": [{"shape": "a step", "name": "place on the substrate"}],
         }
         write_json(out / "verdict.json", verdict)

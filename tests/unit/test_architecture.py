@@ -12,7 +12,7 @@ SOURCE = Path(slipstitch.__file__).parent
 # that no two packages import each other.
 FLOORS = (
     # what happened, and what is wrong
-    {"errors", "progress", "threads"},
+    {"errors", "progress", "threads", "warp_start"},
     {"project"},
     {"provenance"},
     {"catalogue"},

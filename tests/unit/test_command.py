@@ -180,6 +180,7 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
         ),
         (["predict", "x.json", "{folder}", "--out", "{file}/a/x.csv"], "{file} is a file"),
         (["protocol", "incline", "--out", "{folder}"], "is a folder; must be a file"),
+        (["report", "--config", "x.yaml", "--out", "x.png"], "x.png: must end in .html or .htm"),
         (
             ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
             "is a file; must be a folder",

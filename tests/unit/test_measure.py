@@ -49,7 +49,8 @@ def test_result_numbers_and_page(bench, capsys):
     assert measure(bench, "--out", str(page), "--json", str(numbers)) == ALARM_EXIT_CODE
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
-    assert "90 % interval 0.000 ... 1.500" in said[0]
+    assert said[0].endswith(", no error bar: calibrated on 0 simulations; 9 are needed")
+    assert "±" not in said[0]
     assert said[1].startswith("most similar fabric ")
     assert said[-1].startswith("ALARM: the instrument is not calibrated")
     told = json.loads(numbers.read_text())
@@ -59,6 +60,8 @@ def test_result_numbers_and_page(bench, capsys):
     content = page.read_text()
     assert content.count("data:image/png;base64,") == 6
     assert "These numbers are not reliable" in content
+    assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
+    assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
     assert f"{told['friction_coefficient']:.3f}" in content
 
 
@@ -156,17 +159,21 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged)]
     words = ["--camera", str(bench / "camera.json")]
     words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
-    out = [f"--{kind}={tmp_path / kind}" for kind in ("out", "json", "csv")]
+    out = [
+        f"--out={tmp_path / 'x.html'}",
+        f"--json={tmp_path / 'x.json'}",
+        f"--csv={tmp_path / 'x.csv'}",
+    ]
     assert main(["measure", *files, *words, *out]) == 2  # one could not be measured
     said = capsys.readouterr().out
     assert said.count("video.mp4: friction ") == 2
     assert "not measured: " in said and "damaged.mp4: a text file" in said
     assert "ALARM in every video: no combined value" in said
-    told = json.loads((tmp_path / "json").read_text())
+    told = json.loads((tmp_path / "x.json").read_text())
     assert len(told["videos"]) == 2 and len(told["refused"]) == 1
     assert told["combined"] is None
-    assert len((tmp_path / "csv").read_text().splitlines()) == 3
-    content = (tmp_path / "out").read_text()
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 3
+    content = (tmp_path / "x.html").read_text()
     assert "No measurement" in content and content.count("data:image/png;base64,") == 10
 
 

@@ -150,3 +150,10 @@ def test_digest_of_the_metadata_is_that_of_its_text(table):
     want = hashlib.sha256(keys[b"slipstitch"]).hexdigest()
     assert keys[b"slipstitch_sha256"].decode() == want
     assert json.loads(keys[b"slipstitch"])["simulation"] == "m00"
+
+
+def test_a_key_given_twice_is_refused_with_its_line():
+    with pytest.raises(BadInput, match=r"here: line 3: not YAML: key 'frames' is given twice"):
+        load_yaml("simulation:\n  frames: 5\n  frames: 6\n", "here")
+    assert load_yaml("{a: {frames: 1}, b: {frames: 2}}", "here")["b"] == {"frames": 2}
+    assert load_yaml("a: &x {f: 1}\nb: {<<: *x, g: 2}", "here")["b"] == {"f": 1, "g": 2}

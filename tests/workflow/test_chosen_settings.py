@@ -59,6 +59,7 @@ def test_the_release_is_intact_beside_the_configuration(released):
 def test_a_clip_is_explained_and_made_again_with_the_chosen_settings(released):
     answer = released.run("slipstitch", "audit", "results/release", "--explain", CLIP)
     assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "cannot be read" not in answer.stdout
     assert KEY in answer.stdout
     answer = released.run("slipstitch", "audit", "results/release", "--rebuild", CLIP)
     assert answer.returncode == 0, answer.stdout + answer.stderr

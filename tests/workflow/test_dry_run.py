@@ -184,3 +184,21 @@ def test_real_captures_need_no_surrogates(workflow):
     counts = job_counts(answer.stdout)
     assert counts["captures_ingest"] == 1
     assert not {"surrogate_film", "surrogate_bench", "captures_reference"} & set(counts)
+
+
+def test_the_linter_says_nothing_that_is_not_answered(workflow):
+    """CONTRIBUTING.md has the answers."""
+    answer = workflow.snakemake("--lint", "text")
+    complaints = set(re.findall(r"^    \* (.*?)[:.]?$", answer.stdout + answer.stderr, re.M))
+    unanswered = {
+        one
+        for one in complaints
+        if not one.startswith(
+            (
+                "Specify a conda environment or container for each rule",
+                "Mixed rules and functions in same snakefile",
+                'Environment variable PATH"]',
+            )
+        )
+    }
+    assert complaints and not unanswered

@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Mapping
+from pathlib import PurePosixPath
 from typing import Any
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import read_shard
 from slipstitch.audit.lineage import Lineage
 from slipstitch.errors import BadInput
-from slipstitch.release.currency import current_digest
+from slipstitch.release.currency import CALIBRATION, current_digest
 from slipstitch.release.records import Artefact, carried_file, is_carried, is_ours, record_file
 from slipstitch.release.splits import PREFIX
 
@@ -119,7 +120,7 @@ def _says(contents: Contents, artefact: Artefact) -> list[str]:
         for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
-    if artefact.stage == "calibrate":
+    if PurePosixPath(artefact.path).name == CALIBRATION:  # not the sweeps that it was chosen from
         lines += _checks(contents, artefact)
     return lines
 

@@ -2,9 +2,10 @@
 
 import argparse
 import os
+import re
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_file
+from slipstitch.cli.options import add_config, output_json, output_page
 
 SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
@@ -42,10 +43,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="exit with 0 if only code or configuration has changed since",
     )
     parser.add_argument(
-        "--json", type=output_file, metavar="FILE", help="write the findings as JSON; - for stdout"
+        "--json", type=output_json, metavar="FILE", help="write the findings as JSON; - for stdout"
     )
     parser.add_argument(
-        "--page", type=output_file, metavar="FILE", help="write the findings as an HTML page"
+        "--page", type=output_page, metavar="FILE", help="write the findings as an HTML page"
     )
     parser.add_argument(
         "--jobs",
@@ -70,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{path}: is inside the release, where it would be an unknown file; "
                 "choose another folder"
             )
+    if arguments.expect and not re.fullmatch(r"[0-9a-fA-F]{64}", arguments.expect):
+        raise BadInput(f"--expect {arguments.expect}: must be a SHA-256, 64 hexadecimal digits")
     if arguments.explain:
         from slipstitch.audit.audit_page import printable
         from slipstitch.audit.explain import explain

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import output_json, output_named, output_page
 
 SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
@@ -16,20 +16,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help="verdict as JSON"
+        "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"
     )
     parser.add_argument(
-        "--report", type=output_file, metavar="FILE", help="the verdict as an HTML page"
+        "--report", type=output_page, metavar="FILE", help="the verdict as an HTML page"
     )
     parser.add_argument(
-        "--picture", type=output_file, metavar="FILE", help="what is left over, drawn, as SVG"
+        "--picture",
+        type=output_named(".svg"),
+        metavar="FILE",
+        help="what is left over, drawn, as SVG",
     )
     parser.add_argument(
-        "--model", type=output_file, metavar="FILE", help="the extended model as YAML"
+        "--model",
+        type=output_named(".yaml", ".yml"),
+        metavar="FILE",
+        help="the extended model as YAML",
     )
     parser.add_argument(
         "--resimulate",
-        type=output_file,
+        type=output_json,
         metavar="FILE",
         help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
         "simulator (about a second per run); errors and gain as JSON, and on the page",

@@ -3,7 +3,13 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_threads, check_at_least, output_path
+from slipstitch.cli.options import (
+    add_threads,
+    check_at_least,
+    output_json,
+    output_page,
+    output_table,
+)
 
 SUMMARY = "measure the friction coefficient in a video, with an error bar, the fabric and an alarm"
 EXAMPLE = (
@@ -41,13 +47,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "nearest folder above the model)",
     )
     parser.add_argument(
-        "--out", type=output_path, metavar="FILE", help="write the result as an HTML page"
+        "--out", type=output_page, metavar="FILE", help="write the result as an HTML page"
     )
     parser.add_argument(
-        "--json", type=output_path, metavar="FILE", help="write all numbers as JSON"
+        "--json", type=output_json, metavar="FILE", help="write all numbers as JSON"
     )
     parser.add_argument(
-        "--csv", type=output_path, metavar="FILE", help="write a table, one row per video"
+        "--csv", type=output_table, metavar="FILE", help="write a table, one row per video"
     )
     parser.add_argument(
         "--start-s",
@@ -103,9 +109,9 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.videos,
         bench,
         arguments.camera,
-        page_path=arguments.out,
-        numbers_path=arguments.json,
-        table_path=arguments.csv,
+        page_path=arguments.out and Path(arguments.out),
+        numbers_path=arguments.json and Path(arguments.json),
+        table_path=arguments.csv and Path(arguments.csv),
         start_s=arguments.start_s,
         frame_rate_hz=arguments.frame_rate_hz,
     )

@@ -1,6 +1,7 @@
 """Options shared by several verbs, and checks common to all."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from slipstitch.errors import BadInput
@@ -27,6 +28,23 @@ def output_file(text: str) -> str:
     if text != "-":
         _refuse_target(text, folder=False)
     return text
+
+
+def output_named(*endings: str) -> Callable[[str], str]:
+    """As `output_file`, of a format: another ending of the name is refused."""
+
+    def check(text: str) -> str:
+        output_file(text)
+        if text != "-" and Path(text).suffix.lower() not in endings:
+            raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
+        return text
+
+    return check
+
+
+output_page = output_named(".html", ".htm")
+output_json = output_named(".json")
+output_table = output_named(".csv")
 
 
 def output_path(text: str) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import output_table
 
 SUMMARY = "predict a new case with the null and the extended model of a verdict"
 EXAMPLE = "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv"
@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "case", metavar="CASE_DIR", help="folder of the new case; its measured values are ignored"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help="predictions as CSV"
+        "--out", type=output_table, required=True, metavar="FILE", help="predictions as CSV"
     )
 
 

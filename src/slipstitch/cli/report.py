@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, output_file
+from slipstitch.cli.options import add_config, output_page
 
 SUMMARY = "write a self-contained HTML report on a results folder"
 EXAMPLE = (
@@ -15,7 +15,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser)
     parser.add_argument("--results", required=True, help="results folder; may be incomplete")
-    parser.add_argument("--out", type=output_file, required=True, help="HTML file")
+    parser.add_argument("--out", type=output_page, required=True, help="HTML file")
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_calibration, add_config, output_file
+from slipstitch.cli.options import add_calibration, add_config, output_named
 
 SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
 EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
@@ -12,7 +12,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--out",
-        type=output_file,
+        type=output_named(".parquet"),
         required=True,
         nargs="+",
         help="Parquet file, one row per frame; one file per simulation",

@@ -26,7 +26,8 @@ def _different(seeds: list[int]) -> list[int]:
     return seeds
 
 
-Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
+FRICTION_MAX = 10.0
+Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX, allow_inf_nan=False)]
 Fabric = Annotated[str, AfterValidator(lambda name: _in_the_catalogue((name,))[0])]
 Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue)]
 Seeds = Annotated[list[int], Field(min_length=1), AfterValidator(_different)]

@@ -161,6 +161,27 @@ class Instrument:
         factor = self.error_bars.factor if self.error_bars else math.inf
         return stretched(distributions, self.grid, self.settings.coverage, factor)
 
+    @property
+    def without_error_bar(self) -> str:
+        """Why intervals are the whole grid, as they are then; empty where they are not."""
+        if self.error_bars and math.isfinite(self.error_bars.factor):
+            return ""
+        level = self.settings.coverage
+        needed = math.ceil(level / (1.0 - level) - 1e-9)
+        groups = self.card.get("calibration_simulations", 0)
+        of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
+        return f"no error bar: calibrated on {of_them}; {needed} are needed"
+
+    @property
+    def caveats(self) -> list[str]:
+        """What an error bar of this instrument does not cover."""
+        if self.card.get("split") != "by_video":
+            return []
+        return [
+            "the instrument was trained with the split by video: other videos of the simulations "
+            "that calibrate its error bars trained it; expect larger errors than the interval says"
+        ]
+
     def measure(
         self,
         frames: np.ndarray,

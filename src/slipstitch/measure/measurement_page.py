@@ -53,6 +53,8 @@ def page(result: MeasuredVideo) -> str:
         mu=number(measured.friction_coefficient),
         uncertainty=number(result.uncertainty),
         interval=span(measured.interval_90),
+        without_error_bar=result.without_error_bar,
+        notes=result.notes,
         materials=materials,
         alarm=measured.alarm_reason if measured.alarm else None,
         frames=frames,

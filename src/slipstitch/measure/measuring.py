@@ -41,6 +41,10 @@ class MeasuredVideo:
         The configuration that told which frames to take.
     stage_path : StagePath
         As that configuration has it.
+    without_error_bar : str
+        Why the interval is the whole grid; empty where it is not.
+    caveats : tuple of str
+        What an error bar of the instrument does not cover.
     """
 
     name: str
@@ -50,6 +54,13 @@ class MeasuredVideo:
     instrument: str
     config_path: Path
     stage_path: StagePath
+    without_error_bar: str = ""
+    caveats: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be known of the video and of the instrument."""
+        return [*self.video.notes, *self.caveats]
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -61,12 +72,13 @@ class MeasuredVideo:
         measured = self.measurement
         low, high = measured.interval_90
         fabric, share = self.fabric
+        error_bar = f" ± {self.uncertainty:.3f}, 90 % interval {low:.3f} ... {high:.3f}"
         lines = [
-            f"friction {measured.friction_coefficient:.3f} ± {self.uncertainty:.3f}, "
-            f"90 % interval {low:.3f} ... {high:.3f}",
+            f"friction {measured.friction_coefficient:.3f}"
+            + (f", {self.without_error_bar}" if self.without_error_bar else error_bar),
             f"most similar fabric {fabric} ({100 * share:.0f} %)",
         ]
-        lines += [f"note: {note}" for note in self.video.notes]
+        lines += [f"note: {note}" for note in self.notes]
         if measured.alarm:
             lines.append(f"ALARM: {measured.alarm_reason}: these numbers are not reliable")
         else:
@@ -79,7 +91,7 @@ class MeasuredVideo:
         return {
             "video": self.name,
             "friction_coefficient": measured.friction_coefficient,
-            "uncertainty": self.uncertainty,
+            "uncertainty": None if self.without_error_bar else self.uncertainty,
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
             "material_probabilities": measured.material_probabilities,
@@ -91,7 +103,8 @@ class MeasuredVideo:
             "stage_start_found": video.start.found,
             "stage_speed": video.time_base and video.time_base.rate,
             "stage_speed_sd": video.time_base and video.time_base.rate_sd,
-            "notes": video.notes,
+            "without_error_bar": self.without_error_bar,
+            "notes": self.notes,
             "instrument": self.instrument,
         }
 
@@ -148,6 +161,8 @@ class MeasuringBench:
             str(self.instrument.card.get("weights_sha256") or "unknown"),
             self.config_path,
             self.schedule.path,
+            self.instrument.without_error_bar,
+            tuple(self.instrument.caveats),
         )
 
 

@@ -24,12 +24,12 @@ def page(pair: "MeasuredPair") -> str:
         mu=number(together.friction_coefficient) if together else None,
         interval=span(together.interval_90) if together else None,
         scatter=number(together.scatter) if together else None,
-        figure=svg_element(_figure(pair)),
+        figure=svg_element(_figure(pair), "Friction of each video with its interval"),
         rows=[
             {
                 "name": video.name,
                 "mu": number(video.measurement.friction_coefficient),
-                "interval": span(video.measurement.interval_90),
+                "interval": video.without_error_bar or span(video.measurement.interval_90),
                 "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
                 "alarm": video.measurement.alarm_reason,
                 "outlier": video.name in pair.outliers,

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.cantilever import cantilever
 from slipstitch.protocol.capstan import capstan
+from slipstitch.protocol.demands import verdict
 from slipstitch.protocol.flat_drag import flat_drag
 from slipstitch.protocol.incline import incline
 from slipstitch.protocol.landed_strip import landed_strip
@@ -105,6 +107,8 @@ def run_protocol(
             raise BadInput(f"protocol {name}: {option} is missing")
         if not isfinite(value) or value < 0:
             raise BadInput(f"protocol {name}: {option} {value}: must be finite and at least 0")
+        if option == "friction" and value > FRICTION_MAX:
+            raise BadInput(f"protocol {name}: {option} {value}: must be at most {FRICTION_MAX:g}")
         values[option] = float(value)
     return protocol.run(settings or SimulationSettings(), **values)
 
@@ -118,6 +122,7 @@ def run_protocol_to_file(
     """
     started = start_clock()
     result = run_protocol(name, options, settings)
+    result |= verdict(name, result)
     config = {"options": dict(options), "simulation": settings}
     record = provenance_record("protocol", config=config, started=started)
     write_json(out, result, record, allow_nan=True)

@@ -51,6 +51,7 @@ NOT_PART_OF_A_RESULT = (
     "slipstitch.doctor",
     "slipstitch.errors",
     "slipstitch.progress",
+    "slipstitch.warp_start",
     "slipstitch.provenance",
 )
 CATALOGUES = ("slipstitch.catalogue", "slipstitch.material.fabrics")

@@ -185,6 +185,23 @@ def _values(content: Any) -> int:
     return count
 
 
+class _UniqueKeys(yaml.SafeLoader):
+    """Plain data only, as `yaml.SafeLoader`; a key given twice is an error."""
+
+    def construct_mapping(self, node, deep=False):
+        """The mapping of a node."""
+        given = set()
+        for key_node, _ in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key in given and key != "<<":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is given twice", key_node.start_mark
+                )
+            given.add(key)
+            given.discard(None)
+        return super().construct_mapping(node, deep)
+
+
 def load_yaml(text: str, where: str) -> Any:
     """The content of a YAML text; plain data only.
 
@@ -202,7 +219,7 @@ def load_yaml(text: str, where: str) -> Any:
     if len(text) > YAML_BYTES_MAX:
         raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, Loader=_UniqueKeys)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}:" if mark else ""

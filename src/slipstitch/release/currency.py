@@ -18,6 +18,7 @@ from slipstitch.release.records import Artefact
 # (rules/render.smk); a shard's own viewpoint is compared by its id.
 NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints"})
 ONE_VIEW = "viewpoint"
+NO_INPUT = frozenset({"threads"})
 CALIBRATION = "calibration.json"
 _RESULT_PACKAGES = tuple(sorted(RESULT_PACKAGES.values()))
 
@@ -94,7 +95,8 @@ def config_changes(
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now:
-            skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
+            of_others = section == "render" and ONE_VIEW in recorded
+            skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
             changes += _differences(section, value, now[section], skip)
     return changes
 

@@ -6,7 +6,9 @@ On the CPU Warp runs a kernel's threads one after the other, in order.
 import numpy as np
 import warp as wp
 
-wp.config.log_level = wp.LOG_WARNING  # standard output belongs to results
+from slipstitch.warp_start import start_warp
+
+start_warp()
 
 _KINDS = {
     wp.int32: np.int32,

@@ -30,6 +30,7 @@ from slipstitch.report.learning import (
     test_sets,
     unseen_texture,
 )
+from slipstitch.report.limits import limits
 from slipstitch.report.physics import convergence, physics
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import simulation_section
@@ -120,6 +121,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     step = closest_frictions(frictions)
     calibrated = config.calibrated_view
     captures = captures_section(results, metrics, details, predictions)
+    found = headline(config, metrics, details)
     record = provenance_record("report")
     return {
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
@@ -131,7 +133,8 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
             config.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100
         ),
         "grid": config.grid,
-        "headline": headline(config, metrics, details),
+        "headline": found,
+        "limits": limits(config, found, captures),
         "simulations": simulation_section(results),
         "physics": physics(results),
         "convergence": convergence(results),

@@ -189,9 +189,9 @@ class Results:
             cpu_s=(run.metadata.get("provenance") or {}).get("cpu_s"),
         )
 
-    def preview(self, simulation: Simulation) -> Path | None:
-        """Contact sheet of a simulation."""
-        path = self.folder / "render" / "preview" / f"{simulation.id}.png"
+    def preview(self, simulation: Simulation, suffix: str = ".png") -> Path | None:
+        """Contact sheet of a simulation, or (``.mp4``) its film."""
+        path = self.folder / "render" / "preview" / f"{simulation.id}{suffix}"
         return path if path.exists() else None
 
     def rendered(self) -> int:

@@ -20,6 +20,7 @@ from slipstitch.cloth import (
     rectangle,
     run_together,
 )
+from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
@@ -183,8 +184,8 @@ class _Bench:
         sheets: Sheets,
         member: int,
     ):
-        if not (np.isfinite(run.friction) and run.friction >= 0):
-            raise BadInput(f"friction {run.friction}: must be a finite number, at least 0")
+        if not 0 <= run.friction <= FRICTION_MAX:  # nor where it is not a number
+            raise BadInput(f"friction {run.friction:g}: must lie between 0 and {FRICTION_MAX:g}")
         self.run, self.settings, self.path = run, settings, path
         self.mesh = mesh = sheets.mesh
         self.model = model = (

@@ -37,11 +37,18 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
         second_sentence=second_sentence(verdict),
         named=verdict["verdict"] in ("cause", "confounded"),
         extended=extended is not None,
-        residuals=svg_element(residual_picture(analysis, extended)),
-        predictions=svg_element(prediction_picture(analysis, extended)),
-        ranking=svg_element(ranking_picture(verdict)),
+        residuals=svg_element(
+            residual_picture(analysis, extended),
+            "Residuals of plain Coulomb and of the extended model",
+        ),
+        predictions=svg_element(
+            prediction_picture(analysis, extended), "Residuals in standard deviations, both models"
+        ),
+        ranking=svg_element(ranking_picture(verdict), "The rival models by BIC"),
         again=before_and_after(again) if again else None,
-        everything=svg_element(everything) if everything else None,
+        everything=svg_element(everything, "Residuals along every covariate")
+        if everything
+        else None,
         silent=[
             (name, MECHANISMS[name].title, why)
             for name, why in verdict["not_testable"].items()
