@@ -70,7 +70,7 @@ class SimulationSettings(Section):
     )
     halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
-        "start",
+        "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
         "as ARCSim does, implicitly the end, or (rising) the end where it grows with curvature and "
         "the start where it falls",
