@@ -9,6 +9,7 @@ EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incli
 OPTIONS = (
     "friction",
     "slope_deg",
+    "static_kinetic",
     "gravity_length_m",
     "gamma",
     "strain",
@@ -21,7 +22,7 @@ OPTIONS = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
+        "name", metavar="NAME", help="incline, tilt, flat-drag, strip-drag, strip, capstan"
     )
     parser.add_argument(
         "--out",
@@ -31,6 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
+    parser.add_argument(
+        "--static-kinetic",
+        type=float,
+        help="tilt: static coefficient over the kinetic, less 1 (default 0)",
+    )
     parser.add_argument(
         "--gravity-length-m",
         type=float,

@@ -68,7 +68,7 @@ class SimulationSettings(Section):
         le=1000,
         description="limit of Newton iterations; a step that needs more is halved",
     )
-    halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
+    halvings_max: int = Field(12, ge=0, le=20, description="halvings of a step before giving up")
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
         "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
