@@ -19,7 +19,13 @@ from slipstitch.calibrate.choice import (
     may_be_chosen,
 )
 from slipstitch.calibrate.experiments import Check, experiments
-from slipstitch.calibrate.sweep import run_settings, sweep, variations
+from slipstitch.calibrate.sweep import (
+    run_settings,
+    sweep,
+    sweep_inputs,
+    variations,
+    verified_settings,
+)
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
@@ -32,24 +38,6 @@ from slipstitch.provenance import (
     write_json,
 )
 
-# What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
-NOT_NUMERICAL = frozenset(
-    {
-        "vertices_per_side",
-        "frames",
-        "frame_rate_hz",
-        "stage",
-        "pins",
-        "settle_s",
-        "yaw_sd_deg",
-        "height_sd_m",
-        "fabric_sd_rel",
-        "natural_curl_per_m",
-        "self_contact",
-        "thickness_m",
-        "layer_friction",
-    }
-)
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
     "mesh: the strip is a cylinder along mesh lines, accurate even at a spacing of 15 mm; the "
@@ -63,11 +51,6 @@ NOT_TOLD = (
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
-
-
-def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
-    """The numerical settings that the experiments exercise, as JSON can hold them."""
-    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
 
 
 def calibrate(
@@ -233,7 +216,8 @@ def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, An
     trials = sweep(key, config.calibrate, config.simulation, run_protocol)
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate", config=sections, started=started)
-    write_json(out, trials, record, indent=None)
+    inputs = sweep_inputs(key, config.calibrate, config.simulation)
+    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
     return trials
 
 
@@ -322,7 +306,8 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     Raises
     ------
     BadInput
-        If a file cannot be read, or the settings tried are not those of the configuration.
+        If a file cannot be read, or what was tried, or with what other settings, is not as in the
+        configuration.
     """
     trials = []
     for path in paths:
@@ -339,11 +324,23 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     ]
     tried = [trial["settings"] for trial in trials]
     missing = [setting for setting in expected if setting not in tried]
+    again = "regenerate them with: snakemake --cores 2 calibrate"
     if missing or len(tried) != len(expected):
         raise BadInput(
             f"{paths[0]} and others: {len(tried)} settings tried, but the configuration has "
-            f"{len(expected)}; regenerate them with: snakemake --cores 2 calibrate"
+            f"{len(expected)}; {again}"
         )
+    for trial in trials:
+        inputs = json.loads(
+            json.dumps(sweep_inputs(trial["key"], config.calibrate, config.simulation))
+        )
+        made_with = trial.pop("inputs", {})
+        other = sorted(key for key in inputs if made_with.get(key) != inputs[key])
+        if other:
+            raise BadInput(
+                f"{paths[0]} and others: {trial['key']}: pushed with other {', '.join(other)} than "
+                f"the configuration's; {again}"
+            )
     return trials
 
 
