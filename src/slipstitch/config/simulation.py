@@ -105,6 +105,11 @@ class SimulationSettings(Section):
         description="clamped vertices: the upper edge within 1 cm of each corner, or "
         "only the corners",
     )
+    warp: Literal["u", "v"] = Field(
+        "u",
+        description="rest direction that counts as the fabric's warp, which extended friction laws "
+        "ask for: u along the upper edge, v down from it",
+    )
     settle_s: float = Field(2.0, ge=0, le=60, description="rest before the stage starts")
     yaw_sd_deg: float = Field(
         1.0, ge=0, le=45, description="replicates: standard deviation of the clamps' yaw"
