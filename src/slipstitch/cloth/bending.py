@@ -24,6 +24,7 @@ mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
+HALF = wp.constant(wp.float64(0.5))
 LAST_NODE = wp.constant(wp.float64(FOLD_CURVATURES - 1))
 
 OF_END = wp.constant(0)
@@ -113,6 +114,12 @@ def stiffness_at(hinges: Hinges, h: int, curvature: wp.float64) -> wp.vec2d:
 
 
 @wp.func
+def is_between(one: wp.float64, value: wp.float64, other: wp.float64) -> bool:
+    """Strictly; whichever of the two is larger."""
+    return (value - one) * (other - value) > ZERO
+
+
+@wp.func
 def stiffness_in_step(
     hinges: Hinges, h: int, before: wp.float64, curvature: wp.float64
 ) -> wp.vec2d:
@@ -121,7 +128,8 @@ def stiffness_in_step(
     Taken at the start of the step, a stiffness that grows faster than in proportion to curvature
     never settles: under a given moment M the curvature M / ke(curvature before) jumps to and fro.
     Taken at the end, one that falls faster leaves the step without a stable solution nearby. The
-    third rule takes neither: its moment always grows with curvature.
+    third rule is that of the end as long as the moment grows with curvature, and holds the moment
+    where it would fall.
     """
     rule = hinges.stiffness_rule[hinges.members[h]]
     if rule == OF_END:
@@ -130,17 +138,25 @@ def stiffness_in_step(
     passed = wp.vec2d(start[0], ZERO)
     if rule == OF_START:
         return passed
-    # The largest on the way up, the smallest on the way down.
+    # The moment's largest value on the way up, its smallest on the way down.
     end = stiffness_at(hinges, h, curvature)
+    way = wp.sign(curvature - before)
+    held = way * start[0] * before
     for column in range(FOLD_CURVATURES):
         node = wp.float64(column) / PER_CURVATURE
-        if before < node and node < curvature:
-            passed[0] = wp.max(passed[0], stiffness_at(hinges, h, node)[0])
-        if curvature < node and node < before:
-            passed[0] = wp.min(passed[0], stiffness_at(hinges, h, node)[0])
-    if (end[0] - passed[0]) * (curvature - before) > ZERO:
-        return end
-    return passed
+        if is_between(before, node, curvature):
+            held = wp.max(held, way * stiffness_at(hinges, h, node)[0] * node)
+        # Behind a node stiffness is a straight line, the moment a parabola.
+        behind = stiffness_at(hinges, h, node + HALF / PER_CURVATURE)
+        if behind[1] != ZERO:
+            top = (node + HALF / PER_CURVATURE - behind[0] / behind[1]) * HALF
+            next_node = node + ONE / PER_CURVATURE
+            if is_between(before, top, curvature) and is_between(node, top, next_node):
+                held = wp.max(held, way * stiffness_at(hinges, h, top)[0] * top)
+    if held > way * end[0] * curvature and curvature > ZERO:
+        stiffness = way * held / curvature
+        return wp.vec2d(stiffness, -stiffness / curvature)
+    return end
 
 
 @wp.func

@@ -65,7 +65,7 @@ class SolverSettings:
         mean square) is halved, up to three times.
     bending_stiffness_at : {"start", "end", "rising"}
         The end of the step whose curvature the stiffness of a hinge follows; ``rising``: the end
-        where the stiffness grows with curvature, the start where it falls.
+        while the moment grows with curvature; where it would fall within the step it is held.
     damping_s : float
         Stiffness-proportional damping time.
     penetration_m : float

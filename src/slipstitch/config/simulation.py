@@ -72,8 +72,8 @@ class SimulationSettings(Section):
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
         "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
-        "as ARCSim does, implicitly the end, or (rising) the end where it grows with curvature and "
-        "the start where it falls",
+        "as ARCSim does, implicitly the end, or (rising) the end while the moment grows with "
+        "curvature, the moment held where it would fall",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
