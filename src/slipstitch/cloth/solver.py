@@ -263,9 +263,11 @@ class ClothSolver:
         rule = bending.STIFFNESS_RULES[self.settings.bending_stiffness_at]
         sheets.hinges.stiffness_rule[own].fill_(rule)
         sheets.ground.curvature[own].fill_(self.ground_curvature_per_m)
+        hinge_stiffness = bending.hinge_stiffness(self.mesh, tables.bending_N_m)
         for whole, table in [
             (sheets.faces.table, tables.stretching_N_m),
-            (sheets.hinges.table, tables.bending_N_m),
+            (sheets.hinges.table, hinge_stiffness),
+            (sheets.hinges.stiffness_before, np.ascontiguousarray(hinge_stiffness[:, 0])),
         ]:
             whole[member * len(table) : (member + 1) * len(table)].assign(table)
         rest_angles = bending.rest_angles(self.mesh, rest_curvature)
