@@ -37,6 +37,7 @@ from slipstitch.provenance import (
     start_clock,
     write_json,
 )
+from slipstitch.simulate.convergence import CONVERGED, read_study, studied_settings_that_differ
 
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
@@ -280,6 +281,7 @@ def calibrate_to_file(
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
+    calibration["convergence"] = _known_convergence(chosen_simulation(simulation, strip))
     if not (calibration["met"] and only_failures):
         _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
@@ -298,6 +300,34 @@ def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike
     calibrated_settings(path)  # says what is wrong with it
     record = provenance_record("calibrate", inputs=[path], started=started)
     _draw(pictures, read_json(path), record, failed=False)
+
+
+def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] | None:
+    """What the convergence study says of each fabric and coefficient at the chosen settings.
+
+    Not converged, or not known, is said aloud but is no error: the mesh is not chosen here, and no
+    known answer tells how short a step a fabric needs.
+    """
+    study = read_study()
+    if study is None:
+        print("convergence: no study came with the package", file=sys.stderr, flush=True)
+        return None
+    differ = studied_settings_that_differ(study["studied"], simulation)
+    found = [
+        {key: case[key] for key in ("material", "friction")}
+        | {"verdict": None if differ else case["verdict"]}
+        for case in study["cases"]
+    ]
+    if differ:
+        words = f"nothing is known: studied with other {', '.join(differ)}"
+    else:
+        words = "; ".join(
+            f"{one['material']} at {one['friction']:g} {one['verdict'] or 'not known'}"
+            for one in found
+            if one["verdict"] != CONVERGED
+        )
+    print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
+    return found
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:

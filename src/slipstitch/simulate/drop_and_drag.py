@@ -279,6 +279,6 @@ class _Bench:
                 "step_s": step_s,
                 "solver": asdict(totals),
                 "device": self.solver.device,
-                "convergence": measured_convergence(run.material, run.friction, settings, step_s),
+                "convergence": measured_convergence(run.material, run.friction, settings),
             },
         )
