@@ -206,6 +206,10 @@ def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
     other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
     with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
         read_sweeps(paths, other)
+    for changed in ({"step_error_m": 1e-5}, {"bending_stiffness_at": "end"}):
+        stepped = config.simulation.model_copy(update=changed)
+        with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
+            read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
     (tmp_path / "base.json").write_text("{")
     with pytest.raises(BadInput, match=r"base\.json: damaged or not a JSON file"):
         read_sweeps(paths, config)

@@ -319,7 +319,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
     """The published one stands in where the folder has none of its own."""
     distance = {"finest": "m09_f01_n41_h1", "mean_m": 5e-4, "mean_largest_m": 2.5e-3,
                 "worst_m": 0.03, "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
-                "events_missing": ["flip"]}  # fmt: skip
+                "events_missing": ["flip"], "verdict": "not converged"}  # fmt: skip
     curve = {"time_s": [0, 1], "mean_m": [0, 1e-3], "shifted_mean_m": [0, 1e-4]}
     study = {
         "settings": {
@@ -327,7 +327,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
             "time_step_s": 0.02,
         },
         "summary": [{"material": "royal-target", "friction": 0.5, "time_step": distance,
-                     "mesh": None, "converged": False}],
+                     "mesh": None, "verdict": "not converged"}],
         "comparisons": [{"material": "royal-target", "friction": 0.5, "kind": "time step",
                          "curve": curve}],
         "missing": ["m09_f01_n61_h0"],

@@ -92,11 +92,11 @@ def test_a_release_needs_no_network(workflow):
 
 
 def test_the_convergence_study_is_a_target_of_its_own(workflow):
-    """A job a run: nine pairs, each with two halvings and two finer meshes."""
+    """A job a run: thirty pairs, each with finer steps and a finer mesh."""
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "convergence")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
-    assert counts["convergence_run"] == 3 * 3 * (1 + 2 + 2)
+    assert counts["convergence_run"] == 10 * 3 * (1 + 1 + 1)
     assert "simulate_one" not in counts
 
 

@@ -55,8 +55,7 @@ def _audit(
     every = tuple(contents.clips)
     findings, notes = list(contents.findings), []
     if expected is not None and contents.sums_sha256 != expected.lower():
-        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: a different "
-        "release"
+        what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
         findings.append(Finding(Kind.ALTERED, SUMS, what, every))
     if signers is not None:
         signer, problem = verify(folder, signers)

@@ -74,8 +74,7 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
     findings += _grid(contents)
     made_by = contents.release.get("provenance", {}).get("code_digest")
     if made_by != current_digest("release"):
-        note = "card, Croissant, crate and previews were written by a different version of "
-        "release: "
+        note = "card, Croissant, crate and previews come from a different version of release: "
         return findings, [note + "only the splits in the card's header are compared"]
     drawn: dict[str, tuple[str, Image.Image]] = {}
     made: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
@@ -148,8 +147,8 @@ def _head(contents: Contents) -> Iterator[Finding]:
             for one in entry["data_files"]
         }
     except (*_UNUSABLE, UnicodeDecodeError) as error:
-        what = "its header names no splits: "
-        f"{str(error).splitlines()[0] if str(error) else error!r}"
+        reason = str(error).splitlines()[0] if str(error) else repr(error)
+        what = f"its header names no splits: {reason}"
         yield Finding(Kind.BROKEN, card.CARD, what)
         return
     expected = card.data_files(sides_of_parts(contents.rows))

@@ -303,8 +303,7 @@ def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
     }
     for name, value in labels.items():
         if row.get(name) != value:
-            what = f"{row['video']}: {name} is {row.get(name)!r}, but {value!r} is drawn from "
-            "the seed"
+            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 

@@ -19,7 +19,13 @@ from slipstitch.calibrate.choice import (
     may_be_chosen,
 )
 from slipstitch.calibrate.experiments import Check, experiments
-from slipstitch.calibrate.sweep import run_settings, sweep, variations
+from slipstitch.calibrate.sweep import (
+    run_settings,
+    sweep,
+    sweep_inputs,
+    variations,
+    verified_settings,
+)
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
@@ -31,25 +37,8 @@ from slipstitch.provenance import (
     start_clock,
     write_json,
 )
+from slipstitch.simulate.convergence import CONVERGED, read_study, studied_settings_that_differ
 
-# What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
-NOT_NUMERICAL = frozenset(
-    {
-        "vertices_per_side",
-        "frames",
-        "frame_rate_hz",
-        "stage",
-        "pins",
-        "settle_s",
-        "yaw_sd_deg",
-        "height_sd_m",
-        "fabric_sd_rel",
-        "natural_curl_per_m",
-        "self_contact",
-        "thickness_m",
-        "layer_friction",
-    }
-)
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
     "mesh: the strip is a cylinder along mesh lines, accurate even at a spacing of 15 mm; the "
@@ -63,11 +52,6 @@ NOT_TOLD = (
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
-
-
-def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
-    """The numerical settings that the experiments exercise, as JSON can hold them."""
-    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
 
 
 def calibrate(
@@ -233,7 +217,8 @@ def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, An
     trials = sweep(key, config.calibrate, config.simulation, run_protocol)
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate", config=sections, started=started)
-    write_json(out, trials, record, indent=None)
+    inputs = sweep_inputs(key, config.calibrate, config.simulation)
+    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
     return trials
 
 
@@ -295,6 +280,7 @@ def calibrate_to_file(
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
+    calibration["convergence"] = _known_convergence(chosen_simulation(simulation, strip))
     if not (calibration["met"] and only_failures):
         _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
@@ -315,13 +301,42 @@ def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike
     _draw(pictures, read_json(path), record, failed=False)
 
 
+def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] | None:
+    """What the convergence study says of each fabric and coefficient at the chosen settings.
+
+    Not converged, or not known, is said aloud but is no error: the mesh is not chosen here, and no
+    known answer tells how short a step a fabric needs.
+    """
+    study = read_study()
+    if study is None:
+        print("convergence: no study came with the package", file=sys.stderr, flush=True)
+        return None
+    differ = studied_settings_that_differ(study["studied"], simulation)
+    found = [
+        {key: case[key] for key in ("material", "friction")}
+        | {"verdict": None if differ else case["verdict"]}
+        for case in study["cases"]
+    ]
+    if differ:
+        words = f"nothing is known: studied with other {', '.join(differ)}"
+    else:
+        words = "; ".join(
+            f"{one['material']} at {one['friction']:g} {one['verdict'] or 'not known'}"
+            for one in found
+            if one["verdict"] != CONVERGED
+        )
+    print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
+    return found
+
+
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     """Read sweeps, all keys of them, made with this configuration.
 
     Raises
     ------
     BadInput
-        If a file cannot be read, or the settings tried are not those of the configuration.
+        If a file cannot be read, or what was tried, or with what other settings, is not as in the
+        configuration.
     """
     trials = []
     for path in paths:
@@ -338,11 +353,23 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     ]
     tried = [trial["settings"] for trial in trials]
     missing = [setting for setting in expected if setting not in tried]
+    again = "regenerate them with: snakemake --cores 2 calibrate"
     if missing or len(tried) != len(expected):
         raise BadInput(
             f"{paths[0]} and others: {len(tried)} settings tried, but the configuration has "
-            f"{len(expected)}; regenerate them with: snakemake --cores 2 calibrate"
+            f"{len(expected)}; {again}"
         )
+    for trial in trials:
+        inputs = json.loads(
+            json.dumps(sweep_inputs(trial["key"], config.calibrate, config.simulation))
+        )
+        made_with = trial.pop("inputs", {})
+        other = sorted(key for key in inputs if made_with.get(key) != inputs[key])
+        if other:
+            raise BadInput(
+                f"{paths[0]} and others: {trial['key']}: pushed with other {', '.join(other)} than "
+                f"the configuration's; {again}"
+            )
     return trials
 
 

@@ -21,6 +21,7 @@ NAMES = (
 OPTIONS = (
     "friction",
     "slope_deg",
+    "static_kinetic",
     "gravity_length_m",
     "gamma",
     "strain",
@@ -41,6 +42,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
+    parser.add_argument(
+        "--static-kinetic",
+        type=float,
+        help="tilt: static coefficient over the kinetic, less 1 (default 0)",
+    )
     parser.add_argument(
         "--gravity-length-m",
         type=float,

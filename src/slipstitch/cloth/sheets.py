@@ -27,7 +27,7 @@ from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.cloth.tangent import Assembly, Entries
 from slipstitch.errors import BadInput, NotConverged
-from slipstitch.material.law import FOLD_CURVATURES, FOLD_DIRECTIONS, STRAIN_NODES
+from slipstitch.material.law import FOLD_CURVATURES, STRAIN_NODES
 
 
 class Sheets:
@@ -90,11 +90,12 @@ class Sheets:
         faces.damping_ratio = self.damping_ratio
         hinges = self.hinges = bending.Hinges()
         hinges.members, hinges.nodes = members(H), repeated(mesh.hinges, wp.int32, V)
-        hinges.length_m, hinges.area_m2, hinges.direction = (
-            repeated(values, wp.float64) for values in bending.hinge_geometry(mesh)
-        )
+        length_m, area_m2, _ = bending.hinge_geometry(mesh)
+        hinges.per_angle = repeated(length_m / (2 * area_m2), wp.float64)
+        hinges.shape = repeated(length_m**2 / (4 * area_m2), wp.float64)
         hinges.rest_angle, hinges.angle_before = zeros(count * H), zeros(count * H)
-        hinges.table = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
+        hinges.stiffness_before = zeros(count * H)
+        hinges.table = zeros(count * H, FOLD_CURVATURES)
         hinges.stiffness_rule = zeros(count, dtype=wp.int32)
         hinges.damping_ratio = self.damping_ratio
         nodes = self.nodes = contact.Nodes()
@@ -104,8 +105,7 @@ class Sheets:
         nodes.gravity_m_s2 = zeros(count, dtype=wp.vec3d)
         nodes.inverse_step_squared = zeros(count)
         ground = self.ground = contact.Ground()
-        ground.curvature, ground.normal_stiffness = zeros(count), zeros(count)
-        ground.tangential_stiffness = zeros(count)
+        ground.curvature, ground.bedding = zeros(count), zeros(count)
         self.friction = friction_states(mesh, count, self.device)
         self._x, self._minus_force, self._residual = vectors(), vectors(), vectors()
         self._state = zeros(count * V, dtype=wp.int32)

@@ -68,12 +68,12 @@ class SimulationSettings(Section):
         le=1000,
         description="limit of Newton iterations; a step that needs more is halved",
     )
-    halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
+    halvings_max: int = Field(12, ge=0, le=20, description="halvings of a step before giving up")
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
-        "start",
+        "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
-        "as ARCSim does, implicitly the end, or (rising) the end where it grows with curvature and "
-        "the start where it falls",
+        "as ARCSim does, implicitly the end, or (rising) the end while the moment grows with "
+        "curvature, the moment held where it would fall",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
@@ -104,6 +104,11 @@ class SimulationSettings(Section):
         "tabs",
         description="clamped vertices: the upper edge within 1 cm of each corner, or "
         "only the corners",
+    )
+    warp: Literal["u", "v"] = Field(
+        "u",
+        description="rest direction that counts as the fabric's warp, which extended friction laws "
+        "ask for: u along the upper edge, v down from it",
     )
     settle_s: float = Field(2.0, ge=0, le=60, description="rest before the stage starts")
     yaw_sd_deg: float = Field(

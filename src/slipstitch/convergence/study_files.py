@@ -111,10 +111,9 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     table = {
         "studied": {
             "time_step_s": study["settings"]["time_step_s"],
-            "vertices_per_side": own["vertices_per_side"][0],
             "window_s": own["window_s"],
-            "converged_mean_m": own["mean_distance_m"],
-            "self_contact": study["settings"]["self_contact"],
+            "mean_distance_m": own["mean_distance_m"],
+            "simulation": study["settings"]["simulation"],
         },
         "cases": study["summary"],
     }

@@ -20,6 +20,7 @@ from slipstitch.protocol.landed_strip import landed_strip
 from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
+from slipstitch.protocol.tilt import tilt
 from slipstitch.provenance import provenance_record, start_clock, write_json
 
 
@@ -36,6 +37,13 @@ _GRAVITY_LENGTH = (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in
 PROTOCOLS: dict[str, KnownAnswer] = {
     "incline": KnownAnswer(
         incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}
+    ),
+    "tilt": KnownAnswer(
+        tilt,
+        {
+            "friction": (None, "kinetic friction coefficient"),
+            "static_kinetic": (0.0, "static coefficient over the kinetic, less 1"),
+        },
     ),
     "flat-drag": KnownAnswer(flat_drag, {"friction": _FRICTION}),
     "strip-drag": KnownAnswer(

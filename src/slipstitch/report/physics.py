@@ -104,8 +104,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
                         "shifted": quantity(found["shifted_mean_m"], 1e3, "mm", 2),
                         "shift": quantity(found["event_shift_s"], 1.0, "s", 2),
                         "missing": ", ".join(found["events_missing"]),
-                        "met": found["mean_largest_m"]
-                        <= study["settings"]["convergence"]["mean_distance_m"],
+                        "verdict": found.get("verdict") or _old_verdict(found, study),
                     }
                 )
     return {
@@ -115,6 +114,12 @@ def convergence(results: Results) -> dict[str, Any] | None:
         "demand": quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),
         "missing": study.get("missing", []),
     }
+
+
+def _old_verdict(found: dict[str, Any], study: dict[str, Any]) -> str:
+    """Of a study that was published before it had words for events."""
+    demand_m = study["settings"]["convergence"]["mean_distance_m"]
+    return "converged" if found["mean_largest_m"] <= demand_m else "not converged"
 
 
 def _refinement(kind: str, finest: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from math import ceil, cos, radians, sin
+from math import ceil, cos, pi, radians, sin
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.bench.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.cloth import (
     ClothSolver,
+    ContactConditions,
     Sheets,
     SolverSettings,
     StepRecord,
@@ -212,6 +213,7 @@ class _Bench:
             fixed=sheets.fixed,
             settings=SolverSettings.of(settings),
             gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
+            conditions=ContactConditions(warp_angle_rad=0.0 if settings.warp == "u" else pi / 2),
             rest_curvature_per_m=perturbation.natural_curl_per_m,
             sheets=sheets,
             member=member,
@@ -278,6 +280,6 @@ class _Bench:
                 "step_s": step_s,
                 "solver": asdict(totals),
                 "device": self.solver.device,
-                "convergence": measured_convergence(run.material, run.friction, settings, step_s),
+                "convergence": measured_convergence(run.material, run.friction, settings),
             },
         )
