@@ -10,6 +10,7 @@ SUMMARY = "run a known-answer experiment in the simulator and compare it with th
 EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
 NAMES = (
     "incline",
+    "tilt",
     "flat-drag",
     "strip-drag",
     "strip",

@@ -40,6 +40,7 @@ class Demand:
 # docs/physics.md says how near they really come.
 DEMANDS: dict[str, tuple[Demand, ...]] = {
     "incline": (Demand("acceleration_m_s2", 0.01, zero=2e-4),),  # 0.1 mm in 1 s: it sticks
+    "tilt": (Demand("slope_at_slip", 0.005),),
     "flat-drag": (Demand("pull_over_weight", 0.005),),
     "strip-drag": (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False)),
     "strip": (Demand("regime"), Demand("slip_strain", 0.006, relative=False)),
