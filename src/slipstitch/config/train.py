@@ -1,7 +1,7 @@
 """Settings of the train stage. Pydantic and the standard library only.
 
-Every choice that the paper leaves open, or that its text does not give us, is a switch here; the
-defaults are argued in docs/learning.md.
+Every choice that the paper leaves open is a switch here; the defaults are argued in
+docs/learning.md.
 """
 
 from typing import Literal
@@ -37,22 +37,29 @@ class TrainSettings(Section):
         [64, 128, 256, 512], min_length=1, description="output channels of the blocks conv1 ..."
     )
     convolutions: list[int] = Field(
-        [1, 2, 2, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
+        [2, 2, 1, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
     )
-    padding: Literal["same", "valid"] = "same"
-    pool_last_block: bool = Field(True, description="max pooling after the last block too")
+    padding: Literal["same", "valid"] = Field(
+        "same", description="of convolutions and poolings; valid: none"
+    )
     readout: Literal["flatten", "pool"] = Field(
         "pool", description="the last block's map flattened, or averaged over the image"
     )
-    batch_norm: bool = Field(
-        True, description="batch normalisation after every convolution, before its rectifier"
+    batch_norm: Literal["none", "features", "convolutions", "all"] = Field(
+        "all",
+        description="batch normalisation of the frames' features before the LSTM, after every "
+        "convolution before its rectifier, of both or neither",
     )
-    lstm_units: int = Field(256, ge=1)
-    fc_units: int = Field(
-        0, ge=0, description="hidden fully connected layer before the softmax; 0: none"
+    lstm_units: int = Field(256, ge=1, description="of each of the two LSTM layers")
+    fc_units: int = Field(256, ge=1, description="of the first of the two fully connected layers")
+    material_units: int | None = Field(
+        None,
+        ge=1,
+        description="outputs of the softmax layer that a told material goes through; null: as many "
+        "as materials",
     )
     dropout: float = Field(
-        0.2, ge=0.0, lt=1.0, description="of the frames' features and of the recurrent output"
+        0.2, ge=0.0, lt=1.0, description="between the two fully connected layers"
     )
     outputs: Literal["last", "all"] = Field(
         "last", description="the class is read after the last frame, or after every frame"
@@ -76,7 +83,7 @@ class TrainSettings(Section):
         "cycle, and at which fine-tuning goes on; 1: constant",
     )
     rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
-    epsilon: float = Field(1e-6, gt=0.0, description="Adadelta's")
+    epsilon: float = Field(1e-7, gt=0.0, description="Adadelta's; Keras' default")
     gradient_norm_max: float | None = Field(None, gt=0.0, description="clipping; null: none")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"

@@ -17,7 +17,7 @@ from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest, write_json
 from slipstitch.train.network import build_network
 
-FORMAT = "slipstitch-lrcn-1"
+FORMAT = "slipstitch-lrcn-2"
 WEIGHTS = "model.safetensors"
 CARD = "model.json"
 
