@@ -155,7 +155,9 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             "simulation": simulation,
             "viewpoint": {"id": view, "name": names[view]},
             "textures": textures,
-            "surroundings": draw_surroundings(config.render, config.seed, simulation).record(),
+            "surroundings": draw_surroundings(
+                config.render, config.seed, simulation, view
+            ).record(),
             "augmentation": {
                 key: draw_augmentation(settings, *words[key]).record() for key in textures
             },

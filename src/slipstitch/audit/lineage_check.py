@@ -295,7 +295,7 @@ def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
     """The labels of a clip's floor against what the seed draws."""
     from slipstitch.render.surroundings import draw_surroundings
 
-    drawn = draw_surroundings(config.render, config.seed, row["simulation"])
+    drawn = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint_id"])
     labels = {
         "floor": drawn.floor,
         "floor_reflectance": drawn.reflectance,

@@ -17,7 +17,7 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.config.train import TrainSettings
+from slipstitch.config.train import REFLECTIVE, TrainSettings
 
 
 class Config(Section):
@@ -63,6 +63,8 @@ class Config(Section):
                     f"instrument.viewpoints: {name!r} is not seen in the calibrated view; allowed "
                     f"are {self.calibrated_view} and the family bench_1 ..."
                 )
+        if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
+            raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
         return self
 
     @property

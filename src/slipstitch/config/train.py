@@ -12,15 +12,27 @@ from slipstitch.config.section import Section, Seeds
 
 NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
 SPLITS = ("by_video", "by_simulation")
+#: The videos of by_video's sides and the same on the floors of the second training set.
+REFLECTIVE = "by_video_reflective"
+TRAINED_ON = (*SPLITS, REFLECTIVE)
+
+
+def split_of(trained_on: str) -> str:
+    """The split whose sides a training keeps to."""
+    return trained_on.removesuffix("_reflective")
 
 
 class TrainSettings(Section):
     """The paper's recurrent convolutional network and its training."""
 
     seeds: Seeds = Field([0], description="one training of every network a seed")
-    splits: list[Literal["by_video", "by_simulation"]] = Field(
-        list(SPLITS), min_length=1, description="the paper's split, and whole simulations held out"
+    splits: list[Literal["by_video", "by_simulation", "by_video_reflective"]] = Field(
+        list(SPLITS),
+        min_length=1,
+        description="the paper's split, whole simulations held out, and the paper's split with the "
+        "videos on render.reflective_floors as well, each shown half as often",
     )
+    reflective_seeds: Seeds = Field([0], description="those of by_video_reflective")
 
     architecture: Literal["lrcn"] = Field("lrcn", description="the paper's network")
     pixels: int | None = Field(
@@ -101,6 +113,16 @@ class TrainSettings(Section):
     checkpoint_interval_s: float = Field(
         60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
     )
+
+    def trainings(self, trained_on: str) -> list[tuple[str, int]]:
+        """Networks and seeds of the trainings on one of `TRAINED_ON`.
+
+        On reflective floors only what tells the paper's last curve: material, then friction.
+        """
+        if trained_on == REFLECTIVE:
+            networks = ("material_baseline", "friction_conditional")
+            return [(network, seed) for network in networks for seed in self.reflective_seeds]
+        return [(network, seed) for network in NETWORKS for seed in self.seeds]
 
     @model_validator(mode="after")
     def _blocks_agree(self) -> "TrainSettings":

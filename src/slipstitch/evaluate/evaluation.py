@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
+from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import alarm_rates, evaluate_instruments, find_instruments
 from slipstitch.evaluate.metrics import (
@@ -84,6 +84,8 @@ def evaluation_sets(
     turn from the calibrated one, in degrees, in training textures. Both test the networks trained
     by video on every simulation, as the paper does: the texture or the view is new to them, the
     cloth's motion is not.
+    reflective_floors, by_video_reflective: by_video's test videos on the floors of the second
+    training set, with the networks that have not learnt from it, and with those that have.
 
     Parameters
     ----------
@@ -107,6 +109,9 @@ def evaluation_sets(
     def turned(turn_deg: float, row: Row) -> bool:
         return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
 
+    def mirrored(row: Row) -> bool:
+        return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
+
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     sets = [
         *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
@@ -117,20 +122,22 @@ def evaluation_sets(
             EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
             for turn in sorted(turns)
         ),
+        EvaluationSet("reflective_floors", "by_video", mirrored),
+        EvaluationSet(REFLECTIVE, REFLECTIVE, mirrored),
     ]
     return [test for test in sets if any(map(test.holds, rows))]
 
 
 def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
     """Weights in ``{split}/{network}/seed{seed}/``: all, or of the configured trainings only."""
-    splits = SPLITS if train is None else train.splits
-    names = None if train is None else {f"seed{seed}" for seed in train.seeds}
     return [
         path
-        for split in splits
+        for split in (TRAINED_ON if train is None else train.splits)
         for network in NETWORKS
         for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}"))
-        if names is None or path.parent.name in names
+        if train is None
+        or (network, path.parent.name.removeprefix("seed"))
+        in {(name, str(seed)) for name, seed in train.trainings(split)}
     ]
 
 
@@ -259,7 +266,7 @@ def evaluate(
 
     instruments = {}
     if instruments_folder is not None:
-        splits = SPLITS if train is None else train.splits
+        splits = TRAINED_ON if train is None else train.splits
         instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
 
     side = pixels.pop()
@@ -294,7 +301,7 @@ def evaluate(
                 )
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
-            if test.name in SPLITS:
+            if test.name in TRAINED_ON:
                 measured["alarms"] = alarm_rates(instruments, test.name, whole)
             details[test.name]["instrument"] = measured
             predictions += rows

@@ -12,6 +12,8 @@ SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",
     "by_simulation": "whole simulations held out",
     "off_grid": "off-grid friction",
+    "by_video_reflective": "videos held out, also trained on reflective floors",
+    "reflective_floors": "unseen reflective floors",
     "unseen_texture": "unseen texture",
     "unseen_fabric": "unseen fabric",
 }

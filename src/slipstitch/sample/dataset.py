@@ -11,7 +11,7 @@ import numpy as np
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
-from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.config.grid import Simulation, films, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock
@@ -32,7 +32,8 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
 
     Videos in a test-only texture or from a test-only viewpoint are test videos by video; by
     simulation they go with their simulation (and never train, whatever their side). Simulations of
-    a test-only fabric or friction coefficient are test simulations in both.
+    a test-only fabric or friction coefficient are test simulations in both. A video on a floor of
+    the second training set has the side of the same video on its own floor.
     """
     grid = simulations(config)
     trained = [
@@ -50,26 +51,27 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
         seed=config.seed,
         hold_out=config.sample.hold_out,
     )
-    roles = {
-        (texture["id"], view["id"]): (texture["role"], view["role"])
-        for texture in textures(config)
-        for view in viewpoints(config)
-    }
+    views = viewpoints(config)
+    main = {view["name"]: view["id"] for view in reversed(views)}  # each name's first id
     trainable = [
-        f"{simulation.id}_{texture}_{view}"
+        f"{simulation.id}_{texture['id']}_{main[view]}"
         for simulation in trained
-        for (texture, view), role in roles.items()
-        if role == ("train", "train")
+        for texture in textures(config)
+        for view in config.render.viewpoints
+        if texture["role"] == "train"
     ]
     of_video = split_by_video(trainable, *fractions, seed=config.seed)
+    names = {view["id"]: view["name"] for view in views}
+    simulated = {simulation.id: simulation for simulation in grid}
     sides = {}
-    for simulation in grid:
+    for (name, view), worn in films(config).items():
+        simulation = simulated[name]
         side = of_simulation.get(
             (simulation.material_id, simulation.friction_id, simulation.replicate_id), "test"
         )
-        for texture, view in roles:
-            video = f"{simulation.id}_{texture}_{view}"
-            sides[video] = (of_video.get(video, "test"), side)
+        for texture in worn:
+            twin = f"{name}_{texture}_{main[names[view]]}"
+            sides[f"{name}_{texture}_{view}"] = (of_video.get(twin, "test"), side)
     return sides
 
 
@@ -144,10 +146,9 @@ def _write_simulation(
     """Write one simulation's frames; return its manifest rows, sorted by video."""
     started = start_clock()
     videos: dict[tuple[str, str], list] = {}
-    floor: dict[str, Any] = {}
+    floors: dict[str, dict[str, Any]] = {}
     poses: dict[str, dict[str, float]] = {}
     for path in paths:
-        # One simulation, one floor: the same in every shard.
         metadata = read_metadata(path)
         floor = metadata.get("surroundings") or MATTE.record()
         for (name, texture, view), images in read_shard(path, frames).items():
@@ -160,6 +161,7 @@ def _write_simulation(
                 raise BadInput(f"{path}: video {video} is in more than one shard")
             videos[texture, view] = images
             poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
+            floors[view] = floor
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
     rows, images = [], []
     file = f"{simulation.id}.parquet"
@@ -206,11 +208,12 @@ def _write_simulation(
                 "friction_role": simulation.friction_role,
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
+                "floor_role": catalogue[view]["floor_role"],
                 "viewpoint_turn_deg": turn,
                 **{f"pose_{name}": poses[view][name] for name in POSE},
-                "floor": floor["floor"],
-                "floor_reflectance": floor["reflectance"],
-                "floor_roughness": floor["roughness"],
+                "floor": floors[view]["floor"],
+                "floor_reflectance": floors[view]["reflectance"],
+                "floor_roughness": floors[view]["roughness"],
                 "split_by_video": by_video,
                 "split_by_simulation": by_simulation,
                 "frames": len(frames),

@@ -13,12 +13,13 @@ import numpy as np
 from PIL import Image
 
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.sample.images import pixels_digest, read_frames
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import decode
 
-ROLES = ("material", "friction", "texture", "viewpoint")
+ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
 
 @dataclass(frozen=True)
@@ -124,11 +125,14 @@ def _resized(video: np.ndarray, side: int) -> np.ndarray:
     )
 
 
-def takes_part(row: dict[str, Any]) -> bool:
-    """Whether a video may train: nothing in it (fabric, friction, texture, view) is for testing."""
-    return not test_only(row)
+def takes_part(row: dict[str, Any], trained_on: str = "") -> bool:
+    """Whether a video may train: nothing in it (`ROLES`) is for testing.
+
+    Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
+    """
+    return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 
 def test_only(row: dict[str, Any]) -> set[str]:
-    """What in a video is for testing only: material, friction, texture, viewpoint."""
+    """What in a video is for testing only, of `ROLES`."""
     return {kind for kind in ROLES if row[f"{kind}_role"] == "test"}
