@@ -198,6 +198,7 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
                 )
                 rows += [
                     {
+                        "simulation": f"s{k // 6}",
                         "split": split,
                         "network": network,
                         "seed": seed,
@@ -206,7 +207,7 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
                         "true_value": float(frictions[a]),
                         "predicted_value": float(frictions[b]),
                     }
-                    for a, b in zip(true, predicted, strict=True)
+                    for k, (a, b) in enumerate(zip(true, predicted, strict=True))
                 ]
             details[split][network] = {
                 **common,

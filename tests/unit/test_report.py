@@ -18,6 +18,8 @@ from slipstitch.cli.main import main
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
+from slipstitch.evaluate.metrics import entry
+from slipstitch.evaluate.probes import MIDDLE_FRAME
 from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.report import learning_pictures
@@ -125,6 +127,30 @@ def test_table_2_shows_every_figure_of_the_paper(page):
     # 32 and 33 of 36 by video, 22 and 23 by simulation.
     assert rows["Friction, error < 0.1, baseline"][1:] == ["88.9 %", "61.1 %"]
     assert rows["Friction, error < 0.1, given the material"][1:] == ["91.7 %", "63.9 %"]
+
+
+def test_the_headline_has_its_interval_and_a_single_frame_beside_it(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path, seeds=(0, 1, 2))
+    path = tmp_path / "evaluate" / "metrics.json"
+    metrics = json.loads(path.read_text())
+    for split, share in (("by_simulation", 0.9), ("by_video", 0.5)):
+        metrics[split][MIDDLE_FRAME] = entry(36, [0], {"friction_lt_0.1": share})
+    path.write_text(json.dumps(metrics))
+    write_sidecar(path, provenance_record("evaluate"))
+    page = page_of(tmp_path)
+    text = text_of(page).split("The result")[1]
+    held_out, by_video = text.split("With videos held out")[:2]
+    # 23, 25 and 21 of 36: the best network is one, whatever the probe has.
+    assert (
+        "given the material predicts the correct one of 3 friction coefficients for 63.9 %" in held_out
+    )
+    assert "whole simulations held out (90 % interval over simulations and seeds: " in held_out
+    low, high = re.search(r"seeds: ([\d.]+) % to ([\d.]+) %", held_out).groups()
+    assert float(low) < 63.9 < float(high)
+    assert "single frame from the middle of the video is correct for 90.0 %" in held_out
+    assert "for 91.7 % of 36" in by_video and "video is correct for 50.0 %" in by_video
+    rows = table(page, "Every test set")
+    assert ["linear: one frame from the middle", "36"] in [row[:2] for row in rows]
 
 
 def test_one_seed_is_said_to_be_one_beside_the_number_of_videos(page):

@@ -27,6 +27,8 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
+from slipstitch.evaluate.probes import entries as probe_entries
+from slipstitch.evaluate.probes import probes
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
@@ -250,7 +252,8 @@ def evaluate(
     Raises
     ------
     BadInput
-        If a model is missing its partner, was trained on other data, or files are damaged.
+        If a model is missing its partner, was trained on other data, files are damaged, or what
+        must tell nothing of friction tells it (see `slipstitch.evaluate.probes`).
     """
     set_up_torch(threads)
     models = find_models(models_folder, train)
@@ -269,6 +272,7 @@ def evaluate(
         splits = TRAINED_ON if train is None else train.splits
         instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
 
+    probed = probes(settings, dataset)
     side = pixels.pop()
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
@@ -299,6 +303,8 @@ def evaluate(
                 metrics[test.name][name] = entry(
                     len(part), seeds, *(scores[network]["mean"] for network in used)
                 )
+        details[test.name] |= probed.get(test.name, {})
+        metrics[test.name] |= probe_entries(probed.get(test.name, {}))
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
             if test.name in TRAINED_ON:

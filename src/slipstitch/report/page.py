@@ -131,7 +131,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
             config.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100
         ),
         "grid": config.grid,
-        "headline": headline(config, metrics, details),
+        "headline": headline(config, metrics, details, predictions),
         "simulations": simulation_section(results),
         "physics": physics(results),
         "convergence": convergence(results),

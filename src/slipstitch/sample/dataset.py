@@ -19,12 +19,14 @@ from slipstitch.render.bench_camera import POSE
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest
+from slipstitch.sample.probes import PIXELS, check_first_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of
 from slipstitch.sample.splits import (
     check_no_simulation_on_both_sides,
     split_by_simulation,
     split_by_video,
 )
+from slipstitch.sample.videos import resized, takes_part
 
 
 def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
@@ -97,7 +99,8 @@ def write_dataset(
     ------
     BadInput
         If a shard is damaged, a video or frame of the grid is missing, there twice or not of the
-        grid, an image cannot be decoded or has the wrong size, or no valid split exists.
+        grid, an image cannot be decoded or has the wrong size, no valid split exists, or the first
+        frames tell the friction coefficient.
     """
     started = start_clock()
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
@@ -117,10 +120,17 @@ def write_dataset(
         )
 
     rows: list[dict[str, Any]] = []
+    first: list[np.ndarray] = []
     for simulation in progress(grid.values(), "sample: ", unit="simulation"):
-        rows += _write_simulation(
+        written, images = _write_simulation(
             config, simulation, paths_of[simulation.id], frames, sides, Path(out_dir)
         )
+        rows += written
+        first += [resized(image[None], PIXELS)[0] for image in images]
+    trainable = [k for k, row in enumerate(rows) if takes_part(row)]
+    check_first_frames(
+        str(out_dir), [rows[k] for k in trainable], np.stack([first[k] for k in trainable])
+    )
     check_no_simulation_on_both_sides(
         [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
     )
@@ -142,8 +152,8 @@ def _write_simulation(
     frames: np.ndarray,
     sides: dict[str, tuple[str, str]],
     out_dir: Path,
-) -> list[dict[str, Any]]:
-    """Write one simulation's frames; return its manifest rows, sorted by video."""
+) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
+    """Write one simulation's frames; return its rows, sorted by video, and their first frames."""
     started = start_clock()
     videos: dict[tuple[str, str], list] = {}
     floors: dict[str, dict[str, Any]] = {}
@@ -163,7 +173,7 @@ def _write_simulation(
             poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
             floors[view] = floor
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
-    rows, images = [], []
+    rows, images, first = [], [], []
     file = f"{simulation.id}.parquet"
     for video in sorted(name for name in sides if name.startswith(f"{simulation.id}_")):
         texture, view = video.split("_")[3:]
@@ -188,6 +198,7 @@ def _write_simulation(
                     "image": {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"},
                 }
             )
+        first.append(pixels[0])
         view_name = catalogue[view]["name"]
         turn = VIEWPOINTS[view_name].azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
         by_video, by_simulation = sides[video]
@@ -230,4 +241,4 @@ def _write_simulation(
         started=started,
     )
     write_frames(images, out_dir / file, record)
-    return rows
+    return rows, first

@@ -52,7 +52,7 @@ class Videos:
         stored, side = self.pixels.shape[1:3]
         seen = self.pixels[:, sampled_frames(stored, frames or stored)]
         if pixels != side:
-            seen = np.stack([_resized(video, pixels) for video in seen])
+            seen = np.stack([resized(video, pixels) for video in seen])
         return Videos(self.rows, seen, self.digest)
 
 
@@ -114,11 +114,12 @@ def read_videos(
             if pixels_digest(whole) != row["pixels_sha256"]:
                 raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
-            array[place[video]] = seen if side == rendered else _resized(seen, side)
+            array[place[video]] = seen if side == rendered else resized(seen, side)
     return Videos(rows, array, digest)
 
 
-def _resized(video: np.ndarray, side: int) -> np.ndarray:
+def resized(video: np.ndarray, side: int) -> np.ndarray:
+    """Frames (frames, any, any, 3) averaged down (or blown up) to another side."""
     filtered = Image.Resampling.BOX if side < video.shape[1] else Image.Resampling.BICUBIC
     return np.stack(
         [np.asarray(Image.fromarray(frame).resize((side, side), filtered)) for frame in video]
