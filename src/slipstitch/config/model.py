@@ -12,6 +12,7 @@ from slipstitch.config.criticise import CriticiseSettings
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.grid import GridSettings
 from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.publish import PublishSettings
 from slipstitch.config.release import ReleaseSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
@@ -36,6 +37,7 @@ class Config(Section):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     ablate: AblateSettings = Field(default_factory=AblateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
+    publish: PublishSettings = Field(default_factory=PublishSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
     captures: CaptureSettings = Field(default_factory=CaptureSettings)
 
