@@ -28,6 +28,7 @@ include: "rules/criticise.smk"
 include: "rules/release.smk"
 include: "rules/audit.smk"
 include: "rules/report.smk"
+include: "rules/publish.smk"
 include: "rules/captures.smk"
 include: "rules/status.smk"
 
@@ -48,6 +49,7 @@ localrules:
     release,
     audit,
     report,
+    publish,
     captures,
 
 

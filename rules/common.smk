@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
-from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
+from slipstitch.config.grid import batches, films, grid_rows, simulations, viewpoints
 from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest, fabric_names
@@ -39,6 +39,14 @@ os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["
 
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}
 VIEWPOINTS = {viewpoint["id"]: viewpoint for viewpoint in viewpoints(CONFIG)}
+SHOWN = films(CONFIG)
+SHARDS = [f"{simulation}_{viewpoint}" for simulation, viewpoint in SHOWN]
+# Viewpoints from which every simulation is filmed; from the others only some are.
+FULL_VIEWPOINTS = [
+    viewpoint
+    for viewpoint in VIEWPOINTS
+    if all((simulation, viewpoint) in SHOWN for simulation in SIMULATIONS)
+]
 
 
 wildcard_constraints:

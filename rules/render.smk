@@ -8,6 +8,9 @@ SHADING_SETTINGS = settings(
     render={
         "viewpoints",
         "test_viewpoints",
+        "test_viewpoint_videos",
+        "floors",
+        "reflective_floors",
         "textures",
         "test_textures",
         "augmentation",
@@ -16,7 +19,15 @@ SHADING_SETTINGS = settings(
     },
 )
 RENDER_SETTINGS = settings(
-    "seed", "render", render={"viewpoints", "test_viewpoints", "verified_images", "threads"}
+    "seed",
+    "render",
+    render={
+        "viewpoints",
+        "test_viewpoints",
+        "test_viewpoint_videos",
+        "verified_images",
+        "threads",
+    },
 )
 
 
@@ -27,11 +38,7 @@ def camera_file(wildcards):
 
 rule render:
     input:
-        shards=expand(
-            "results/render/{simulation}_{viewpoint}.parquet",
-            simulation=SIMULATIONS,
-            viewpoint=VIEWPOINTS,
-        ),
+        shards=expand("results/render/{shard}.parquet", shard=SHARDS),
         previews=expand(
             "results/render/preview/{simulation}.{kind}",
             simulation=SIMULATIONS,
@@ -57,8 +64,10 @@ rule render_shading:
     params:
         *SHADING_SETTINGS,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
+        floors=lambda wildcards: CONFIG.render.floors_of(wildcards.viewpoint),
         catalogue=lambda wildcards: entries(
-            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]], floors=CONFIG.render.floors
+            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]],
+            floors=CONFIG.render.floors_of(wildcards.viewpoint),
         ),
         code=code_of("render.packing"),
         config=CONFIG_FILE,
@@ -73,11 +82,12 @@ rule render_images:
     input:
         trajectory="results/simulate/{simulation}.parquet",
         shading=expand(
-            "results/render/shading/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS
+            "results/render/shading/{{simulation}}_{viewpoint}.parquet",
+            viewpoint=FULL_VIEWPOINTS,
         ),
         textures=CONFIG.render.texture_files(),
     output:
-        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=FULL_VIEWPOINTS),
     log:
         "results/logs/render/compose_{simulation}.log",
     benchmark:
@@ -93,6 +103,40 @@ rule render_images:
         config=CONFIG_FILE,
     message:
         "Compose the images of {wildcards.simulation}"
+    shell:
+        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
+
+
+# Of viewpoints from which only some simulations are filmed, and in some textures.
+rule render_images_drawn:
+    input:
+        trajectory="results/simulate/{simulation}.parquet",
+        shading="results/render/shading/{simulation}_{viewpoint}.parquet",
+        textures=CONFIG.render.texture_files(),
+    output:
+        "results/render/{simulation}_{viewpoint}.parquet",
+    log:
+        "results/logs/render/compose_{simulation}_{viewpoint}.log",
+    benchmark:
+        "results/benchmarks/render/compose_{simulation}_{viewpoint}.tsv"
+    wildcard_constraints:
+        viewpoint="|".join(view for view in VIEWPOINTS if view not in FULL_VIEWPOINTS) or "none",
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("compose"),
+        runtime=job_runtime_min("compose", CONFIG),
+    params:
+        *RENDER_SETTINGS,
+        seed=CONFIG.seed,
+        worn=lambda wildcards: SHOWN[wildcards.simulation, wildcards.viewpoint],
+        catalogue=lambda wildcards: entries(
+            textures=SHOWN[wildcards.simulation, wildcards.viewpoint].values()
+        ),
+        code=code_of("render"),
+        config=CONFIG_FILE,
+    message:
+        "Compose the images of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectory}"
         " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
@@ -126,7 +170,11 @@ rule render_verification:
 
 rule preview_one:
     input:
-        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+        lambda wildcards: [
+            f"results/render/{wildcards.simulation}_{viewpoint}.parquet"
+            for viewpoint in VIEWPOINTS
+            if (wildcards.simulation, viewpoint) in SHOWN
+        ],
     output:
         sheet=report(
             "results/render/preview/{simulation}.png",

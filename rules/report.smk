@@ -36,9 +36,6 @@ rule report_page:
         *settings(*type(CONFIG).model_fields),
         code=code_of("report"),
         captures=digest_if_there("results/captures/metrics.json"),
-        reflective=digest_if_there(
-            Path(CONFIG.evaluate.reflective_results or "") / "captures/metrics.json"
-        ),
         config=CONFIG_FILE,
     message:
         "Write the report"

@@ -94,6 +94,11 @@ class Floor:
     reflectance: tuple[float, float] = (0.0, 0.0)
     roughness: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def reflects_plainly(self) -> bool:
+        """Whether the paper's tests would set it apart as reflective: metals and mirrors."""
+        return self.reflectance[1] > 0.1
+
 
 #: The paper's substrates, and two generic ones. Reflectances at normal incidence are those
 #: of the materials (aluminium 0.91, steel 0.58, a refractive index of 1.5: 0.04) less what a film

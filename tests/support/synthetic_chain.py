@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config, write_config
-from slipstitch.config.grid import simulations, viewpoints, write_grid
+from slipstitch.config.grid import films, simulations, viewpoints, write_grid
 from slipstitch.provenance import file_digest, provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.encoding import encode_png
@@ -148,14 +148,16 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             },
             seed=config.seed,
         )
-        textures = config.render.texture_ids()
+        textures = films(config)[simulation, view]
         settings = config.render.augmentation
         words = {key: (config.seed, simulation, textures[key], names[view]) for key in textures}
         notes = {
             "simulation": simulation,
             "viewpoint": {"id": view, "name": names[view]},
             "textures": textures,
-            "surroundings": draw_surroundings(config.render, config.seed, simulation).record(),
+            "surroundings": draw_surroundings(
+                config.render, config.seed, simulation, view
+            ).record(),
             "augmentation": {
                 key: draw_augmentation(settings, *words[key]).record() for key in textures
             },

@@ -39,6 +39,7 @@ FLOORS = (
     {"doctor"},
     {"status", "release"},
     {"report", "audit"},
+    {"publish"},
     # the command line
     {"cli"},
     {"__main__"},

@@ -438,6 +438,19 @@ def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     assert audit_release(out, CONFIG).verdict == "intact"
 
 
+def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
+    """Not every simulation from every viewpoint in every texture, and floors of two kinds."""
+    render = {"test_viewpoint_videos": 3, "reflective_floors": ["ceramic", "aluminium"]}
+    config = CONFIG.model_copy(update={"render": CONFIG.render.model_copy(update=render)})
+    results = synthetic_chain.write(config, tmp_path)
+    write_release(config, results, tmp_path / "release", ROOT)
+    audit = audit_release(tmp_path / "release")
+    assert audit.verdict == "intact", audit.findings[:3]
+    rows = pq.read_table(tmp_path / "release" / "manifest.parquet").to_pylist()
+    assert sum(row["viewpoint_role"] == "test" for row in rows) == 3
+    assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
+
+
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
     fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)

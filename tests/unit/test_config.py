@@ -7,6 +7,7 @@ import pytest
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.render import AugmentationSettings
 from slipstitch.config.schema import schema_text
 from slipstitch.errors import BadInput
 
@@ -36,6 +37,16 @@ def test_paper_scale_is_the_grid_of_the_paper():
     assert len(config.render.viewpoints) == 3
     assert len(config.render.test_viewpoints) == 6
     assert (config.simulation.frames, config.sample.frames) == (300, 30)
+
+
+def test_paper_scale_perturbs_nothing():
+    """The same fabric hangs on the same bench at all coefficients, and at every seed."""
+    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
+    simulation = config.simulation
+    spreads = (simulation.yaw_sd_deg, simulation.height_sd_m, simulation.fabric_sd_rel)
+    assert (*spreads, simulation.curl_side) == (0.0, 0.0, 0.0, "same")
+    assert config.render.augmentation == AugmentationSettings()
+    assert config.render.floors == ["matte"]
 
 
 @pytest.mark.parametrize("scale", SCALES)

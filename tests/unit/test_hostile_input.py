@@ -95,7 +95,7 @@ def test_no_reader_runs_a_pickle(readers, tmp_path):
 
 
 def test_weights_that_are_a_pickle_are_refused(tmp_path):
-    (tmp_path / "model.json").write_text('{"format": "slipstitch-lrcn-1"}')
+    (tmp_path / "model.json").write_text('{"format": "slipstitch-lrcn-2"}')
     (tmp_path / "model.safetensors").write_bytes(pickle.dumps(Trap(str(tmp_path / "sprung"))))
     with pytest.raises(BadInput, match="altered or damaged"):
         load_model(tmp_path)

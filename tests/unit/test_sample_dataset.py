@@ -12,9 +12,11 @@ from support import synthetic_videos
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.videos import takes_part
 
 synthetic = synthetic_videos
 
@@ -95,6 +97,20 @@ def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tm
         if only:
             assert row["split_by_video"] == "test"
     assert {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"} == {-15}
+
+
+def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path):
+    config = synthetic.config(render={"reflective_floors": ["ceramic"]})
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    key = ("simulation", "texture", "viewpoint")
+    own = {tuple(row[k] for k in key): row for row in rows if row["floor_role"] == "train"}
+    others = [row for row in rows if row["floor_role"] == "test"]
+    assert len(others) == len(own) == len(rows) / 2
+    for row in others:
+        twin = own[tuple(row[k] for k in key)]
+        assert row["video"] != twin["video"]
+        assert all(row[side] == twin[side] for side in ("split_by_video", "split_by_simulation"))
+        assert not takes_part(row) and takes_part(row, REFLECTIVE) and takes_part(twin, REFLECTIVE)
 
 
 def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):

@@ -187,7 +187,7 @@ def _verification(
 
 def _drawn(config: Config) -> list[tuple[str, int]]:
     """Video and frame of the images that the seed draws for verification."""
-    from slipstitch.config.grid import simulations
+    from slipstitch.config.grid import films
     from slipstitch.render.verification import drawn_rows
 
     total = config.simulation.frames
@@ -196,21 +196,14 @@ def _drawn(config: Config) -> list[tuple[str, int]]:
         if config.render.frames == "all"
         else sampled_frames(total, config.sample.frames_kept)
     )
-    shards = sorted(
-        f"{simulation.id}_{view}"
-        for simulation in simulations(config)
-        for view in config.render.viewpoint_ids()
-    )
-    textures = list(config.render.texture_ids())
-    of_one = len(frames) * len(textures)
-    drawn = drawn_rows(config.seed, config.render.verified_images, of_one * len(shards))
-    found = []
-    for row in drawn:
-        shard, inside = divmod(row, of_one)
-        frame, texture = divmod(inside, len(textures))
-        simulation, view = shards[shard].rsplit("_", 1)
-        found.append((f"{simulation}_{textures[texture]}_{view}", int(frames[frame])))
-    return found
+    rows = [
+        (f"{simulation}_{texture}_{view}", int(frame))
+        for (simulation, view), textures in sorted(films(config).items())
+        for frame in frames
+        for texture in textures
+    ]
+    drawn = drawn_rows(config.seed, config.render.verified_images, len(rows))
+    return [rows[row] for row in drawn]
 
 
 def _decoded(text: str) -> np.ndarray:

@@ -23,7 +23,7 @@ from slipstitch.bench.frames import sampled_frames
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
-from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.grid import films, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
@@ -254,6 +254,7 @@ def _recomputed(
 def _labels(config: Config) -> dict[str, dict[str, Any]]:
     """Video -> its labels, as far as the grid gives them."""
     calibrated = VIEWPOINTS["calibrated"].azimuth_deg
+    shown = films(config)
     return {
         f"{simulation.id}_{texture['id']}_{view['id']}": {
             "simulation": simulation.id,
@@ -262,6 +263,7 @@ def _labels(config: Config) -> dict[str, dict[str, Any]]:
             },
             **{f"texture{part}": texture[key] for part, key in _PARTS.items()},
             **{f"viewpoint{part}": view[key] for part, key in _PARTS.items()},
+            "floor_role": view["floor_role"],
             "viewpoint_turn_deg": VIEWPOINTS[view["name"]].azimuth_deg - calibrated,
             "frames": config.sample.frames_kept,
             "pixels": config.render.pixels,
@@ -270,6 +272,7 @@ def _labels(config: Config) -> dict[str, dict[str, Any]]:
         for simulation in simulations(config)
         for texture in textures(config)
         for view in viewpoints(config)
+        if texture["id"] in shown.get((simulation.id, view["id"]), ())
     }
 
 
@@ -295,7 +298,7 @@ def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
     """The labels of a clip's floor against what the seed draws."""
     from slipstitch.render.surroundings import draw_surroundings
 
-    drawn = draw_surroundings(config.render, config.seed, row["simulation"])
+    drawn = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint_id"])
     labels = {
         "floor": drawn.floor,
         "floor_reflectance": drawn.reflectance,

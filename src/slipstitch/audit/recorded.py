@@ -18,7 +18,7 @@ from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
-from slipstitch.config.grid import Simulation, simulations
+from slipstitch.config.grid import Simulation, films, simulations
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.release.code import CODE, locked_versions
@@ -37,7 +37,8 @@ STAGES = {
 _NOT_NEEDED = {
     "render": {
         *("threads", "verified_images", "textures", "test_textures", "viewpoints"),
-        *("test_viewpoints", "augmentation"),
+        *("test_viewpoints", "test_viewpoint_videos", "augmentation"),
+        *("floors", "reflective_floors"),  # what was drawn of them is in the metadata
     }
 }
 _SECTIONS = {
@@ -150,7 +151,9 @@ def _inputs(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) 
         "render": {f"results/simulate/{simulation}.parquet"},
         "render.packing": {f"results/simulate/{simulation}.parquet"},
         "sample": {
-            f"results/render/{path.stem}_{view}.parquet" for view in config.render.viewpoint_ids()
+            f"results/render/{name}_{view}.parquet"
+            for name, view in films(config)
+            if name == path.stem
         },
     }[artefact.stage]
 
@@ -256,12 +259,13 @@ def _rendered(
     view = Path(artefact.path).stem.split("_")[3]
     name = config.render.viewpoint_ids()[view]
     trajectory = f"results/simulate/{simulation.id}.parquet"
-    textures = config.render.texture_ids()
     cameras = Cameras(contents.folder, config, simulation, view)
+    textures = dict(cameras.job.textures)
+    drawn = draw_surroundings(config.render, config.seed, simulation.id, view)
     expected = {
         "simulation": simulation.id,
         "viewpoint": {"id": view, "name": name},
-        "surroundings": draw_surroundings(config.render, config.seed, simulation.id).record(),
+        "surroundings": drawn.record(),
         "camera": cameras.record(),
         "trajectory_sha256": artefact.inputs.get(trajectory),
     }

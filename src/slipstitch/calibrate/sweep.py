@@ -30,6 +30,7 @@ NOT_NUMERICAL = frozenset(
         "height_sd_m",
         "fabric_sd_rel",
         "natural_curl_per_m",
+        "curl_side",
         "self_contact",
         "thickness_m",
         "layer_friction",

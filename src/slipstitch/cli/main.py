@@ -34,6 +34,7 @@ VERBS = (
     "ablate",
     "report",
     "status",
+    "publish",
     "release",
     "audit",
     "capture",

@@ -97,11 +97,11 @@ def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
 
 def add_training(parser: argparse.ArgumentParser, out: str) -> None:
     """Dataset, split, seed and folder of one training."""
-    from slipstitch.config.train import SPLITS
+    from slipstitch.config.train import TRAINED_ON
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
-    parser.add_argument("--split", required=True, choices=SPLITS)
+    parser.add_argument("--split", required=True, choices=TRAINED_ON)
     parser.add_argument("--seed", required=True, type=int)
     parser.add_argument("--out-dir", type=output_folder, required=True, help=out)
     add_threads(parser)

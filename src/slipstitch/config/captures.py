@@ -72,8 +72,8 @@ class CaptureSettings(Section):
         1.5,
         ge=0,
         le=10,
-        description="surrogates: spread of clamps and fabric between videos, relative to that of "
-        "the training replicates",
+        description="surrogates: spread of clamps and fabric between videos, relative to the "
+        "defaults of simulation.yaw_sd_deg, height_sd_m and fabric_sd_rel",
     )
     friction_sd_rel: float = Field(
         0.03,

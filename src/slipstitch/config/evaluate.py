@@ -19,8 +19,3 @@ class EvaluateSettings(Section):
         0.1, gt=0.0, description="grid step of mu: errors are counted in steps, rounded"
     )
     batch_size: int = Field(8, ge=1, description="batch size, videos")
-    reflective_results: str | None = Field(
-        None,
-        description="results folder of a run with the same captures and networks trained with "
-        "reflective floors, for the last curve of the paper's Fig. 6 in the report",
-    )

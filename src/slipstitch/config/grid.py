@@ -117,8 +117,7 @@ def simulation_seed(seed: int, material: str, replicate: int) -> int:
     the same at every coefficient (common random numbers), so that nothing but contact tells them
     apart.
     """
-    text = f"{seed}|{material}|{replicate}"
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") & 0x7FFFFFFF
+    return int.from_bytes(_digest(seed, material, replicate)[:4], "big") & 0x7FFFFFFF
 
 
 def bench_of(simulation: str) -> str:
@@ -182,20 +181,64 @@ def find_simulation(config: Config, name: str) -> Simulation:
 
 def textures(config: Config) -> list[dict[str, str]]:
     """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
-    return _roles("t", config.render.textures, config.render.test_textures)
+    return [
+        {"id": identity, "name": name, "role": role}
+        for (identity, name), role in zip(
+            config.render.texture_ids().items(),
+            ["train"] * len(config.render.textures) + ["test"] * len(config.render.test_textures),
+            strict=True,
+        )
+    ]
 
 
 def viewpoints(config: Config) -> list[dict[str, str]]:
-    """Viewpoints as ``{id, name, role}``: those of training, then those of testing."""
-    return _roles("v", config.render.viewpoints, config.render.test_viewpoints)
+    """Viewpoints as ``{id, name, role, floor_role}``: of training, then of testing.
 
-
-def _roles(letter: str, train, test) -> list[dict[str, str]]:
-    named = [(name, "train") for name in train] + [(name, "test") for name in test]
+    Those of training come once more in the end, with the floor for testing only, where there are
+    reflective floors: networks trained on the others have not seen them.
+    """
+    render = config.render
     return [
-        {"id": f"{letter}{position:02d}", "name": name, "role": role}
-        for position, (name, role) in enumerate(named)
+        {
+            "id": identity,
+            "name": name,
+            "role": "test" if name in render.test_viewpoints else "train",
+            "floor_role": "test" if render.reflective(identity) else "train",
+        }
+        for identity, name in render.viewpoint_ids().items()
     ]
+
+
+def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
+    """Ids of simulation and viewpoint -> the textures filmed, id -> name; none if there is no film.
+
+    Test textures are filmed from the main training viewpoints only, where videos of test viewpoints
+    are drawn; these are drawn by what they are, so that one more texture changes few.
+    """
+    render = config.render
+    names = render.texture_ids()
+    trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
+    grid = simulations(config)
+    result: dict[tuple[str, str], dict[str, str]] = {}
+    for view in viewpoints(config):
+        if view["role"] == "test" and render.test_viewpoint_videos is not None:
+            every = [
+                (simulation.id, texture)
+                for simulation in grid
+                if "test" not in (simulation.material_role, simulation.friction_role)
+                for texture in trained
+            ]
+            every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
+            for simulation, texture in sorted(every[: render.test_viewpoint_videos]):
+                result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
+        else:
+            textures = trained if view["floor_role"] == "test" else names
+            result |= {(simulation.id, view["id"]): textures for simulation in grid}
+    return result
+
+
+def _digest(*words: object) -> bytes:
+    return hashlib.sha256("|".join(map(str, words)).encode()).digest()
 
 
 def grid_rows(config: Config) -> list[dict]:
@@ -206,8 +249,8 @@ def grid_rows(config: Config) -> list[dict]:
     list of dict
         Keys ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
         ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate
-        number; NaN if none), ``role`` (train or test), and for simulations ``material_id,
-        friction_id, replicate_id, material, friction, seed`` (else None).
+        number; NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations
+        ``material_id, friction_id, replicate_id, material, friction, seed`` (else None).
     """
     rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}
@@ -235,14 +278,15 @@ def grid_rows(config: Config) -> list[dict]:
         }
         for simulation in simulations(config)
     ]
-    return [{"role": "train", "value": math.nan, **row} for row in rows]
+    return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]
 
 
 def grid_table(config: Config):
     """`grid_rows` as a pyarrow table."""
     import pyarrow as pa
 
-    text = ("kind", "id", "name", "role", "material_id", "friction_id", "replicate_id", "material")
+    text = ("kind", "id", "name", "role", "floor_role")
+    text += ("material_id", "friction_id", "replicate_id", "material")
     schema = pa.schema(
         [(name, pa.string()) for name in text]
         + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]

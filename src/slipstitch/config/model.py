@@ -12,12 +12,13 @@ from slipstitch.config.criticise import CriticiseSettings
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.grid import GridSettings
 from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.publish import PublishSettings
 from slipstitch.config.release import ReleaseSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.config.train import TrainSettings
+from slipstitch.config.train import REFLECTIVE, TrainSettings
 
 
 class Config(Section):
@@ -36,6 +37,7 @@ class Config(Section):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     ablate: AblateSettings = Field(default_factory=AblateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
+    publish: PublishSettings = Field(default_factory=PublishSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
     captures: CaptureSettings = Field(default_factory=CaptureSettings)
 
@@ -63,6 +65,8 @@ class Config(Section):
                     f"instrument.viewpoints: {name!r} is not seen in the calibrated view; allowed "
                     f"are {self.calibrated_view} and the family bench_1 ..."
                 )
+        if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
+            raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
         return self
 
     @property

@@ -110,6 +110,12 @@ class RenderSettings(Section):
     test_viewpoints: list[str] = Field(
         [], description="viewpoints for testing only; their ids follow those of `viewpoints`"
     )
+    test_viewpoint_videos: int | None = Field(
+        None,
+        ge=1,
+        description="videos from each test viewpoint, drawn at random among simulations and "
+        "training textures (the paper: 20); null: every simulation in every texture",
+    )
     frames: Literal["sampled", "all"] = Field(
         "sampled", description="render only the frames that the sample stage uses, or every frame"
     )
@@ -122,6 +128,12 @@ class RenderSettings(Section):
         ["matte"],
         min_length=1,
         description="floors by name; each simulation draws one, with its roughness and reflectance",
+    )
+    reflective_floors: list[str] = Field(
+        [],
+        description="floors of a second training set: the same simulations once more, from the "
+        "training viewpoints in the training textures, each drawing a floor of these for every "
+        "viewpoint; their ids follow those of `test_viewpoints`",
     )
     augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
     bench_camera: BenchCameraSettings = Field(default_factory=BenchCameraSettings)
@@ -146,7 +158,7 @@ class RenderSettings(Section):
         _known(drawn, TEXTURES, "texture")
         return _once(names, "texture")
 
-    @field_validator("floors")
+    @field_validator("floors", "reflective_floors")
     @classmethod
     def _floors_exist(cls, names: list[str]) -> list[str]:
         return _known(names, FLOORS, "floor")
@@ -181,13 +193,23 @@ class RenderSettings(Section):
         of_it = viewpoint.startswith("calibrated") or VIEWPOINTS[viewpoint].drawn
         return self.camera if of_it else None
 
+    def reflective(self, viewpoint_id: str) -> bool:
+        """Whether a viewpoint is one of the second training set's, on its floors."""
+        apart = len(self.viewpoints) + len(self.test_viewpoints)
+        return viewpoint_id in list(self.viewpoint_ids())[apart:]
+
+    def floors_of(self, viewpoint_id: str) -> list[str]:
+        """The floors that may lie under the cloth as seen from a viewpoint, by its id."""
+        return self.reflective_floors if self.reflective(viewpoint_id) else self.floors
+
     def texture_files(self) -> list[str]:
         """Textures that are read from image files."""
         return [name for name in self.texture_ids().values() if is_texture_file(name)]
 
     def viewpoint_ids(self) -> dict[str, str]:
-        """Ids v00, v01, ... -> names, training viewpoints first."""
+        """Ids v00, v01, ... -> names: training, testing, then training on reflective floors."""
         names = self.viewpoints + self.test_viewpoints
+        names += self.viewpoints if self.reflective_floors else []
         return {f"v{i:02d}": name for i, name in enumerate(names)}
 
 

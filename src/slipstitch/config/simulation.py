@@ -128,8 +128,12 @@ class SimulationSettings(Section):
         0.5,
         ge=0,
         le=20,
-        description="natural curvature of the cloth; its sign, drawn per replicate, determines "
-        "to which side the hanging cloth sags",
+        description="natural curvature of the cloth, which determines to which side the hanging "
+        "cloth sags",
+    )
+    curl_side: Literal["drawn", "same"] = Field(
+        "drawn",
+        description="sign of the curvature: drawn per replicate, or the same in all simulations",
     )
 
     @property

@@ -4,13 +4,13 @@ The table `COSTS` is the only place with measured numbers; the rest scales them.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 from slipstitch.catalogue import FLOORS
 from slipstitch.config.calibrate import KEYS
-from slipstitch.config.grid import batches, simulations, textures, viewpoints
+from slipstitch.config.grid import batches, films, simulations
 from slipstitch.config.model import Config
-from slipstitch.config.train import NETWORKS
 from slipstitch.page.wording import aligned, size
 
 
@@ -37,9 +37,9 @@ COSTS = {
         "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
     ),
     "self_contact_step_s": Cost(
-        0.055,
+        0.097,
         "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
-        "131 s, 1575 steps, busy machine: 20 CPU s at friction 0, 92 to 159 at 0.5 to 1.5",
+        "300 frames, 1488 steps, ten fabrics: mean 145 CPU s; above 490 for tango-red-jet-set",
     ),
     # Sparse Cholesky alone, of the order of V^1.5 operations for V vertices, would make it 3.
     "simulate_size": Cost(
@@ -78,17 +78,20 @@ COSTS = {
     "preview_bytes": Cost(75e3, "bytes per simulation", "smoke chain, 32 px: mean of 4"),
     "sample_s": Cost(0.0003, "CPU s per image", "demo: 2.1 s for 6480 images"),
     "train_frame_s": Cost(
-        0.0020,
+        0.0022,
         "CPU s per frame, forward and backward, 64 px, a quarter of the paper's width",
-        "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
+        "Table 1's network, bfloat16, 92,160 passes of 30 frames: 1.68 CPU h",
+    ),
+    "train_fixed_share": Cost(
+        0.065, "of train_frame_s that pixels do not scale", "the same passes at 32 px: 0.50 CPU h"
     ),
     "instrument_frame_s": Cost(
         0.0008, "CPU s per frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
     ),
-    "evaluate_frame_s": Cost(0.0008, "CPU s per frame", "a third of train_frame_s: forward only"),
     "criticise_s": Cost(
         40.0, "CPU s per case", "24 runs simulated again twice: 26 s; an allowance"
     ),
+    "forward_share": Cost(1 / 3, "of train_frame_s", "validation and evaluation: forward only"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
     "release_s": Cost(
         0.0003, "CPU s per image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
@@ -161,12 +164,27 @@ def _strip_cpu_s(config: Config) -> float:
 
 
 def _mirrors(config: Config) -> float:
-    """Share of reflective floors."""
-    floors = config.render.floors
-    return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
+    """Share of the image shards whose floor mirrors."""
+    shown = [config.render.floors_of(viewpoint) for _, viewpoint in films(config)]
+    shares = [
+        sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors) for floors in shown
+    ]
+    return sum(shares) / len(shares)
+
+
+def _videos(config: Config) -> int:
+    return sum(map(len, films(config).values()))
+
+
+def _drawn_shards(config: Config) -> int:
+    """Image shards of the viewpoints from which only some simulations are filmed."""
+    full = len(simulations(config))
+    counts = Counter(viewpoint for _, viewpoint in films(config))
+    return sum(count for count in counts.values() if count < full)
 
 
 def _render_cpu_s(config: Config) -> float:
+    """The light of one image shard, in the mean."""
     images = _frames_rendered(config)
     # Half of it does not depend on the image's size: 0.07 s at 64 px.
     size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
@@ -175,10 +193,11 @@ def _render_cpu_s(config: Config) -> float:
 
 
 def _compose_cpu_s(config: Config) -> float:
-    """One simulation's images from all viewpoints in all textures."""
-    images = _frames_rendered(config) * len(viewpoints(config))
-    each = _cost("look_frame_s") + _cost("texture_s") * len(textures(config))
-    return _cost("compose_start_s") + images * each
+    """One simulation's images from all its viewpoints in their textures, in the mean."""
+    shards, runs = len(films(config)), len(simulations(config))
+    each = shards * _cost("look_frame_s") + _videos(config) * _cost("texture_s")
+    starts = (runs + _drawn_shards(config)) * _cost("compose_start_s")
+    return (starts + _frames_rendered(config) * each) / runs
 
 
 def verification_cpu_s(config: Config) -> float:
@@ -199,7 +218,8 @@ def _pack_bytes(config: Config) -> float:
 def _frame_factor(config: Config) -> float:
     """Work of the network on one frame, in units of 64 px at a quarter of the width."""
     pixels = config.train.pixels or config.render.pixels
-    return (pixels / 64) ** 2 * (config.train.width / 0.25) ** 2
+    fixed = _cost("train_fixed_share")
+    return (fixed + (1 - fixed) * (pixels / 64) ** 2) * _width2(config)
 
 
 def _training_cpu_s(config: Config) -> float:
@@ -207,7 +227,8 @@ def _training_cpu_s(config: Config) -> float:
     train = config.train
     views = len(config.render.viewpoints)
     passes = train.epochs_per_cycle * views * (views + 1) / 2 + train.fine_tuning_epochs
-    share = 1.0 - config.sample.test_fraction
+    validation = config.sample.validation_fraction
+    share = 1.0 - config.sample.test_fraction - validation * (1 - _cost("forward_share"))
     videos = len(simulations(config)) * len(config.render.textures) * share
     return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
 
@@ -226,10 +247,10 @@ def estimate(config: Config) -> list[StageEstimate]:
 
     The jobs are those that Snakemake counts, without its ``all``.
     """
-    runs, views = len(simulations(config)), len(viewpoints(config))
-    images = runs * views * len(textures(config))
-    sampled = images * config.sample.frames_kept
-    networks = len(config.train.splits) * len(NETWORKS) * len(config.train.seeds)
+    runs, shards = len(simulations(config)), len(films(config))
+    videos = _videos(config)
+    sampled = videos * config.sample.frames_kept
+    networks = sum(len(config.train.trainings(one)) for one in config.train.splits)
     instruments = len(config.train.splits) * len(config.instrument.seeds)
     vertices = config.simulation.vertices_per_side**2
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
@@ -242,11 +263,12 @@ def estimate(config: Config) -> list[StageEstimate]:
         ),
         StageEstimate(
             "render",
-            runs * (views + 2) + 1,
-            runs * (views * _render_cpu_s(config) + _compose_cpu_s(config) + _cost("preview_s"))
+            shards + _drawn_shards(config) + 2 * runs + 1,
+            shards * _render_cpu_s(config)
+            + runs * (_compose_cpu_s(config) + _cost("preview_s"))
             + verification_cpu_s(config),
-            images * _frames_rendered(config) * _image_bytes(config)
-            + runs * views * _frames_rendered(config) * _pack_bytes(config)
+            videos * _frames_rendered(config) * _image_bytes(config)
+            + shards * _frames_rendered(config) * _pack_bytes(config)
             + runs * _cost("preview_bytes"),
         ),
         # The table of ids counts here.
@@ -258,7 +280,10 @@ def estimate(config: Config) -> list[StageEstimate]:
             "instrument", instruments, instruments * _instrument_cpu_s(config), instruments * 2e6
         ),
         StageEstimate(
-            "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
+            "evaluate",
+            1,
+            evaluated * _cost("forward_share") * _cost("train_frame_s") * _frame_factor(config),
+            1e6,
         ),
         StageEstimate(
             "criticise",
@@ -268,16 +293,15 @@ def estimate(config: Config) -> list[StageEstimate]:
         ),
         _release(config),
         StageEstimate(
-            "audit", 1, _cost("audit_start_s") + sampled * _cost("audit_s"), 1e5 + 30.0 * images
+            "audit", 1, _cost("audit_start_s") + sampled * _cost("audit_s"), 1e5 + 30.0 * videos
         ),
         StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
     ]
 
 
 def _release(config: Config) -> StageEstimate:
-    runs, views = len(simulations(config)), len(viewpoints(config))
-    images = runs * views * len(textures(config)) * config.sample.frames_kept
-    shards = runs * (views + 2)
+    images = _videos(config) * config.sample.frames_kept
+    shards = len(films(config)) + 2 * len(simulations(config))
     return StageEstimate(
         "release",
         1,
@@ -365,8 +389,7 @@ JOB_KINDS = tuple(MEMORY_MIB)
 def _video_bytes(config: Config) -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
     side = config.train.pixels or config.render.pixels
-    videos = len(simulations(config)) * len(viewpoints(config)) * len(textures(config))
-    return 3.0 * videos * config.sample.frames_kept * side**2
+    return 3.0 * _videos(config) * config.sample.frames_kept * side**2
 
 
 def job_memory_mb(kind: str, config: Config | None = None) -> int:

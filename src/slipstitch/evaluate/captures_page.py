@@ -48,7 +48,10 @@ def captures_page(
         metrics=metrics,
         columns=columns,
         paper=paper,
-        paper_cells=paper.captures_cells(metric.name for metric in columns),
+        paper_cells={
+            subset: paper.captures_cells(subset, [metric.name for metric in columns])
+            for subset in paper.CAPTURES
+        },
         seeds_in_words=seeds_in_words,
         plot=svg_uri(_cumulative(known, found)),
         models=[

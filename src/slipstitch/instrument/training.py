@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import SPLITS
+from slipstitch.config.train import REFLECTIVE, TRAINED_ON, split_of
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
@@ -55,13 +55,13 @@ def read_training_videos(
     BadInput
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
-    if split not in SPLITS:
-        raise BadInput(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
-    column = f"split_{split}"
+    if split not in TRAINED_ON:
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
+    column = f"split_{split_of(split)}"
     videos = read_videos(
         dataset,
         lambda row: (
-            takes_part(row)
+            takes_part(row, split)
             and row[column] != "test"
             and row["viewpoint"] in viewpoints
             and (uses is None or uses(row))
@@ -289,7 +289,7 @@ def train_instrument(
     settings : InstrumentSettings
     dataset : path
         Folder that the sample stage wrote.
-    split : {"by_video", "by_simulation"}
+    split : {"by_video", "by_simulation", "by_video_reflective"}
         Its validation videos calibrate the error bars and the alarm.
     seed : int
         Of weights, order of the videos, augmentation and dropout.
@@ -330,7 +330,8 @@ def train_instrument(
         name=f"instrument {split} seed {seed}",
         settings=settings,
         network=network,
-        phases=[Phase("", tuple(viewpoints), settings.epochs)],
+        # Twice as many videos, each shown half as often.
+        phases=[Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (split == REFLECTIVE))))],
         pixels=videos.pixels,
         frames=frames,
         friction=torch.tensor([row["friction"] for row in videos.rows]),

@@ -16,7 +16,7 @@ from slipstitch.release.records import Artefact
 
 # Which viewpoints there are decides which shards there are, not what one shard holds
 # (rules/render.smk); a shard's own viewpoint is compared by its id.
-NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints"})
+NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints", "test_viewpoint_videos"})
 ONE_VIEW = "viewpoint"
 NO_INPUT = frozenset({"threads"})
 CALIBRATION = "calibration.json"

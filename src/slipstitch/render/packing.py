@@ -6,7 +6,7 @@ which compresses better. Packs are read and written frame by frame.
 """
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config import Config
+from slipstitch.config.grid import films
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -68,6 +69,8 @@ class Job:
         How many frames the sample stage uses.
     seed : int
         The configuration's.
+    textures : mapping
+        Those that the cloth wears, id -> name.
     """
 
     trajectory_path: str | os.PathLike
@@ -76,6 +79,7 @@ class Job:
     settings: RenderSettings
     frames_sampled: int
     seed: int
+    textures: Mapping[str, str]
 
     @classmethod
     def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "Job":
@@ -102,7 +106,11 @@ class Job:
     def of_view(
         cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
     ) -> "Job":
-        """The job of a configuration, with id and name of a viewpoint."""
+        """The job of a configuration, with id and name of a viewpoint.
+
+        A simulation or viewpoint that the configuration does not have is filmed in all textures.
+        """
+        film = (Path(trajectory_path).stem, viewpoint_id)
         return cls(
             trajectory_path,
             viewpoint_id,
@@ -110,6 +118,7 @@ class Job:
             config.render,
             config.sample.frames_kept,
             config.seed,
+            films(config).get(film) or config.render.texture_ids(),
         )
 
     @property
@@ -124,14 +133,20 @@ class Job:
             return None
         return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
 
+    @property
+    def other_floors(self) -> str:
+        """The key of the floors that this viewpoint does not show."""
+        return "floors" if self.settings.reflective(self.viewpoint_id) else "reflective_floors"
+
     def inputs(self) -> list:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
         return [self.trajectory_path, *([camera] if camera else [])]
 
     def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
-        """Catalogue entries for the record: viewpoint, floors, and the textures composed."""
-        return catalogue_entries([self.viewpoint], textures, self.settings.floors)
+        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        floors = self.settings.floors_of(self.viewpoint_id)
+        return catalogue_entries([self.viewpoint], textures, floors)
 
 
 @dataclass(frozen=True)
@@ -217,7 +232,7 @@ def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
     settings = job.settings
     bench = job.bench_camera
     wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled, bench)
-    surroundings = draw_surroundings(settings, job.seed, job.simulation)
+    surroundings = draw_surroundings(settings, job.seed, job.simulation, job.viewpoint_id)
     metadata = {
         "simulation": job.simulation,
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
@@ -246,7 +261,16 @@ def write_pack(job: Job, out: str | os.PathLike, progress=iter) -> Pack:
 def _pack_record(job: Job, started: tuple[float, float]) -> dict:
     # What the light does not depend on.
     unused: dict = dict.fromkeys(
-        ("textures", "test_textures", "viewpoints", "test_viewpoints", "verified_images"), True
+        (
+            "textures",
+            "test_textures",
+            "viewpoints",
+            "test_viewpoints",
+            "test_viewpoint_videos",
+            "verified_images",
+            job.other_floors,
+        ),
+        True,
     )
     unused["augmentation"] = {"exposure_stops", "colour_cast", "noise", "jpeg_quality"}
     return provenance_record(

@@ -40,7 +40,7 @@ def cameras(job: Job) -> dict[str, Augmentation]:
     augmentation = job.settings.augmentation
     return {
         name: draw_augmentation(augmentation, job.seed, job.simulation, name, job.viewpoint)
-        for name in job.settings.texture_ids().values()
+        for name in job.textures.values()
     }
 
 
@@ -100,11 +100,10 @@ def composed_images(
 ) -> Iterator[tuple[Shot, str, np.ndarray]]:
     """Every frame in every texture: shot, texture id, image (pixels, pixels, 3) uint8."""
     of = cameras(job)
-    names = job.settings.texture_ids()
     rectify = Rectifier.of(job, trajectory)
     for shot, shading, sight in pack.frames(trajectory):
-        composed = compose_light(join(shading, sight), list(names.values()))
-        for (identity, name), light in zip(names.items(), composed, strict=True):
+        composed = compose_light(join(shading, sight), list(job.textures.values()))
+        for (identity, name), light in zip(job.textures.items(), composed, strict=True):
             noise = pixel_noise(job.seed, job.simulation, name, job.viewpoint, shot.frame)
             yield shot, identity, rectify(of[name].photograph(light, noise), shot)
 
@@ -137,12 +136,11 @@ def render_shard(
     started = start_clock()
     cv2.setNumThreads(job.settings.threads)
     trajectory = usable_trajectory(job.trajectory_path)
-    files = [file for name in job.settings.texture_ids().values() if (file := texture_file(name))]
+    files = [file for name in job.textures.values() if (file := texture_file(name))]
     if pack_path is None:
         pack = shade_job(job, trajectory, progress)
     else:
         pack = read_pack(pack_path, job.trajectory_path)
-    names = job.settings.texture_ids()
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
     images = 0
@@ -152,7 +150,7 @@ def render_shard(
             group.append(_row(job, trajectory, shot, identity, image))
             images += 1
             # A group holds some tens of images, whole frames of them.
-            if len(group) >= _GROUP and identity == list(names)[-1]:
+            if len(group) >= _GROUP and identity == list(job.textures)[-1]:
                 stream.write(group)
                 group = []
         if group:
@@ -206,12 +204,11 @@ def _description(
     job: Job, pack: Pack, pose: dict[str, float], files: list, started: tuple[float, float]
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
-    names = job.settings.texture_ids()
     of = cameras(job)
-    augmentation = {identity: of[name].record() for identity, name in names.items()}
+    augmentation = {identity: of[name].record() for identity, name in job.textures.items()}
     metadata = pack.metadata | {
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
-        "textures": names,
+        "textures": dict(job.textures),
         "augmentation": augmentation,
         "pose": pose,
     }
@@ -219,10 +216,12 @@ def _description(
         "render",
         inputs=[*job.inputs(), *files],
         config={
-            "render": job.settings.model_dump(mode="json", exclude={"verified_images"}),
+            "render": job.settings.model_dump(
+                mode="json", exclude={"verified_images", job.other_floors}
+            ),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
-            "catalogue": job.catalogue_entries(names.values()),
+            "catalogue": job.catalogue_entries(job.textures.values()),
         },
         seed=job.seed,
         started=started,

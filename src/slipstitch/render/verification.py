@@ -35,7 +35,7 @@ SAMPLES = {False: 256, True: 1024}
 LEAST_PSNR_DB = {False: 38.0, True: 36.0}
 LEAST_SSIM = 0.97
 #: What a verification does not depend on.
-VIEWS = {"viewpoints", "test_viewpoints"}
+VIEWS = {"viewpoints", "test_viewpoints", "test_viewpoint_videos", "reflective_floors"}
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def dataset(results: Results) -> dict[str, Any] | None:
     same = [simulation for simulation in grid if simulation.material == grid[0].material]
     middle = same[len(same) // 2]
     views = {
-        item["name"]: [
+        item["name"] + (" (mirrors)" if item["floor_role"] == "test" else ""): [
             cell(middle, kind["id"], item["id"], mid_stroke) for kind in textures(config)
         ]
         for item in viewpoints(config)
@@ -63,7 +63,9 @@ def dataset(results: Results) -> dict[str, Any] | None:
             )
     sides = {
         split: {
-            side: sum(row[f"split_{split}"] == side for row in rows)
+            side: sum(
+                row[f"split_{split}"] == side and row["floor_role"] == "train" for row in rows
+            )
             for side in ("train", "validation", "test")
         }
         for split in ("by_video", "by_simulation")

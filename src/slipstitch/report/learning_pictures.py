@@ -19,7 +19,11 @@ NETWORK_NAMES = {
     "friction_conditional": "friction, given the material",
     "instrument": "instrument (score in µ)",
 }
-SPLIT_NAMES = {"by_video": "by video (the paper's)", "by_simulation": "by simulation"}
+SPLIT_NAMES = {
+    "by_video": "by video (the paper's)",
+    "by_simulation": "by simulation",
+    "by_video_reflective": "by video, mirrors too",
+}
 
 
 def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
@@ -234,15 +238,17 @@ _CURVES = {
 
 
 @styled
-def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> Figure | None:
-    """Share of videos against the error, simulated and captured, one panel per model.
+def cumulative_captures(
+    panels: Sequence[Mapping[str, Any]], paper_shares: Mapping[str, float]
+) -> Figure | None:
+    """Share of videos against the error, simulated and captured, a panel a model.
 
     Parameters
     ----------
     panels : sequence of mapping
         ``title``, and ``curves``: name -> errors, shape (n,).
-    paper_share : float
-        The paper's share of real videos with an error of at most 0.1.
+    paper_shares : mapping
+        Name of a curve -> the paper's share of real films with an error of 0.1 at most.
     """
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -257,7 +263,8 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
         for name, errors in panel["curves"].items():
             if len(errors):
                 draw_cumulative(axes, errors, widest, label=name, **_CURVES[name])
-        axes.plot(0.1, paper_share, "*", color=MEASURED, ms=8, label="the paper's real videos")
+        for name, share in paper_shares.items():
+            axes.plot(0.1, share, "*", color=_CURVES[name]["color"], ms=8, mec=INK, mew=0.4)
         axes.set(xlim=(0, widest), ylim=(0, 1.02))
         axes.set_title(panel["title"], fontsize=8.5)
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from slipstitch.config import Config
-from slipstitch.config.grid import simulations, viewpoints
+from slipstitch.config.grid import films
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
 from slipstitch.page.figures import svg_uri
@@ -43,15 +43,15 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 def scale_in_words(config: Config) -> str:
     """The grid in one line."""
     grid = config.grid
-    names = len(config.render.textures) + len(config.render.test_textures)
-    views = len(config.render.viewpoints) + len(config.render.test_viewpoints)
+    shown = films(config)
     count = len(grid.materials) * len(grid.frictions) * grid.replicates
     return (
         f"{counted(len(grid.materials), 'fabric')} × "
         f"{counted(len(grid.frictions), 'friction coefficient')} × "
         f"{counted(grid.replicates, 'replicate')} = {counted(count, 'simulation')}; "
-        f"{counted(names, 'texture')} × {counted(views, 'viewpoint')} = "
-        f"{counted(count * names * views, 'video')} of {config.sample.frames} frames at "
+        f"{counted(len(config.render.texture_ids()), 'texture')}, "
+        f"{counted(len(set(config.render.viewpoint_ids().values())), 'viewpoint')}: "
+        f"{counted(sum(map(len, shown.values())), 'video')} of {config.sample.frames} frames at "
         f"{config.render.pixels} × {config.render.pixels} pixels"
     )
 
@@ -121,7 +121,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     step = closest_frictions(frictions)
     calibrated = config.calibrated_view
     captures = captures_section(results, metrics, details, predictions)
-    found = headline(config, metrics, details)
+    found = headline(config, metrics, details, predictions)
     record = provenance_record("report")
     return {
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
@@ -134,18 +134,19 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         ),
         "grid": config.grid,
         "headline": found,
-        "limits": limits(config, found, captures),
+        "limits": limits(config, next(iter(found), None), captures),
         "simulations": simulation_section(results),
         "physics": physics(results),
         "convergence": convergence(results),
         "rendered": results.rendered(),
-        "shards": len(simulations(config)) * len(viewpoints(config)),
+        "shards": len(films(config)),
         "dataset": dataset(results),
         "training": svg_uri(learning_pictures.training(histories)),
         "networks": len(histories),
         "table_2": table_2(metrics, details),
         "unseen_texture": unseen_texture(metrics, details),
         "table_3": table_3(metrics, details, calibrated),
+        "drawn_turns": config.render.test_viewpoint_videos is not None,
         "captures": captures,
         "not_tested": not_tested(metrics, captures) if metrics else [],
         "criticism": criticism_section(results),

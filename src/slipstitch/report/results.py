@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -245,7 +246,8 @@ class Results:
         path = self.folder / "evaluate" / "predictions.parquet"
         if not path.exists():
             return None
-        columns = ["split", "network", "seed", "true", "true_value", "predicted_value", "predicted"]
+        columns = ["simulation", "split", "network", "seed", "true", "true_value"]
+        columns += ["predicted_value", "predicted"]
         return _table(path, columns).to_pylist()
 
     def capture_metrics(self) -> Mapping[str, Any] | None:
@@ -290,16 +292,29 @@ class Results:
         """What an audit of the release found."""
         return _json_if_there(self.folder / "audit" / "audit.json")
 
-    def benchmarks(self) -> list[Benchmark]:
-        """Cost of every stage that has benchmark files, in the order of the chain."""
+    def benchmarks(self, job_classes: bool = False) -> list[Benchmark]:
+        """Cost of every stage that has benchmark files, in the order of the chain.
+
+        With `job_classes`, of every class of jobs that the files' names tell: ``render/shade``.
+        """
         folder = self.folder / "benchmarks"
-        names = [path.name for path in sorted(folder.glob("*")) if path.is_dir()]
-        names.sort(key=lambda name: (STAGES.index(name) if name in STAGES else 99, name))
+        classes: dict[str, list[Path]] = {}
+        for path in sorted(folder.glob("*/*.tsv")):
+            name = path.parent.name
+            if job_classes:
+                # A network, or the word before what the job was of: sweep_..., shade_...
+                job = re.search(r"[a-z]+_[a-z]+(?=_seed)|^(?!by_)[a-z]+(?=_|$)", path.stem)
+                name += f"/{job[0]}" if job else ""
+            classes.setdefault(name, []).append(path)
+        stages = {name: name.split("/")[0] for name in classes}
         found = []
-        for name in names:
+        for name in sorted(
+            classes,
+            key=lambda name: (STAGES.index(stages[name]) if stages[name] in STAGES else 99, name),
+        ):
             rows = [
                 row
-                for path in sorted((folder / name).glob("*.tsv"))
+                for path in classes[name]
                 for row in csv.DictReader(
                     io.StringIO(path.read_text(encoding="utf-8", errors="replace")), delimiter="\t"
                 )

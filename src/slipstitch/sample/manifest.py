@@ -33,6 +33,7 @@ MANIFEST_SCHEMA = pa.schema(
         ("friction_role", pa.string()),
         ("texture_role", pa.string()),
         ("viewpoint_role", pa.string()),
+        ("floor_role", pa.string()),
         ("viewpoint_turn_deg", pa.float64()),
         *((f"pose_{name}", pa.float64()) for name in POSE),
         ("floor", pa.string()),

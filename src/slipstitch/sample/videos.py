@@ -13,12 +13,13 @@ import numpy as np
 from PIL import Image
 
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.sample.images import pixels_digest, read_frames
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import decode
 
-ROLES = ("material", "friction", "texture", "viewpoint")
+ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Videos:
         stored, side = self.pixels.shape[1:3]
         seen = self.pixels[:, sampled_frames(stored, frames or stored)]
         if pixels != side:
-            seen = np.stack([_resized(video, pixels) for video in seen])
+            seen = np.stack([resized(video, pixels) for video in seen])
         return Videos(self.rows, seen, self.digest)
 
 
@@ -113,20 +114,24 @@ def read_videos(
             if pixels_digest(whole) != row["pixels_sha256"]:
                 raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
-            array[place[video]] = seen if side == rendered else _resized(seen, side)
+            array[place[video]] = seen if side == rendered else resized(seen, side)
     return Videos(rows, array, digest)
 
 
-def _resized(video: np.ndarray, side: int) -> np.ndarray:
+def resized(video: np.ndarray, side: int) -> np.ndarray:
+    """Frames (frames, any, any, 3) averaged down (or blown up) to another side."""
     filtered = Image.Resampling.BOX if side < video.shape[1] else Image.Resampling.BICUBIC
     return np.stack(
         [np.asarray(Image.fromarray(frame).resize((side, side), filtered)) for frame in video]
     )
 
 
-def takes_part(row: dict[str, Any]) -> bool:
-    """Whether a video may train: nothing in it (fabric, friction, texture, view) is for testing."""
-    return not test_only(row)
+def takes_part(row: dict[str, Any], trained_on: str = "") -> bool:
+    """Whether a video may train: nothing in it (`ROLES`) is for testing.
+
+    Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
+    """
+    return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 
 def test_only(row: dict[str, Any]) -> set[str]:

@@ -59,13 +59,14 @@ def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbat
     """Draw the perturbation of one replicate; the same seed gives the same numbers."""
     random = np.random.default_rng(seed)
     factors = np.exp(settings.fabric_sd_rel * random.standard_normal(3))
+    sides = {"drawn": [-1.0, 1.0], "same": [1.0]}[settings.curl_side]
     return BenchPerturbation(
         yaw_deg=float(settings.yaw_sd_deg * random.standard_normal()),
         height_m=float(settings.height_sd_m * random.standard_normal()),
         density_factor=float(factors[0]),
         stretching_factor=float(factors[1]),
         bending_factor=float(factors[2]),
-        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice([-1.0, 1.0])),
+        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice(sides)),
     )
 
 

@@ -12,12 +12,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
+from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest, write_json
 from slipstitch.train.network import build_network
 
-FORMAT = "slipstitch-lrcn-1"
+FORMAT = "slipstitch-lrcn-2"
 WEIGHTS = "model.safetensors"
 CARD = "model.json"
 
@@ -109,7 +109,7 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
     """
     weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
     tensors, card = read_weights(weights, card_path, FORMAT)
-    if card["network"] not in NETWORKS or card["split"] not in SPLITS:
+    if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
         raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
     try:
         settings = TrainSettings.model_validate(card["settings"])

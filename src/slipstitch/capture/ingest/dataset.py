@@ -152,6 +152,7 @@ def _write_video(
         "friction_role": "test",
         "texture_role": "test",
         "viewpoint_role": "test",
+        "floor_role": "test",
         "viewpoint_turn_deg": 0.0,
         **{f"pose_{name}": value for name, value in video.pose.items()},
         "floor": capture.substrate,
