@@ -7,6 +7,7 @@ import pytest
 
 from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.cloth.bending import hinge_geometry
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import ElasticTables, fabric_names, load_fabric
 from slipstitch.material.law import CURVATURE_SPACING_PER_M
 
@@ -95,3 +96,12 @@ def test_within_a_step_the_moment_never_falls_as_the_fold_grows(fabric):
         assert np.diff(moments).min() > -1e-12 * np.ptp(moments)
         here = folded(start) + ABOVE
         assert solver._evaluate(here) == pytest.approx(fabrics_own._evaluate(here), abs=1e-15)
+
+
+def test_a_fabric_that_the_cheap_rule_is_wrong_for_follows_the_end_of_a_step():
+    settings = SimulationSettings()
+    assert settings.bending_stiffness_at == "rising"
+    assert settings.of_fabric("gray-interlock") == settings
+    assert settings.of_fabric("tango-red-jet-set").bending_stiffness_at == "end"
+    whole = SimulationSettings(bending_stiffness_at_end=())
+    assert whole.of_fabric("tango-red-jet-set") == whole

@@ -31,6 +31,7 @@ NOT_NUMERICAL = frozenset(
         "fabric_sd_rel",
         "natural_curl_per_m",
         "curl_side",
+        "bending_stiffness_at_end",
         "self_contact",
         "thickness_m",
         "layer_friction",

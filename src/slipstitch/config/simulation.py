@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.section import Section
+from slipstitch.config.section import Fabrics, Section
 
 
 class StageSettings(Section):
@@ -75,6 +75,11 @@ class SimulationSettings(Section):
         "as ARCSim does, implicitly the end, or (rising) the end while the moment grows with "
         "curvature, the moment held where it would fall",
     )
+    bending_stiffness_at_end: Fabrics = Field(
+        ("tango-red-jet-set",),
+        description="fabrics for which it is the end whatever bending_stiffness_at says: those "
+        "that the cheaper rules were measured to be wrong for (docs/physics.md)",
+    )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
     )
@@ -135,6 +140,12 @@ class SimulationSettings(Section):
         "drawn",
         description="sign of the curvature: drawn per replicate, or the same in all simulations",
     )
+
+    def of_fabric(self, material: str) -> "SimulationSettings":
+        """The settings that a fabric is simulated with."""
+        if material not in self.bending_stiffness_at_end:
+            return self
+        return self.model_copy(update={"bending_stiffness_at": "end"})
 
     @property
     def recorded_s(self) -> float:

@@ -212,7 +212,7 @@ class _Bench:
             hung_m,
             friction=model.law_at(run.friction),
             fixed=sheets.fixed,
-            settings=SolverSettings.of(settings),
+            settings=SolverSettings.of(settings.of_fabric(run.material)),
             gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
             conditions=ContactConditions(warp_angle_rad=0.0 if settings.warp == "u" else pi / 2),
             rest_curvature_per_m=perturbation.natural_curl_per_m,
