@@ -69,8 +69,8 @@ def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
 
 def second_sentence(verdict: dict) -> str:
     """What the extended model gains; without one, why none was named."""
-    gain = verdict["gain"]
     if verdict["verdict"] in ("cause", "confounded"):
+        gain = verdict["gain"]
         return (
             "On unseen specimens, the extended model gains "
             f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row; the error "
