@@ -272,7 +272,7 @@ def records_of_other_kinds(release):
 
 
 REFUSED = {
-    link_to_a_device: "is a link; a release holds plain files only",
+    link_to_a_device: "is a link; a release contains only regular files",
     link_to_a_folder: "is a link",
     link_in_place_of_the_records: "records is a link",
     link_to_itself: "is a link",
@@ -280,8 +280,8 @@ REFUSED = {
     pipe_among_the_sources: "is a pipe",
     pipe_for_sums: "is a pipe",
     a_socket: "is a socket",
-    hole: "most of them a hole",
-    hole_in_a_shard: "most of them a hole",
+    hole: "mostly a hole",
+    hole_in_a_shard: "mostly a hole",
     unprintable_name: "not printable",
     deep_folders: "nested more than",
     deep_record: "nested more than",
@@ -291,8 +291,8 @@ REFUSED = {
     coded_images: "compressed or coded again",
     repeated_text: "a text of 1048576 bytes",
     lying_footer: "takes far more memory than it has bytes",
-    repeated_manifest: "rows packed into",
-    long_text_in_the_manifest: "packed into",
+    repeated_manifest: "rows compressed to",
+    long_text_in_the_manifest: "compressed to",
 }
 PACKED = (
     *(deep_metadata, repeated_images, coded_images, repeated_text, lying_footer),
@@ -300,7 +300,7 @@ PACKED = (
 )
 FOUND = {
     huge_image: "is of 60000 x 60000 pixels",
-    growing_image: "holds more or less than its lines",
+    growing_image: "contains more or less than its lines",
     deep_source: "its code digest is not that of",
     source_that_is_none: "its code digest is not that of",
     records_in_a_circle: "broken chain",
