@@ -147,7 +147,7 @@ def test_the_headline_has_its_interval_and_a_single_frame_beside_it(tmp_path):
     assert float(low) < 63.9 < float(high)
     assert "single frame from the middle of the video is correct for 90.0 %" in held_out
     assert "for 91.7 % of 36" in by_video and "video is correct for 50.0 %" in by_video
-    rows = table(page, "Every test set")
+    rows = table(page, "All test sets")
     assert ["linear: one frame from the middle", "36"] in [row[:2] for row in rows]
 
 

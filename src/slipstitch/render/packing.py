@@ -99,7 +99,8 @@ class Job:
                 f"known names: {', '.join(VIEWPOINTS)}"
             )
         # A viewpoint given by name keeps its id if the configuration has one.
-        identity = next((key for key, value in ids.items() if value == name), name)
+        named = next((key for key, value in ids.items() if value == name), name)
+        identity = viewpoint if viewpoint in ids else named
         return cls.of_view(config, trajectory_path, identity, name)
 
     @classmethod

@@ -50,15 +50,16 @@ def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) 
     known = features[train].astype(np.float64)
     targets = np.eye(labels.max() + 1)[labels[train]]
     mean = targets.mean(0)
+    # In whichever of the two forms has the smaller matrix.
+    dual = known.shape[0] < known.shape[1]
+    gram = known @ known.T if dual else known.T @ known
     found = []
     for ridge in _RIDGES:
-        # In whichever of the two forms has the smaller matrix.
-        if known.shape[0] < known.shape[1]:
-            gram = known @ known.T + ridge * len(known) * np.eye(len(known))
-            weights = known.T @ solve(gram, targets - mean, assume_a="pos")
+        whole = gram + ridge * len(known) * np.eye(len(gram))
+        if dual:
+            weights = known.T @ solve(whole, targets - mean, assume_a="pos")
         else:
-            gram = known.T @ known + ridge * len(known) * np.eye(known.shape[1])
-            weights = solve(gram, known.T @ (targets - mean), assume_a="pos")
+            weights = solve(whole, known.T @ (targets - mean), assume_a="pos")
         answers = (features @ weights + mean).argmax(1)
         right = (answers == labels)[validation].mean() if validation.any() else 0.0
         found.append((right, answers))

@@ -26,6 +26,7 @@ DO_NOT_MATTER = {
     "yaw_sd_deg",
     "height_sd_m",
     "fabric_sd_rel",
+    "curl_side",
 }
 
 
