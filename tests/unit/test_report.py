@@ -352,7 +352,7 @@ def test_checks_show_measured_theory_and_demand(page):
 
 def test_an_empty_folder_gives_a_page_that_says_so_for_every_stage(tmp_path):
     text = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
-    assert text.count("Not run.") == 10
+    assert text.count("Not run.") == 12
     assert "None of the 12 simulations is finished" in text
     assert "0 of 12" in text
 
