@@ -85,10 +85,10 @@ def test_criticism_and_audit_are_shown_and_damage_is_not_hidden(whole, page, tmp
     text = text_of(page)
     assert "The model is wrong and no known mechanism explains how" in text
     assert "clearest trace is a step in the place on the substrate" in text
-    assert "The audit: intact ." in text and "5e" * 32 in text
+    assert "Audit: intact ." in text and "5e" * 32 in text
     synthetic_results.write_audit(tmp_path, "damaged")
     shown = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
-    assert "The audit: damaged (altered: 1)." in shown
+    assert "Audit: damaged (altered: 1)." in shown
     assert "No measured case has been analysed." in shown
 
 
