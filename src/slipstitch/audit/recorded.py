@@ -210,9 +210,7 @@ def _simulated(
         "stage_path": dict(settings.stage),
         "step_s": frame_s / steps,
         "pinned": held.tolist(),
-        "convergence": measured_convergence(
-            simulation.material, simulation.friction, settings, frame_s / steps
-        ),
+        "convergence": measured_convergence(simulation.material, simulation.friction, settings),
     }
     if settings.model is None:
         expected["extended_model"] = None
