@@ -205,13 +205,13 @@ def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp
     out = tmp_path / "flat.json"
     assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0
     result = json.loads(out.read_text())
-    assert set(result) == {"pull_over_weight", "theory_pull_over_weight"}
+    assert set(result) == {"pull_over_weight", "theory_pull_over_weight", "passed", "demands"}
     assert json.loads(capfd.readouterr().out) == result
 
 
 def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
-    assert run("protocol", "tilt", "--out", tmp_path / "x.json") == 2
-    assert "allowed: incline, flat-drag, strip-drag" in capfd.readouterr().err
+    assert run("protocol", "slope", "--out", tmp_path / "x.json") == 2
+    assert "choose from 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
 
 
 def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_path, capfd):

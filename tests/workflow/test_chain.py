@@ -142,6 +142,12 @@ def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
     ]
 
 
+def test_a_deleted_picture_of_the_calibration_reruns_nothing_but_pictures(chain):
+    with chain.without("calibrate/calibration.png"):
+        pending = chain.pending()
+    assert pending == {f"calibrate/{name}.png" for name in ("calibration", "strip", "settings")}
+
+
 def test_deleted_shard_reruns_no_simulation(chain, config):
     gone = f"render/{simulations(config)[0].id}_v00.parquet"
     with chain.without(gone):
@@ -173,6 +179,7 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
     ("override", "rerun"),
     [
         ("render={pixels: 48}", AFTER_SIMULATE),
+        ("render={threads: 2}", {"report"}),  # it shows the whole configuration
         ("sample={frames: 7}", AFTER_SIMULATE),
         ("train={dropout: 0.3}", {"train", "evaluate", "report"}),
         ("evaluate={friction_step: 0.05}", {"evaluate", "report"}),

@@ -64,7 +64,7 @@ def test_it_says_what_is_missing_and_lays_the_workflow_out_on_the_standard_libra
     answer = environment.run("slipstitch", "doctor")
     assert (answer.returncode, answer.stderr) == (1, "")
     direct = pinned_versions(ROOT / "envs/requirements.txt")
-    assert f"0 of {len(direct)}; not: numpy (needs " in answer.stdout
+    assert f"0 of {len(direct)} at their pinned versions; not: numpy (" in answer.stdout
     answer = environment.run("slipstitch", "init", "here")
     assert (answer.returncode, answer.stderr) == (0, "")
     for file in ("Snakefile", "config/paper.yaml", "data/cases/paper_on_paper/meta.json"):

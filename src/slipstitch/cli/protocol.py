@@ -93,8 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
     # Curves and histories are in the file only.
     numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
     print(json.dumps(numbers, indent=1))
-    for demand in result["demands"]:
-        print(_line(demand), file=sys.stderr)
+    for key, demand in result["demands"].items():
+        print(_line(key, demand), file=sys.stderr)
     return 0 if result["passed"] else 1
 
 
@@ -103,11 +103,11 @@ def _with_flags(message: str) -> str:
     return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: f"--{m[0].replace('_', '-')}", message)
 
 
-def _line(demand: dict) -> str:
+def _line(key: str, demand: dict) -> str:
     shown = "passed" if demand["met"] else "FAILED"
     if demand["error"] is None:
-        return f"{shown}: {demand['key']} is not theory's"
+        return f"{shown}: {key} is not theory's"
     scale, unit = (100.0, " %") if demand["relative"] else (1.0, "")
     off, allowed = scale * demand["error"], scale * demand["allowed"]
     difference = f"differs from theory by {off:.2g}{unit}, allowed {allowed:g}{unit}"
-    return f"{shown}: {demand['key']} {difference}"
+    return f"{shown}: {key} {difference}"

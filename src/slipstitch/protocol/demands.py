@@ -61,20 +61,17 @@ def verdict(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``passed``, and ``demands``: of each its key, error (None: not to be compared), what is
-        allowed and whether that is relative.
+        ``passed``, and ``demands``: by key the error (None: not to be compared), what is allowed,
+        whether that is relative, and whether it is met.
     """
-    rows = []
+    rows = {}
     for demand in DEMANDS[name]:
         error = demand.error(result)
         met = error <= demand.allowed or error <= demand.zero
-        rows.append(
-            {
-                "key": demand.key,
-                "error": None if error == inf else error,
-                "allowed": demand.allowed,
-                "relative": demand.relative,
-                "met": met,
-            }
-        )
-    return {"passed": all(row["met"] for row in rows), "demands": rows}
+        rows[demand.key] = {
+            "error": None if error == inf else error,
+            "allowed": demand.allowed,
+            "relative": demand.relative,
+            "met": met,
+        }
+    return {"passed": all(row["met"] for row in rows.values()), "demands": rows}

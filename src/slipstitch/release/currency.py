@@ -114,7 +114,8 @@ def calibrated_simulation(
     told = _plain(config.simulation)
     for path in artefact.inputs:
         told |= calibrated.get(path, {})
-    return resolve_config({"simulation": told}).simulation
+    # With the other sections: fewer frames than the default samples would be refused alone.
+    return resolve_config({**_plain(config), "simulation": told}).simulation
 
 
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:

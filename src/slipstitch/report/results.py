@@ -58,8 +58,6 @@ class SimulationSummary:
         What it had to stay below, from the run's own settings.
     newton_iterations : int
         Newton iterations of the whole run.
-    cpu_s : float or None
-        CPU time, from the record inside the file.
     """
 
     simulation: Simulation
@@ -70,7 +68,6 @@ class SimulationSummary:
     residual: float
     tolerance: float | None
     newton_iterations: int
-    cpu_s: float | None
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,6 @@ class Results:
             residual=float(np.max(solver["residual"].to_numpy())),
             tolerance=(run.metadata.get("settings") or {}).get("friction_tolerance"),
             newton_iterations=int(np.sum(solver["newton_iterations"].to_numpy())),
-            cpu_s=(run.metadata.get("provenance") or {}).get("cpu_s"),
         )
 
     def preview(self, simulation: Simulation, suffix: str = ".png") -> Path | None:

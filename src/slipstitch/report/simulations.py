@@ -30,7 +30,6 @@ def simulation_section(results: Results) -> dict[str, Any]:
     first: dict[tuple[str, float], SimulationSummary] = {}
     for run in trajectories:
         first.setdefault((run.simulation.material, run.simulation.friction), run)
-    cpu = sorted(run.cpu_s for run in trajectories if run.cpu_s is not None)
     return {
         "planned": len(planned),
         "done": len(done),
@@ -43,8 +42,10 @@ def simulation_section(results: Results) -> dict[str, Any]:
         "tolerance": max(
             (run.tolerance for run in trajectories if run.tolerance is not None), default=None
         ),
-        "cpu_median": cpu[len(cpu) // 2] if cpu else None,
-        "cpu_largest": cpu[-1] if cpu else None,
+        # The table of costs has the same number.
+        "cpu_median": next(
+            (one.cpu_median_s for one in results.benchmarks() if one.stage == "simulate"), None
+        ),
         "duration": max((float(run.time_s[-1]) for run in trajectories), default=None),
         "sheets": _sheets(results, done),
         "film": _film(results, done),
