@@ -231,8 +231,16 @@ def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
 
 def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
     card = (release / "README.md").read_text()
-    assert "| matte | 1 | 43.2 dB | 43.2 dB | 38 dB | 0.990 |" in card
-    assert "| mirrors | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
+    compared = json.loads((release / "records/render/verification.json").read_text())["comparisons"]
+    floors = {"matte": 38, "mirrors": 36}
+    for floor, least_db in floors.items():
+        of_floor = [one for one in compared if (one["floor"] == "matte") == (floor == "matte")]
+        assert of_floor
+        psnr_db = [one["psnr_db"] for one in of_floor]
+        assert (
+            f"| {floor} | {len(of_floor)} | {min(psnr_db):.1f} dB | {np.mean(psnr_db):.1f} dB | "
+            f"{least_db} dB | {min(one['ssim'] for one in of_floor):.3f} |"
+        ) in card
     assert "verification.json" in (release / "SHA256SUMS").read_text()
 
 
@@ -367,6 +375,12 @@ def test_other_configuration_than_the_results_were_made_with_is_refused(results,
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
     with pytest.raises(BadInput, match=r"another configuration: sample.test_fraction: 0.1 -> 0.3"):
         write_release(other, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_other_versions_than_the_lock_has_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "locked_versions", lambda project: {"numpy": "1.0"})
+    with pytest.raises(BadInput, match=r"was made with numpy .*; envs/requirements.lock has 1.0"):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
 def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
