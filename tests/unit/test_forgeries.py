@@ -17,7 +17,11 @@ from support.forger import Forger
 
 from slipstitch.audit import staleness
 from slipstitch.audit.auditing import audit_release
+from slipstitch.audit.contents import read_contents
+from slipstitch.audit.findings import Kind
+from slipstitch.cli.main import main
 from slipstitch.release.assembly import write_release
+from slipstitch.release.signature import verify
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config(
