@@ -564,6 +564,14 @@ def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     assert other.psnr_db == pytest.approx(expected, abs=0.01)
 
 
+def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
+    pixels = np.zeros((3, 8, 8, 3), np.uint8)
+    same = rebuild.compare("a", pixels, pixels, True)
+    other = replace(same, differing=("solver of results/simulate/a.parquet",))
+    assert same.same and not other.same
+    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
+
+
 def test_clip_without_whole_records_is_not_rebuilt(release):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
     with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
