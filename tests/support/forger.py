@@ -16,7 +16,7 @@ from slipstitch.release.checksums import files_below, write_sums
 from slipstitch.release.description import card_of
 from slipstitch.release.manifest import notes_of, sampled_rows
 from slipstitch.release.previews import draw_previews
-from slipstitch.release.records import RELEASE_RECORD
+from slipstitch.release.records import CRATE, CROISSANT, RELEASE_RECORD
 from slipstitch.sample.manifest import MANIFEST_SCHEMA, dataset_digest
 
 
@@ -102,8 +102,8 @@ class Forger:
             card.CARD: lambda: card_of(
                 self.release, facts, contents.config, contents.rows, contents.artefacts, pictures
             ),
-            croissant.FILE: lambda: croissant.croissant_text(self.release, facts),
-            crate.FILE: lambda: crate.crate_text(self.release, facts, contents.artefacts, record),
+            CROISSANT: lambda: croissant.croissant_text(self.release, facts),
+            CRATE: lambda: crate.crate_text(self.release, facts, contents.artefacts, record),
         }
         for name, make in texts.items():
             if name not in kept:

@@ -26,7 +26,7 @@ CONFIG = synthetic_chain.config(
     render={"pixels": 16, "viewpoints": ["calibrated"], "textures": ["stripes", "tartan"]},
 )
 # Importing the libraries takes most of both.
-CPU_S, RSS_BYTES = 6.0, 2**30
+CPU_S, RSS_BYTES = 2.0, 2**30
 pytestmark = pytest.mark.xdist_group("hostile")
 
 

@@ -17,7 +17,11 @@ from support.forger import Forger
 
 from slipstitch.audit import staleness
 from slipstitch.audit.auditing import audit_release
+from slipstitch.audit.contents import read_contents
+from slipstitch.audit.findings import Kind
+from slipstitch.cli.main import main
 from slipstitch.release.assembly import write_release
+from slipstitch.release.signature import verify
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config(
@@ -448,3 +452,92 @@ def test_forgery_is_found_and_named(forger, forge):
     audit = audit_release(forger.release)
     assert place in {finding.where for finding in audit.findings}
     assert audit.verdict in ("damaged", "stale")
+
+
+def possible_residuals(forger):
+    """Nothing in a release computes these; they are possible."""
+    forger.edit_records(
+        "simulate/*", lambda one: one["metadata"]["solver"].update(largest_residual=4.1e-4)
+    )
+
+
+def signers(folder: Path, key: Path) -> Path:
+    path = folder / "allowed_signers"
+    path.write_text(f"jane@example.org {key.with_suffix('.pub').read_text()}")
+    return path
+
+
+def test_only_a_signature_or_a_digest_from_elsewhere_tells_the_rest(forger, original, tmp_path):
+    published = read_contents(original).sums_sha256
+    possible_residuals(forger)
+    forger.cover_up()
+    assert places(forger.release) == {}
+    audit = audit_release(forger.release, expected=published)
+    assert [finding.where for finding in audit.findings] == ["SHA256SUMS"]
+    believed = signers(tmp_path, original.parent / "key")
+    audit = audit_release(forger.release, signers=believed)
+    assert [finding.where for finding in audit.findings] == ["SHA256SUMS.sig"]
+    assert len(audit.findings[0].clips) == len(audit.clips)
+
+
+def test_signature_says_who_vouches(original, tmp_path, capsys):
+    believed = signers(tmp_path, original.parent / "key")
+    assert main(["audit", str(original), "--verify", str(believed)]) == 0
+    assert "signed by jane@example.org" in capsys.readouterr().out
+
+
+def test_signature_of_a_stranger_is_none(original, tmp_path):
+    key = tmp_path / "key"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
+    signer, problem = verify(original, signers(tmp_path, key))
+    assert signer is None
+    assert "not by any of the signers" in problem
+
+
+def test_release_that_is_not_signed_is_not_verified(release, tmp_path):
+    (release / "SHA256SUMS.sig").unlink()
+    believed = tmp_path / "signers"
+    believed.write_text("jane@example.org ssh-ed25519 AAAA\n")
+    assert verify(release, believed) == (None, "the release is not signed")
+
+
+@pytest.mark.parametrize("words", [["--sign", "none"], ["--verify", "none"]])
+def test_without_key_signers_or_tool_is_one_line(original, capsys, monkeypatch, words):
+    config = ["--config", str(original.parent / "results/config.json")]
+    out = ["--results", str(original.parent / "results"), "--out-dir", "mine"]
+    command = ["release", *config, *out] if words[0] == "--sign" else ["audit", str(original)]
+    assert main([*command, *words]) == 2
+    assert "none: no such file" in capsys.readouterr().err
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    assert main([*command, *words]) == 2
+    said = capsys.readouterr().err
+    assert "ssh-keygen is not installed" in said
+    assert said.count("\n") == 1
+
+
+def test_code_that_is_not_the_commit_s_is_named(release, tmp_path):
+    """In a checkout that has the commit, also what no stage's digest covers."""
+    repository = Path(shutil.copytree(release / "code", tmp_path / "repository"))
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(repository), "-c", "user.name=a", "-c", "user.email=a@b"]
+        answer = subprocess.run([*command, *words], check=True, capture_output=True, text=True)
+        return answer.stdout.strip()
+
+    git("init", "-q")
+    git("add", "--force", ".")
+    git("commit", "-qm", "All of it")
+    contents = read_contents(release)
+    contents.release["provenance"] |= {"git_commit": git("rev-parse", "HEAD"), "git_dirty": False}
+    assert staleness.copied_code(contents, repository) == []
+    Forger(release, release).edit_text("code/Snakefile", "rule all:", "rule everything:")
+    (release / "code/envs/requirements.lock").unlink()
+    (release / "code/rules/more.smk").write_text("")
+    contents.sums["code/rules/more.smk"] = "0" * 64
+    found = staleness.copied_code(contents, repository)
+    assert {finding.where for finding in found} == {
+        "code/Snakefile",
+        "code/envs/requirements.lock",
+        "code/rules/more.smk",
+    }
+    assert {finding.kind for finding in found} == {Kind.BROKEN}

@@ -382,6 +382,12 @@ def test_other_configuration_than_the_results_were_made_with_is_refused(results,
         write_release(other, results, tmp_path / "out", ROOT)
 
 
+def test_results_of_other_versions_than_the_lock_has_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "locked_versions", lambda project: {"numpy": "1.0"})
+    with pytest.raises(BadInput, match=r"was made with numpy .*; envs/requirements.lock has 1.0"):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
+
+
 def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr("slipstitch.release.currency.fabric_digest", lambda name: "0" * 64)
     with pytest.raises(BadInput, match=r"different catalogue: catalogue\.fabrics\."):

@@ -24,7 +24,7 @@ from slipstitch.audit.png import png_problem
 from slipstitch.config.grid import grid_table
 from slipstitch.errors import SlipstitchError
 from slipstitch.provenance.reading import load_yaml
-from slipstitch.release import card, crate, croissant, previews
+from slipstitch.release import card, previews
 from slipstitch.release.checksums import SUMS
 from slipstitch.release.code import CODE, COPIED, locked_versions
 from slipstitch.release.currency import current_digest, other_versions
@@ -32,6 +32,8 @@ from slipstitch.release.description import CITATION, card_of, facts_of, sides_of
 from slipstitch.release.manifest import MANIFEST, notes_of, released_schema
 from slipstitch.release.records import (
     CONFIG,
+    CRATE,
+    CROISSANT,
     GRID,
     RELEASE_RECORD,
     carried_file,
@@ -42,7 +44,7 @@ from slipstitch.release.records import (
 from slipstitch.release.splits import PREFIX
 from slipstitch.sample.manifest import MANIFEST_SCHEMA
 
-_BESIDE = (card.CARD, "LICENSE", CITATION, croissant.FILE, crate.FILE, MANIFEST)
+_BESIDE = (card.CARD, "LICENSE", CITATION, CROISSANT, CRATE, MANIFEST)
 # What a forged record may make of the code that writes card and crate.
 _UNUSABLE = (
     KeyError,
@@ -81,8 +83,8 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
         (RELEASE_RECORD, lambda: _facts(contents)),
         ("previews", lambda: _previews(contents, drawn)),
         (card.CARD, lambda: _card(contents, drawn)),
-        (croissant.FILE, lambda: _croissant(contents)),
-        (crate.FILE, lambda: _crate(contents)),
+        (CROISSANT, lambda: _croissant(contents)),
+        (CRATE, lambda: _crate(contents)),
     ]
     for name, check in made:
         try:
@@ -237,14 +239,18 @@ def _short(text: str) -> str:
 
 
 def _croissant(contents: Contents) -> Iterator[Finding]:
-    text = croissant.croissant_text(contents.folder, contents.release["facts"])
-    yield from _same_json(contents, croissant.FILE, text)
+    from slipstitch.release.croissant import croissant_text  # rdflib takes a second to import
+
+    text = croissant_text(contents.folder, contents.release["facts"])
+    yield from _same_json(contents, CROISSANT, text)
 
 
 def _crate(contents: Contents) -> Iterator[Finding]:
     facts, record = contents.release["facts"], contents.release["provenance"]
-    text = crate.crate_text(contents.folder, facts, contents.artefacts, record)
-    yield from _same_json(contents, crate.FILE, text)
+    from slipstitch.release.crate import crate_text
+
+    text = crate_text(contents.folder, facts, contents.artefacts, record)
+    yield from _same_json(contents, CRATE, text)
 
 
 def _same_json(contents: Contents, name: str, text: str) -> Iterator[Finding]:

@@ -16,7 +16,6 @@ import numpy as np
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
-from slipstitch.audit.judged import check_judged
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.audit.recorded import check_recorded
 from slipstitch.bench.frames import sampled_frames
@@ -80,6 +79,8 @@ def check_lineage(
     ]
     notes = []
     if contents.config is not None:
+        from slipstitch.audit.judged import check_judged  # and with it the theory: SciPy
+
         stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
         if stale:
             notes.append(

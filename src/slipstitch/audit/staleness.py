@@ -116,10 +116,10 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
                 notes.append(f"commit {commit[:12]} is not in this checkout: code not compared")
                 continue
             findings += _claims(Lineage(contents), commit, stages, Path(folder) / "src")
-    return findings + _copied_code(contents, checkout), notes
+    return findings + copied_code(contents, checkout), notes
 
 
-def _copied_code(contents: Contents, checkout: Path) -> list[Finding]:
+def copied_code(contents: Contents, checkout: Path) -> list[Finding]:
     """Files in ``code/`` against the release's commit; without one, against the checkout itself."""
     record = contents.release.get("provenance", {})
     commit = record.get("git_commit")

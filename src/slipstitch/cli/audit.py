@@ -106,7 +106,7 @@ def _rebuild(arguments: argparse.Namespace) -> int:
     _write(as_json(done), arguments.json)
     if arguments.json != "-":
         print(in_words(done))
-    return 0 if done.same_pixels and done.same_motion else 1
+    return 0 if done.same else 1
 
 
 def _audit(arguments: argparse.Namespace) -> int:

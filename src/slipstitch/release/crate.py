@@ -22,9 +22,8 @@ from rocrate.rocrate import ROCrate
 from slipstitch.provenance import file_digest
 from slipstitch.release.checksums import files_below
 from slipstitch.release.code import CODE, SNAKEFILE
-from slipstitch.release.records import RELEASE_RECORD, Artefact, in_order, record_file
+from slipstitch.release.records import CRATE, RELEASE_RECORD, Artefact, in_order, record_file
 
-FILE = "ro-crate-metadata.json"
 PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
@@ -44,7 +43,7 @@ def _media_type(name: str) -> str:
 def write_crate(folder: Path, facts, artefacts, record: Mapping[str, Any]) -> None:
     """Write ``ro-crate-metadata.json``; see `crate_text`."""
     text = crate_text(folder, facts, artefacts, record)
-    (folder / FILE).write_text(text, encoding="utf-8")
+    (folder / CRATE).write_text(text, encoding="utf-8")
 
 
 def crate_text(
@@ -105,7 +104,7 @@ def crate_text(
             )
         )
         for name in files_below(folder)
-        if name not in (SNAKEFILE, FILE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
+        if name not in (SNAKEFILE, CRATE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
     }
     crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
     for path, artefact in artefacts.items():

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 from slipstitch.errors import SlipstitchError
 from slipstitch.provenance import file_digest
 from slipstitch.release.manifest import MANIFEST, described
+from slipstitch.release.records import CROISSANT
 from slipstitch.release.shards import FOLDER
 
-FILE = "croissant.json"
 VIDEOS, FRAMES = "videos", "frames"
 _SHARDS = "shards"
 
@@ -131,4 +131,4 @@ def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
 
 def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
     """Write ``croissant.json``; see `croissant_text`."""
-    (folder / FILE).write_text(croissant_text(folder, facts), encoding="utf-8")
+    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")

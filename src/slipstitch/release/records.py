@@ -19,6 +19,8 @@ VERIFICATION = "results/render/verification.json"
 CONFIG = f"{RECORDS}/config.json"
 GRID = f"{RECORDS}/grid.parquet"
 RELEASE_RECORD = f"{RECORDS}/release.json"
+CROISSANT = "croissant.json"
+CRATE = "ro-crate-metadata.json"
 RECORD_SUFFIX = ".record.json"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
