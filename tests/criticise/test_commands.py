@@ -2,9 +2,11 @@
 
 import csv
 import json
+import shutil
 from contextlib import redirect_stderr
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
@@ -93,3 +95,26 @@ def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):
     assert caught.value.code == 2
     error = capsys.readouterr().err.strip()
     assert "meta.json" in error and "\n" not in error
+
+
+def test_a_seed_below_zero_is_refused(written, capsys):
+    words = ["criticise", str(written / "case"), "--out", str(written / "v.json"), "--seed", "-1"]
+    assert main(words) == 2
+    assert "--seed must be at least 0" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_bounds_alone_give_strict_json_without_warnings(written, tmp_path):
+    case = tmp_path / "case"
+    shutil.copytree(written / "case", case)
+    table = pd.read_csv(case / "incline.csv").assign(censored=1, angle_deg=60.0)
+    table.to_csv(case / "incline.csv", index=False)
+    page = tmp_path / "page.html"
+    words = ["--out", str(tmp_path / "v.json"), "--report", str(page), "--replicates", "50"]
+    assert not main(["criticise", str(case), *words])
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    verdict = json.loads((tmp_path / "v.json").read_text(), parse_constant=refuse)
+    assert verdict["gain"]["estimate"] is None

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import check_at_least, output_file
 
 SUMMARY = "say what the model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
@@ -44,10 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
-    from slipstitch.errors import BadInput
 
-    if arguments.replicates < 50:
-        raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+    check_at_least(arguments, seed=0, replicates=50)
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)

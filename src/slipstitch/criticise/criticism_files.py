@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 from slipstitch import __version__
 from slipstitch.criticise.case import Case
@@ -11,6 +13,15 @@ from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import sentence, verdict_of
 from slipstitch.provenance import write_json, write_text
+
+
+def finite(content: Any) -> Any:
+    """Plain data with None (``null``) for every number that could not be computed."""
+    if isinstance(content, dict):
+        return {key: finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def criticise_to_files(
@@ -35,7 +46,7 @@ def criticise_to_files(
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
-    write_json(verdict_path, verdict, allow_nan=True)
+    write_json(verdict_path, finite(verdict))
     again = None
     if resimulation_path:
         from slipstitch.criticise.resimulation import resimulate
@@ -44,7 +55,7 @@ def criticise_to_files(
         if "drop_drag" in case.protocols:
             again = resimulate(case, verdict)
             summary = again.summary
-        write_json(resimulation_path, summary, allow_nan=True)
+        write_json(resimulation_path, finite(summary))
     if page_path:
         from slipstitch.criticise.report import page
 
