@@ -211,7 +211,7 @@ def sentence(verdict: dict) -> str:
             f"(family-wise p = {verdict['null']['global_p']:.2g})."
         )
     if kind == "insufficient":
-        return f"Too little was measured to judge the model: {verdict['reason']}."
+        return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
     if kind == "unknown":
         shape = next(iter(verdict["residual_tests"]), None)
         where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
