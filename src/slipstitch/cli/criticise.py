@@ -19,7 +19,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=output_file, required=True, metavar="FILE", help="verdict as JSON"
     )
     parser.add_argument(
-        "--report", type=output_file, metavar="FILE", help="the verdict as an HTML page"
+        "--report",
+        type=output_file,
+        metavar="FILE",
+        help="the verdict as an HTML page, or without pictures as Markdown (NAME.md)",
     )
     parser.add_argument(
         "--model", type=output_file, metavar="FILE", help="the extended model as YAML"

@@ -12,7 +12,12 @@ class CriticiseSettings(Section):
     """Which measured cases are judged."""
 
     cases: tuple[str, ...] = Field(
-        ("data/cases/surrogate_anisotropic",),
+        (
+            "data/cases/surrogate_anisotropic",
+            "data/cases/paper_on_paper",
+            "data/cases/block_on_wood_board",
+            "data/cases/block_on_other_board",
+        ),
         description="case folders (docs/measurements.md), from the project's folder on; "
         "a folder's name is the case's id",
     )

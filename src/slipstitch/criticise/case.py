@@ -65,14 +65,15 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
         found = {}
         for table, columns in protocol.tables.items():
             paths = [folder / f"{table}{ending}" for ending in (".csv", ".parquet")]
+            paths += [folder / table] if table != protocol.runs_table else []  # one file a run
             paths = [path for path in paths if path.exists()]
-            for path in paths:
-                _refuse_no_file(path)
             known |= {path.name for path in paths}
             if len(paths) > 1:
-                raise BadInput(f"{folder}: both {table}.csv and {table}.parquet; give one of them")
+                names = " and ".join(path.name for path in paths)
+                raise BadInput(f"{folder}: both {names}; give one of them")
             if paths:
-                found[table] = _read_table(paths[0], columns, with_measurements)
+                read = _read_folder if paths[0].is_dir() else _read_table
+                found[table] = read(paths[0], columns, with_measurements)
         missing = [table for table in protocol.tables if table not in found]
         if found and missing and (with_measurements or missing[0] == protocol.runs_table):
             have, want = ", ".join(f"{t}.csv" for t in found), f"{missing[0]}.csv"
@@ -181,7 +182,23 @@ def _read_raw(path: Path) -> pd.DataFrame:
         raise BadInput(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
 
+def _read_folder(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
+    """The traces of a folder with one file a run, which the file is called after."""
+    files = sorted(file for file in path.iterdir() if file.suffix in (".csv", ".parquet"))
+    if not files:
+        raise BadInput(f"{path}: no file; RUN_ID.csv or RUN_ID.parquet for each run is needed")
+    columns = tuple(column for column in columns if column.name != "run_id")
+    parts = {file.stem: _read_table(file, columns, with_measurements) for file in files}
+    if len(parts) < len(files):
+        raise BadInput(f"{path}: a run as CSV and as Parquet; give one of them")
+    names = np.repeat(list(parts), [len(part) for part in parts.values()])
+    table = pd.concat(parts.values(), ignore_index=True)
+    table.insert(0, "run_id", names.astype(object))
+    return table
+
+
 def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
+    _refuse_no_file(path)
     raw = _read_raw(path)
     if not isinstance(raw.index, pd.RangeIndex):  # pandas takes what is too much for names of rows
         raise BadInput(f"{path}: a row has more cells than the header")
@@ -284,10 +301,10 @@ def _check_traces(
     if traced - known:
         name = sorted(traced - known)[0]
         row = int(np.argmax((traces["run_id"] == name).to_numpy())) + 2
-        raise BadInput(
-            f"{folder / traces_name}.csv: row {row}: column run_id: '{name}' is not in "
-            f"{runs_name}.csv"
-        )
+        where = f"{folder / traces_name}.csv: row {row}: column run_id: '{name}'"
+        if (folder / traces_name).is_dir():
+            where = f"{folder / traces_name}: '{name}'"
+        raise BadInput(f"{where} is not in {runs_name}.csv")
     if known - traced:
         name = sorted(known - traced)[0]
         raise BadInput(

@@ -11,7 +11,7 @@ from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import write_extended_model
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import sentence, verdict_of
+from slipstitch.criticise.verdict import statement, verdict_of
 from slipstitch.provenance import write_json, write_text
 
 
@@ -42,7 +42,7 @@ def criticise_to_files(
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
     verdict_path, page_path, model_path, resimulation_path : path
-        JSON, HTML, YAML, JSON; all but the verdict may be None.
+        JSON, HTML (or Markdown, by its name), YAML, JSON; all but the verdict may be None.
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
@@ -57,9 +57,11 @@ def criticise_to_files(
             summary = again.summary
         write_json(resimulation_path, finite(summary))
     if page_path:
-        from slipstitch.criticise.report import page
+        from slipstitch.criticise.report import markdown, page
 
-        write_text(page_path, page(verdict, analysis, again))
+        as_text = Path(page_path).suffix == ".md"
+        text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
+        write_text(page_path, text)
     if model_path:
         write_extended_model(verdict, Path(model_path))
-    return sentence(verdict)
+    return statement(verdict)

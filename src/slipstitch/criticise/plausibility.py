@@ -60,6 +60,19 @@ def _of_forces(name: str) -> Callable[[Tables, Nominal], np.ndarray]:
     return coefficients
 
 
+def _of_pushes(tables: Tables, nominal: Nominal) -> np.ndarray:
+    traces = tables["push"]
+    runs = tables["push_runs"]
+    quiet = runs["quiet_s"].fillna(0.0).set_axis(runs["run_id"])
+    start = traces.groupby("run_id")["t_s"].transform("min")
+    still = traces["t_s"] - start < quiet.reindex(traces["run_id"]).to_numpy()
+    columns = ["force_x_mN", "force_y_mN"]
+    zero = traces[still].groupby("run_id")[columns].mean().reindex(traces["run_id"]).fillna(0.0)
+    size = np.hypot(*(traces[columns].to_numpy() - zero.to_numpy()).T)
+    level = pd.Series(size[~still]).groupby(traces["run_id"].to_numpy()[~still]).median()
+    return (1e-3 * level / _weights(runs, nominal).reindex(level.index)).to_numpy(float)
+
+
 def _of_shapes(tables: Tables, nominal: Nominal) -> np.ndarray:
     """Flexible sheet: (l - c)^2 = h^2 + 2 h mu c."""
     frames = tables["drop_drag"]
@@ -87,6 +100,11 @@ READINGS: Mapping[str, tuple[str, Callable, tuple[tuple[float, str], ...]]] = {
         ),
     ),
     "drop_drag": ("the length on the floor", _of_shapes, ()),
+    "push": (
+        "the force",
+        _of_pushes,
+        ((1e3, "forces in N, not mN"), (1e-3, "masses in kg, not g")),
+    ),
     "spring_slider": (
         "the force",
         _of_forces("spring_slider"),

@@ -15,12 +15,14 @@ from slipstitch.criticise.report.verdict_pictures import (
 )
 from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.verdict import sentence
+from slipstitch.criticise.within_runs import words
 from slipstitch.page.figures import svg_element
 from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.page.templates import render
-from slipstitch.page.wording import with_interval
+from slipstitch.page.wording import counted, with_interval
 
 _TEMPLATE = Path(__file__).with_name("verdict.html.j2")
+CLEAR_FALL = 0.8  # of an error, to be worth a headline
 _TONES = {"none": GOOD, "cause": BLUE, "confounded": DOUBT, "unknown": VERMILION}
 
 
@@ -34,7 +36,8 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
         verdict=verdict,
         tone=_TONES.get(verdict["verdict"], SOFT),
         sentence=sentence(verdict),
-        second_sentence=_second_sentence(verdict),
+        second_sentence=second_sentence(verdict),
+        within=words(verdict["within_runs"]),
         named=named,
         extended=extended is not None,
         residuals=svg_element(residual_picture(analysis, extended)),
@@ -50,16 +53,29 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
     )
 
 
-def _second_sentence(verdict: dict) -> str:
-    gain = verdict["gain"]
+def second_sentence(verdict: dict) -> str:
+    """What the verdict rests on: the gain where a cause is named, else the reason or the p."""
     if verdict["verdict"] in ("cause", "confounded"):
-        return (
-            "On specimens that it has not seen, the extended model gains "
-            f"{with_interval(gain['estimate'], gain['ci95'])} in log score a row; its error falls "
-            f"from {100 * gain['rmse_null']:.1f} to {100 * gain['rmse_extended']:.1f} % "
-            f"({gain['n_groups']} specimens left out one by one, the choice repeated each time)."
-        )
+        return gain_words(verdict["gain"])
     if verdict["verdict"] == "unknown":
         return verdict["reason"].capitalize() + "."
     p = verdict["null"]["global_p"]
     return f"Family-wise p of the plain model over all tests made: {p:.3g}."
+
+
+def gain_words(gain: dict) -> str:
+    """The gain on left-out specimens; errors only where they say the same."""
+    how = (
+        f"({counted(gain['n_groups'], 'specimen')} left out one by one, the choice repeated each "
+        "time)"
+    )
+    score = f"{with_interval(gain['estimate'], gain['ci95'])} in log score a row"
+    if not gain["ci95"][0] > 0:
+        return f"On specimens left out no gain is certain: {score} {how}."
+    before, after = 100 * gain["rmse_null"], 100 * gain["rmse_extended"]
+    if after > CLEAR_FALL * before:
+        return f"On specimens left out the extended model gains {score} {how}."
+    return (
+        f"On specimens left out the error falls from {before:.1f} to {after:.1f} % of friction, a "
+        f"gain of {score} {how}."
+    )
