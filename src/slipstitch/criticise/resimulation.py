@@ -133,9 +133,9 @@ def _read_off(
 
 
 def compare(frames: pd.DataFrame, *quantities: str) -> dict:
-    """Error of both models, and the gain with a t-interval over specimens.
+    """Error of both models, and the gain: how much of the null's mean square error is gone.
 
-    The gain is the mean over specimens of the fall of the mean square error, over the null's.
+    Its interval is that of the ratio's logarithm (jackknife over specimens): never above 1.
     """
     squares = {}
     for name in MODELS:
@@ -144,15 +144,19 @@ def compare(frames: pd.DataFrame, *quantities: str) -> dict:
         ]
         squares[name] = np.mean(np.square(errors), axis=0)
     table = pd.DataFrame(squares).groupby(frames["specimen_id"].to_numpy()).mean()
-    fall = (table["null"] - table["extended"]).to_numpy() / table["null"].mean()
-    n = len(fall)
-    half = float(student.ppf(0.975, n - 1) * fall.std(ddof=1) / np.sqrt(n)) if n > 1 else np.inf
+    n = len(table)
+    log_ratio = float(np.log(table["extended"].mean() / table["null"].mean()))
+    interval = None
+    if n > 1:
+        others = (table.sum() - table) / (n - 1)
+        left_out = np.log(others["extended"] / others["null"]).to_numpy()
+        error = np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2))
+        reach = student.ppf(0.975, n - 1) * error
+        interval = [round(float(1 - np.exp(log_ratio + k * reach)), 4) for k in (1, -1)]
     return {
         "rmse_null_mm": round(float(np.sqrt(table["null"].mean())), 4),
         "rmse_extended_mm": round(float(np.sqrt(table["extended"].mean())), 4),
-        "gain": round(float(fall.mean()), 4),
-        "gain_ci95": [round(float(fall.mean() - half), 4), round(float(fall.mean() + half), 4)]
-        if np.isfinite(half)
-        else None,
+        "gain": round(1 - float(np.exp(log_ratio)), 4),
+        "gain_ci95": interval,
         "specimens": n,
     }
