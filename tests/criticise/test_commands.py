@@ -1,6 +1,7 @@
 """The two verbs, from a case folder to a verdict and to predictions."""
 
 import csv
+import hashlib
 import json
 import shutil
 from contextlib import redirect_stderr
@@ -79,6 +80,33 @@ def test_prediction_of_fresh_specimens_is_calibrated_and_gains(written):
         z[model + "_score"] = np.median(-np.log(sd) - 0.5 * z[model] ** 2)
     assert 0.5 < np.median(np.abs(z["ext"])) / 0.674 < 1.6
     assert z["ext_score"] > z["null_score"]
+
+
+def test_a_prediction_is_locked_before_and_scored_after(written, tmp_path, capsys):
+    def criticise(case):
+        words = ["criticise", str(written / "case"), "--out", str(tmp_path / "v.json")]
+        return main([*words, "--validate", str(case)])
+
+    design = tmp_path / "design"
+    shutil.copytree(written / "fresh", design)
+    table = pd.read_csv(design / "incline.csv")
+    table.drop(columns=["angle_deg", "censored"]).to_csv(design / "incline.csv", index=False)
+    assert criticise(design) == 0
+    assert not (tmp_path / "v.validation.json").exists()
+    locked = (tmp_path / "v.prediction.csv").read_bytes()
+    # Then it was measured: the same prediction is scored, not a later one.
+    assert criticise(written / "fresh") == 0
+    assert (tmp_path / "v.prediction.csv").read_bytes() == locked
+    found = json.loads((tmp_path / "v.validation.json").read_text())
+    assert found["prediction_sha256"] == hashlib.sha256(locked).hexdigest()
+    assert found["gain"]["ci95"][0] > 0
+    assert found["extended"]["within_95"] > 0.85
+    assert found["extended"]["error"]["angle_deg"] < found["null"]["error"]["angle_deg"]
+    assert "the extended model predicts better" in capsys.readouterr().out
+    # A prediction that was touched is no prediction.
+    (tmp_path / "v.prediction.csv").write_bytes(locked.replace(b"1", b"2", 5))
+    assert criticise(written / "fresh") == 2
+    assert "not the prediction that v.prediction.lock.json locks" in capsys.readouterr().err
 
 
 def test_the_page_says_the_verdict_first(written):

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from slipstitch.cli.main import main
+from slipstitch.criticise import resimulation
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols.stick_slip import Slider, run
@@ -97,3 +98,34 @@ def test_the_fall_of_an_error_is_never_above_all_of_it():
     assert low < found["gain"] < high < 1
     ratio = np.mean(frames["te_x_mm_extended"] ** 2) / np.mean(frames["te_x_mm_null"] ** 2)
     assert found["gain"] == pytest.approx(1 - ratio, abs=1e-3)
+
+
+def test_a_run_is_simulated_with_models_that_its_specimen_had_no_part_in(monkeypatch):
+    case = read_case(CASES / "surrogate_anisotropic")
+    every = case.tables["drop_drag_runs"]
+    trained: list[set[str]] = []
+    shown = []
+
+    def judged(training, *_):
+        trained.append(set(training.tables["drop_drag_runs"]["specimen_id"]))
+        known = set(training.tables["drop_drag_runs"]["run_id"])
+        assert set(training.tables["drop_drag"]["run_id"]) == known
+        return {"verdict": "none", "models": {"extended": {"causes": []}}}
+
+    def simulated(part, *_):
+        runs = part.tables["drop_drag_runs"]
+        assert not trained[-1] & set(runs["specimen_id"])
+        shown.extend(runs["run_id"])
+        frames = pd.DataFrame({"specimen_id": runs["specimen_id"]})
+        for quantity in resimulation.QUANTITIES:
+            frames[quantity] = 0.0
+            frames[f"{quantity}_null"], frames[f"{quantity}_extended"] = 2.0, 1.0
+        return resimulation.Resimulation(frames, {"simulations": {}})
+
+    monkeypatch.setattr(resimulation, "analyse", lambda *_: None)
+    monkeypatch.setattr(resimulation, "verdict_of", judged)
+    monkeypatch.setattr(resimulation, "resimulate", simulated)
+    found = resimulation.resimulate_left_out(case, 1, 100).summary
+    assert sorted(shown) == sorted(every["run_id"])
+    assert len(found["folds"]) == len(trained) == every["specimen_id"].nunique() == 6
+    assert found["all"]["gain"] == pytest.approx(0.75)

@@ -32,7 +32,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=output_file,
         metavar="FILE",
         help="simulate the drop-and-drag runs again with null and extended law in the cloth "
-        "simulator (about a second a run); errors and gain as JSON, and on the page",
+        "simulator (about a second a run), each with models found without its specimen; errors "
+        "and gain as JSON, and on the page",
+    )
+    parser.add_argument(
+        "--validate",
+        metavar="NEW_CASE",
+        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest), then "
+        "score it by what was measured (OUT.validation.json); a prediction that was locked "
+        "before is kept, and a case without measured values is only predicted",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
     parser.add_argument(
@@ -62,4 +70,25 @@ def run(arguments: argparse.Namespace) -> int:
         resimulation_path=arguments.resimulate,
     )
     print(line)
+    if arguments.validate:
+        _validate(Path(arguments.out), Path(arguments.validate))
     return 0
+
+
+def _validate(out: Path, case: Path) -> None:
+    from slipstitch.criticise.case import has_measurements
+    from slipstitch.errors import BadInput
+    from slipstitch.predict.predictive import read_verdict
+    from slipstitch.predict.validation import lock, score, score_words
+    from slipstitch.provenance import write_json
+
+    if str(out) == "-":
+        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
+    prediction = out.with_suffix(".prediction.csv")
+    record = lock(read_verdict(out), case, prediction)
+    print(f"{prediction}: locked, sha256 {record['prediction_sha256']}", file=sys.stderr)
+    if not has_measurements(case):
+        return
+    found = score(case, prediction, record)
+    write_json(out.with_suffix(".validation.json"), found)
+    print(score_words(found))

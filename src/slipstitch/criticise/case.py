@@ -38,6 +38,11 @@ class Case:
         """Protocols that have data, in the order of the format."""
         return tuple(name for name, p in PROTOCOLS.items() if set(p.tables) <= set(self.tables))
 
+    @property
+    def protocols_of_runs(self) -> tuple[str, ...]:
+        """Protocols that have a table of runs, with traces or without."""
+        return tuple(name for name, p in PROTOCOLS.items() if p.runs_table in self.tables)
+
 
 def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     """Read and check a case.
@@ -107,6 +112,20 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     )
     name = str(meta.get("case") or meta.get("case_id") or folder.resolve().name)
     return Case(name, meta, nominal, tables, tuple(others))
+
+
+def has_measurements(folder: Path | str) -> bool:
+    """Does a case hold measured values, or the run tables of a design alone?"""
+    design = read_case(folder, with_measurements=False)
+    for name in design.protocols_of_runs:
+        protocol = PROTOCOLS[name]
+        own = [column.name for column in protocol.tables[protocol.runs_table] if column.measured]
+        table = design.tables[protocol.runs_table]
+        if len(protocol.tables) > 1 and set(protocol.tables) <= set(design.tables):
+            return True
+        if own and set(own) <= set(table.columns) and table[own[0]].notna().any():
+            return True
+    return False
 
 
 def _protocol_name(text) -> str:

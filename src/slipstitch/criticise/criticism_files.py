@@ -49,12 +49,13 @@ def criticise_to_files(
     write_json(verdict_path, finite(verdict))
     again = None
     if resimulation_path:
-        from slipstitch.criticise.resimulation import resimulate
+        from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
 
-        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
+        why = "no drop-and-drag runs to simulate again"
         if "drop_drag" in case.protocols:
-            again = resimulate(case, verdict)
-            summary = again.summary
+            again = resimulate_left_out(case, seed, replicates)
+            why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
+        summary = again.summary if again else {"case": case.name, "reason": why}
         write_json(resimulation_path, finite(summary))
     if page_path:
         from slipstitch.criticise.report import markdown, page
