@@ -114,7 +114,7 @@ def test_true_is_no_number(case):
     meta = json.loads((case / "meta.json").read_text())
     meta["nominal"]["rho_kg_m2"] = True
     (case / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(BadInput, match=r"nominal\.rho_kg_m2: True; a positive number"):
+    with pytest.raises(BadInput, match=r"nominal\.rho_kg_m2: True; must be a positive number"):
         read_case(case)
 
 

@@ -16,6 +16,7 @@ from slipstitch.cli.main import main
 KEYS = {
     "case",
     "spec_version",
+    "about",
     "verdict",
     "causes",
     "alternatives",
@@ -113,7 +114,7 @@ def test_the_page_says_the_verdict_first(written):
     page = (written / "page.html").read_text()
     assert "<h1" in page and "warp differs" in page
     assert page.count("<svg") >= 4
-    assert "along everything recorded" in page
+    assert "against all covariates" in page
 
 
 def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):

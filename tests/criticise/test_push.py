@@ -125,7 +125,7 @@ def test_files_that_belong_to_no_run_are_named(tmp_path):
     with pytest.raises(BadInput, match="a run as CSV and as Parquet"):
         read_case(folder)
     (folder / "push.csv").write_text("run_id\n")
-    with pytest.raises(BadInput, match=r"both push\.csv and push; give one"):
+    with pytest.raises(BadInput, match=r"both push\.csv and push; only one"):
         read_case(folder)
 
 

@@ -75,7 +75,7 @@ def test_the_page_of_a_real_case_says_what_one_specimen_cannot_tell(tmp_path):
     page = text.read_text()
     assert "“whole face” was measured with one specimen only" in page
     assert "not cloth" in page and "first peak" in page
-    assert "adhesion (friction has a part" in page
+    assert "adhesion (part of the friction" in page
 
 
 def test_a_headline_states_a_gain_only_where_it_is_certain():

@@ -1,4 +1,4 @@
-"""Which curvature in a step a fold's stiffness follows: no chatter, a moment that only grows."""
+"""Which curvature in a step a fold's stiffness follows: no chatter, a moment that never falls."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_the_rising_rule_settles_at_the_law_of_the_fabric(fabric, curvature_per_
 
 
 @pytest.mark.parametrize("fabric", fabric_names())
-def test_within_a_step_the_moment_grows_with_the_fold(fabric):
+def test_within_a_step_the_moment_never_falls_as_the_fold_grows(fabric):
     """From any curvature, whatever the table does; at the beginning it is the fabric's own."""
     angles = np.linspace(-0.3, 0.3, 121)
     for start in (0.0, 0.03, 0.08, 0.13, 0.16, 0.19, 0.25):
@@ -92,6 +92,6 @@ def test_within_a_step_the_moment_grows_with_the_fold(fabric):
         down = [solver._evaluate(folded(angle) + ABOVE)[4:] for angle in angles]
         tangents = [np.array([0.0, -np.sin(angle), -np.cos(angle)]) for angle in angles]
         moments = [SPACING_M * (f @ t).sum() for f, t in zip(down, tangents, strict=True)]
-        assert np.diff(moments).min() > 0
+        assert np.diff(moments).min() > -1e-12 * np.ptp(moments)
         here = folded(start) + ABOVE
         assert solver._evaluate(here) == pytest.approx(fabrics_own._evaluate(here), abs=1e-15)

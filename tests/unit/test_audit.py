@@ -149,8 +149,8 @@ def test_swapped_shards_are_both_named(release):
     aside.rename(second)
     audit = audit_release(release)
     said = {finding.where: finding.what for finding in audit.of_kind(Kind.ALTERED)}
-    assert said[f"data/{first.name}"] == f"holds what belongs to data/{second.name}"
-    assert said[f"data/{second.name}"] == f"holds what belongs to data/{first.name}"
+    assert said[f"data/{first.name}"] == f"has the content of data/{second.name}"
+    assert said[f"data/{second.name}"] == f"has the content of data/{first.name}"
     reseal(release)
     broken = found(release, Kind.BROKEN)
     assert {f"data/{first.name}", f"data/{second.name}"} <= set(broken)
@@ -427,7 +427,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
 
 def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     """The chain's calibration chose other settings than configured: released, intact, not stale."""
-    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0, "halvings_max": 9})
+    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0})
     out = tmp_path / "release"
     write_release(CONFIG, results, out, ROOT)
     contents = read_contents(out)
@@ -436,6 +436,19 @@ def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     assert CONFIG.simulation.damping_s == 0.002
     assert audit_release(out).verdict == "intact"
     assert audit_release(out, CONFIG).verdict == "intact"
+
+
+def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
+    """Not every simulation from every viewpoint in every texture, and floors of two kinds."""
+    render = {"test_viewpoint_videos": 3, "reflective_floors": ["ceramic", "aluminium"]}
+    config = CONFIG.model_copy(update={"render": CONFIG.render.model_copy(update=render)})
+    results = synthetic_chain.write(config, tmp_path)
+    write_release(config, results, tmp_path / "release", ROOT)
+    audit = audit_release(tmp_path / "release")
+    assert audit.verdict == "intact", audit.findings[:3]
+    rows = pq.read_table(tmp_path / "release" / "manifest.parquet").to_pylist()
+    assert sum(row["viewpoint_role"] == "test" for row in rows) == 3
+    assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
 
 
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
@@ -560,23 +573,23 @@ def test_story_of_a_clip_names_every_link(original, capsys):
         "results/render/m05_f01_r00_v00.parquet",
         "results/simulate/m05_f01_r00.parquet",
         "results/calibrate/calibration.json",
-        "fabric gray-interlock (as today)",
+        "fabric gray-interlock (same as the current one)",
         "friction 0.3",
-        "as decoded just now",
+        "equal to the decoded pixels",
         "by_simulation: ",
         "yaw_deg",
     ):
         assert part in story
     assert "v01.parquet" not in story
-    assert "NOT" not in story.replace("NOT the code", "")
+    assert "NOT" not in story.replace("NOT the current code", "")
     assert main(["audit", str(original), "--explain", "m99"]) == 2
-    assert "no clip 'm99'; ids are like m" in capsys.readouterr().err
+    assert "no clip 'm99'; ids look like m" in capsys.readouterr().err
 
 
 def test_story_says_where_the_chain_breaks(release, capsys):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.update(sha256="0" * 64))
     main(["audit", str(release), "--explain", CLIP])
-    assert "results/render/m05_f01_r00_v00.parquet (ANOTHER FILE than the next)" in (
+    assert "results/render/m05_f01_r00_v00.parquet (DIFFERENT from the next)" in (
         capsys.readouterr().out
     )
 
@@ -596,5 +609,5 @@ def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
 
 def test_clip_without_whole_records_is_not_rebuilt(release):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
-    with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
+    with pytest.raises(BadInput, match=f"the records of {CLIP} are incomplete"):
         rebuild.rebuild(read_contents(release), CLIP)

@@ -232,7 +232,7 @@ def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
 def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
     card = (release / "README.md").read_text()
     assert "| matte | 1 | 43.2 dB | 43.2 dB | 38 dB | 0.990 |" in card
-    assert "| mirrors | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
+    assert "| reflective | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
     assert "verification.json" in (release / "SHA256SUMS").read_text()
 
 
@@ -334,9 +334,12 @@ def test_camera_file_from_outside_is_taken_along(tmp_path):
 @pytest.mark.parametrize(
     ("prepare", "problem"),
     [
-        (lambda out: (out / "data").mkdir(parents=True), "exists and is no release"),
-        (lambda out: out.write_text("mine"), "exists and is no release"),
-        (lambda out: (out.mkdir(), (out / SUMS).write_text("")), "there is a release already"),
+        (lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
+        (lambda out: out.write_text("mine"), "exists and is not a release"),
+        (
+            lambda out: (out.mkdir(), (out / SUMS).write_text("")),
+            "contains a release, which is not overwritten",
+        ),
     ],
 )
 def test_folder_of_somebody_else_is_left_alone(results, tmp_path, prepare, problem):
@@ -365,13 +368,15 @@ def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
 
 def test_other_configuration_than_the_results_were_made_with_is_refused(results, tmp_path):
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
-    with pytest.raises(BadInput, match=r"another configuration: sample.test_fraction: 0.1 -> 0.3"):
+    with pytest.raises(
+        BadInput, match=r"different configuration: sample.test_fraction: 0.1 -> 0.3"
+    ):
         write_release(other, results, tmp_path / "out", ROOT)
 
 
 def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr("slipstitch.release.currency.fabric_digest", lambda name: "0" * 64)
-    with pytest.raises(BadInput, match=r"another catalogue: catalogue\.fabrics\."):
+    with pytest.raises(BadInput, match=r"different catalogue: catalogue\.fabrics\."):
         write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
@@ -379,12 +384,12 @@ def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly, "current_digest", lambda stage: "0" * 64 if stage == "render" else ""
     )
-    with pytest.raises(BadInput, match="made by other code of the stage"):
+    with pytest.raises(BadInput, match="made by different code of the stage"):
         write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
 def test_folder_that_is_no_checkout_is_refused(results, tmp_path):
-    with pytest.raises(BadInput, match="not a checkout of Slipstitch: it has no Snakefile"):
+    with pytest.raises(BadInput, match="not a workflow folder of Slipstitch: no Snakefile"):
         write_release(CONFIG, results, tmp_path / "out", tmp_path)
 
 
@@ -419,6 +424,6 @@ def test_command_says_what_it_wrote(results, tmp_path, capsys):
     assert "144 videos, 720 images" in said
     assert hashlib.sha256((out / SUMS).read_bytes()).hexdigest() in said
     assert main(["release", *words, "--out-dir", str(out)]) == 2
-    assert "there is a release already" in capsys.readouterr().err
+    assert "contains a release, which is not overwritten" in capsys.readouterr().err
     facts = json.loads((out / "records/release.json").read_text())
     assert facts["provenance"]["stage"] == "release"

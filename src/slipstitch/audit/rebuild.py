@@ -1,4 +1,4 @@
-"""One clip simulated, rendered and compared anew, from its record."""
+"""A clip simulated and rendered again from its record, and compared."""
 
 import json
 import subprocess
@@ -102,7 +102,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
     calibrated = lineage.of_stage(row, "calibrate")
     if contents.config is None or not (simulated and rendered and calibrated):
-        raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
+        raise BadInput(f"{contents.folder}: the records of {clip} are incomplete")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = _configuration(contents, contents.config, folder)
@@ -122,7 +122,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         videos = read_shard(shard, frames)
         key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
         if key not in videos:
-            raise BadInput(f"{clip}: rendered anew, it is not among {len(videos)} videos")
+            raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
         again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
     return compare(clip, _released(contents, row), again, same_motion)
 
@@ -149,11 +149,11 @@ def compare(clip: str, released: np.ndarray, again: np.ndarray, same_motion: boo
 
 def in_words(done: Rebuilt) -> str:
     """The comparison as a line."""
-    motion = "the same motion, bit by bit" if done.same_motion else "ANOTHER MOTION"
+    motion = "bitwise identical motion" if done.same_motion else "ANOTHER MOTION"
     if done.same_pixels:
-        return f"{done.clip}: made again, {motion}; all {done.images} images have equal pixels"
+        return f"{done.clip}: regenerated, {motion}; all {done.images} images are identical"
     return (
-        f"{done.clip}: made again, {motion}; {done.images_differing} of {done.images} images "
+        f"{done.clip}: regenerated, {motion}; {done.images_differing} of {done.images} images "
         f"DIFFER, by up to {done.largest_difference} of 255, {done.psnr_db} dB"
     )
 

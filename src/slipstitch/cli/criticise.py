@@ -1,12 +1,12 @@
-"""slipstitch criticise: what the model gets wrong in measured data, and why."""
+"""slipstitch criticise: find what the model gets wrong in measured data, and why."""
 
 import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import check_at_least, output_file
+from slipstitch.cli.options import check_at_least, output_json, output_named
 
-SUMMARY = "say what the model gets wrong in a measured case, and why"
+SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
 
 
@@ -16,23 +16,32 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help="verdict as JSON"
+        "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"
     )
     parser.add_argument(
         "--report",
-        type=output_file,
+        type=output_named(".html", ".md"),
         metavar="FILE",
-        help="the verdict as an HTML page, or without pictures as Markdown (NAME.md)",
+        help="the verdict as an HTML page, or as Markdown without pictures",
     )
     parser.add_argument(
-        "--model", type=output_file, metavar="FILE", help="the extended model as YAML"
+        "--picture",
+        type=output_named(".svg"),
+        metavar="FILE",
+        help="what is left over, drawn, as SVG",
+    )
+    parser.add_argument(
+        "--model",
+        type=output_named(".yaml", ".yml"),
+        metavar="FILE",
+        help="the extended model as YAML",
     )
     parser.add_argument(
         "--resimulate",
-        type=output_file,
+        type=output_json,
         metavar="FILE",
-        help="simulate the drop-and-drag runs again with null and extended law in the cloth "
-        "simulator (about a second a run), each with models found without its specimen; errors "
+        help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
+        "simulator (about a second per run), each with models found without its specimen; errors "
         "and gain as JSON, and on the page",
     )
     parser.add_argument(
@@ -42,12 +51,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "score it by what was measured (OUT.validation.json); a prediction that was locked "
         "before is kept, and a case without measured values is only predicted",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
+    )
     parser.add_argument(
         "--replicates",
         type=int,
         default=300,
-        help="simulated data sets behind each family-wise p (default 300)",
+        help="simulated data sets for each family-wise p (default 300)",
     )
 
 
@@ -59,13 +70,16 @@ def run(arguments: argparse.Namespace) -> int:
     check_at_least(arguments, seed=0, replicates=50)
     case = read_case(arguments.case)
     for name in case.ignored_files:
-        print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
+        print(
+            f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr
+        )
     line = criticise_to_files(
         case,
         arguments.seed,
         arguments.replicates,
         verdict_path=arguments.out,
         page_path=arguments.report,
+        picture_path=arguments.picture,
         model_path=arguments.model,
         resimulation_path=arguments.resimulate,
     )

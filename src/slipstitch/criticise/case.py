@@ -58,7 +58,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     Raises
     ------
     BadInput
-        For anything that is not as the format demands.
+        For any violation of the format.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -75,7 +75,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
             known |= {path.name for path in paths}
             if len(paths) > 1:
                 names = " and ".join(path.name for path in paths)
-                raise BadInput(f"{folder}: both {names}; give one of them")
+                raise BadInput(f"{folder}: both {names}; only one is allowed")
             if paths:
                 read = _read_folder if paths[0].is_dir() else _read_table
                 found[table] = read(paths[0], columns, with_measurements)
@@ -83,7 +83,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
         if found and missing and (with_measurements or missing[0] == protocol.runs_table):
             have, want = ", ".join(f"{t}.csv" for t in found), f"{missing[0]}.csv"
             raise BadInput(
-                f"{folder}: {have} without {want}; the {protocol.name} protocol needs both"
+                f"{folder}: {have} without {want}; the {protocol.name} protocol requires both"
             )
         if found and not missing and len(found) == 2:
             _check_traces(folder, *found.items())
@@ -144,14 +144,14 @@ def _refuse_no_file(path: Path) -> None:
 
 def _read_meta(path: Path) -> dict:
     if not path.exists():
-        raise BadInput(f"{path.parent}: no meta.json; a case folder needs one")
+        raise BadInput(f"{path.parent}: no meta.json; a case folder requires one")
     _refuse_no_file(path)
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: {error}") from None
     if not isinstance(meta, dict) or not isinstance(meta.get("nominal"), dict):
-        raise BadInput(f"{path}: nominal: missing; a mapping of the nominal values is needed")
+        raise BadInput(f"{path}: nominal: missing; must be a mapping of the nominal values")
     return meta
 
 
@@ -171,12 +171,12 @@ def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
             good = isinstance(value, int | float) and not isinstance(value, bool)
             good = good and math.isfinite(value)
             if not good or (value <= 0 and key != "ply_exponent"):
-                raise BadInput(f"{path}: nominal.{key}: {value!r}; a positive number is needed")
+                raise BadInput(f"{path}: nominal.{key}: {value!r}; must be a positive number")
     dwell = meta.get("reversal_dwell_s", meta["nominal"].get("reversal_dwell_s"))
     if dwell is not None:
         good = isinstance(dwell, int | float) and not isinstance(dwell, bool)
         if not good or not 0 <= dwell < math.inf:
-            raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; a number from 0 is needed")
+            raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; must be a number of at least 0")
         values["reversal_dwell_s"] = float(dwell)
     return values
 
@@ -196,7 +196,7 @@ def _read_raw(path: Path) -> pd.DataFrame:
             skip_blank_lines=False,
         )
     except pd.errors.EmptyDataError:
-        raise BadInput(f"{path}: empty; a header and at least one row are needed") from None
+        raise BadInput(f"{path}: empty; must contain a header and at least one row") from None
     except (UnicodeDecodeError, pd.errors.ParserError, OSError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
@@ -231,7 +231,7 @@ def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool
             blank[blank] = (raw.loc[blank, name].str.strip() == "").to_numpy()
         raw = raw[~blank]
     if len(raw) == 0:
-        raise BadInput(f"{path}: no rows; at least one is needed")
+        raise BadInput(f"{path}: no rows; at least one is required")
     table = {}
     for column in columns:
         measured = column.measured and not with_measurements
@@ -249,7 +249,7 @@ def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool
         if again.any():
             row = lines[int(np.argmax(again.to_numpy()))]
             name = result["run_id"][again].iloc[0]
-            raise BadInput(f"{path}: row {row}: column run_id: '{name}' is given twice")
+            raise BadInput(f"{path}: row {row}: column run_id: '{name}' is duplicated")
     return result
 
 

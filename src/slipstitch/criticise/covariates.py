@@ -44,7 +44,7 @@ class Covariate:
 
     @property
     def axis_label(self) -> str:
-        """What stands at its axis."""
+        """The label of its axis."""
         unit = f" ({self.unit})" if self.unit else ""
         return f"{'log₁₀ ' if self.logarithmic else ''}{self.title}{unit}"
 
@@ -65,7 +65,7 @@ class Covariate:
 
 
 _ENTRIES = (
-    Covariate("pos_x_mm", "place on the substrate", "mm", trends=True, bumps=True),
+    Covariate("pos_x_mm", "position on the substrate", "mm", trends=True, bumps=True),
     Covariate("clock_min", "time in the session", "min", trends=True, bumps=True, cycles=True),
     Covariate("rh_pct", "relative humidity", "%", trends=True, bumps=True),
     Covariate("repeat_index", "earlier slides", trends=True),

@@ -31,6 +31,7 @@ def criticise_to_files(
     *,
     verdict_path: str,
     page_path: str | None,
+    picture_path: str | None,
     model_path: str | None,
     resimulation_path: str | None,
 ) -> str:
@@ -41,8 +42,8 @@ def criticise_to_files(
     case : Case
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
-    verdict_path, page_path, model_path, resimulation_path : path
-        JSON, HTML (or Markdown, by its name), YAML, JSON; all but the verdict may be None.
+    verdict_path, page_path, picture_path, model_path, resimulation_path : path
+        JSON, HTML (or Markdown, by its name), SVG, YAML, JSON; all but the verdict may be None.
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
@@ -51,18 +52,21 @@ def criticise_to_files(
     if resimulation_path:
         from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
 
-        why = "no drop-and-drag runs to simulate again"
+        why = "no drop-and-drag runs to simulate"
         if "drop_drag" in case.protocols:
             again = resimulate_left_out(case, seed, replicates)
             why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
         summary = again.summary if again else {"case": case.name, "reason": why}
         write_json(resimulation_path, finite(summary))
-    if page_path:
-        from slipstitch.criticise.report import markdown, page
+    if page_path or picture_path:
+        from slipstitch.criticise.report import left_over, markdown, page
 
-        as_text = Path(page_path).suffix == ".md"
-        text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
-        write_text(page_path, text)
+        if page_path:
+            as_text = Path(page_path).suffix == ".md"
+            text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
+            write_text(page_path, text)
+        if picture_path:
+            write_text(picture_path, left_over(verdict, analysis))
     if model_path:
         write_extended_model(verdict, Path(model_path))
     return statement(verdict)

@@ -61,7 +61,7 @@ def resimulate(
         A simulation could not be solved.
     """
     if "drop_drag" not in case.protocols:
-        raise BadInput(f"{case.name}: no drop-and-drag runs to simulate again")
+        raise BadInput(f"{case.name}: no drop-and-drag runs to simulate")
     runs = case.tables["drop_drag_runs"]
     measured = case.tables["drop_drag"]
     measured = measured[measured["phase"] == "fwd"]

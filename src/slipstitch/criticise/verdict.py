@@ -31,6 +31,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
+        "about": str(case.meta.get("about", "")),
         "verdict": analysis.verdict,
         "causes": list(analysis.causes),
         "alternatives": [list(c) for c in analysis.alternatives],
@@ -102,7 +103,7 @@ def _untestable(analysis: Analysis) -> dict[str, str]:
     for name in MECHANISMS:
         own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
         if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
-            result[name] = "cannot be told from the friction coefficient with these data"
+            result[name] = "cannot be distinguished from the friction coefficient with these data"
     return result
 
 
@@ -206,7 +207,7 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
 
 def statement(verdict: dict) -> str:
     """The verdict, and what single runs show besides."""
-    return " ".join([sentence(verdict), *words(verdict["within_runs"])])
+    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {}))])
 
 
 def sentence(verdict: dict) -> str:
@@ -225,7 +226,9 @@ def sentence(verdict: dict) -> str:
         return f"The model is wrong and no known mechanism explains how{where}."
     if kind == "confounded":
         rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
-        return f"The model is wrong, but these data cannot tell which of these is why: {rivals}."
+        return (
+            f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
+        )
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
         f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"

@@ -1,4 +1,4 @@
-"""The page of the captures: tables and the cumulative error, beside the paper's real videos."""
+"""The page of the captures: tables and cumulative error, compared with the paper's real videos."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -48,7 +48,10 @@ def captures_page(
         metrics=metrics,
         columns=columns,
         paper=paper,
-        paper_cells=paper.captures_cells(metric.name for metric in columns),
+        paper_cells={
+            subset: paper.captures_cells(subset, [metric.name for metric in columns])
+            for subset in paper.CAPTURES
+        },
         seeds_in_words=seeds_in_words,
         plot=svg_uri(_cumulative(known, found)),
         models=[
@@ -100,8 +103,8 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
                 linewidth=1.8 if kind == "all" else 1.1,
             )
     axes.set(xlim=(0, largest), ylim=(0, 1.02))
-    axes.set_xlabel("distance of µ from the reference's interval")
-    axes.set_ylabel("share of the films")
+    axes.set_xlabel("distance of µ from the reference interval")
+    axes.set_ylabel("share of videos")
     axes.legend(fontsize=7.5, frameon=False, loc="lower right")
     return figure
 

@@ -193,7 +193,7 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
     axes.set_xscale("symlog", linthresh=10)
     axes.set_yticks(places, labels)
     axes.axvline(6, color=INK, lw=0.8, ls=":")
-    axes.set_xlabel("BIC behind the best (dotted: 6)")
+    axes.set_xlabel("BIC relative to the best (dotted: 6)")
     return figure
 
 
@@ -221,7 +221,11 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
         )
     x = np.linspace(-6, 6, 200)
     axes.plot(
-        x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, lw=1.2, label="if all is well"
+        x,
+        np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi),
+        color=INK,
+        lw=1.2,
+        label="if the model is correct",
     )
     axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
     axes.set_yticks([])

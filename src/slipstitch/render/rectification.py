@@ -34,7 +34,7 @@ def stage_plane(crop: Camera, stage_x_m: float) -> tuple[np.ndarray, float]:
 def source_pixels(
     lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float], along: np.ndarray | None = None
 ) -> np.ndarray:
-    """Where in the real image each pixel of a crop is found.
+    """Position in the real image of each pixel of a crop.
 
     Parameters
     ----------
