@@ -32,7 +32,7 @@ help:
 	@echo 'make benchmark-kills  kill -9 at 100 random moments of the smoke chain (most of an hour)'
 	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
 	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
-	@echo 'make criticise-measured  regenerate docs/criticism_measured.md and its pictures'
+	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -105,7 +105,10 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/scale.py
 
 criticise-measured: setup
-	$(BIN)/python benchmarks/measured_data --data data/measured --out docs
+	for case in paper_on_paper block_on_wood_board block_on_other_board; do \
+		$(SINGLE) $(BIN)/slipstitch criticise data/cases/$$case \
+			--out results/criticise/$$case/verdict.json --report docs/measured/$$case.md || exit; \
+	done
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

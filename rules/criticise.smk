@@ -30,7 +30,7 @@ rule criticise:
 rule criticise_one:
     input:
         lambda wildcards: sorted(
-            path for path in MEASURED[wildcards.measured].iterdir() if path.is_file()
+            path for path in MEASURED[wildcards.measured].rglob("*") if path.is_file()
         ),
     output:
         page="results/criticise/{measured}/index.html",

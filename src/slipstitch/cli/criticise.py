@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import output_json, output_named, output_page
+from slipstitch.cli.options import check_at_least, output_json, output_named
 
 SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
@@ -19,7 +19,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"
     )
     parser.add_argument(
-        "--report", type=output_page, metavar="FILE", help="the verdict as an HTML page"
+        "--report",
+        type=output_named(".html", ".md"),
+        metavar="FILE",
+        help="the verdict as an HTML page, or as Markdown without pictures",
     )
     parser.add_argument(
         "--picture",
@@ -38,7 +41,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=output_json,
         metavar="FILE",
         help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
-        "simulator (about a second per run); errors and gain as JSON, and on the page",
+        "simulator (about a second per run), each with models found without its specimen; errors "
+        "and gain as JSON, and on the page",
+    )
+    parser.add_argument(
+        "--validate",
+        metavar="NEW_CASE",
+        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest), then "
+        "score it by what was measured (OUT.validation.json); a prediction that was locked "
+        "before is kept, and a case without measured values is only predicted",
     )
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
@@ -55,10 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
-    from slipstitch.errors import BadInput
 
-    if arguments.replicates < 50:
-        raise BadInput(f"--replicates: {arguments.replicates}; must be at least 50")
+    check_at_least(arguments, seed=0, replicates=50)
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(
@@ -75,4 +84,25 @@ def run(arguments: argparse.Namespace) -> int:
         resimulation_path=arguments.resimulate,
     )
     print(line)
+    if arguments.validate:
+        _validate(Path(arguments.out), Path(arguments.validate))
     return 0
+
+
+def _validate(out: Path, case: Path) -> None:
+    from slipstitch.criticise.case import has_measurements
+    from slipstitch.errors import BadInput
+    from slipstitch.predict.predictive import read_verdict
+    from slipstitch.predict.validation import lock, score, score_words
+    from slipstitch.provenance import write_json
+
+    if str(out) == "-":
+        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
+    prediction = out.with_suffix(".prediction.csv")
+    record = lock(read_verdict(out), case, prediction)
+    print(f"{prediction}: locked, sha256 {record['prediction_sha256']}", file=sys.stderr)
+    if not has_measurements(case):
+        return
+    found = score(case, prediction, record)
+    write_json(out.with_suffix(".validation.json"), found)
+    print(score_words(found))

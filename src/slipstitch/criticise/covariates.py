@@ -83,6 +83,7 @@ _ENTRIES = (
     Covariate("load_ratio", "load", "p/p₀", logarithmic=True, trends=True, bumps=True),
     Covariate("speed_mm_s", "speed", "mm/s", logarithmic=True, trends=True, bumps=True),
     Covariate("operator", "operator", text=True),
+    Covariate("support", "support", text=True),
     Covariate("length_mm", "strip length", "mm"),
     Covariate("height_mm", "clamp height", "mm"),
 )

@@ -14,6 +14,7 @@ from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.within_runs import within_runs, words
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
@@ -63,6 +64,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             }
             for p, s in analysis.state.scatters.items()
         },
+        "within_runs": within_runs(case, analysis.measurements),
         "models": {"null": _model(analysis, analysis.null), "extended": _model(analysis, fitted)},
         "nominal": case.nominal,
         "ignored_files": list(case.ignored_files),
@@ -203,16 +205,21 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
     }
 
 
+def statement(verdict: dict) -> str:
+    """The verdict, and what single runs show besides."""
+    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {}))])
+
+
 def sentence(verdict: dict) -> str:
     """The verdict in one sentence."""
     kind = verdict["verdict"]
     if kind == "none":
         return (
-            "The plain Coulomb model describes these measurements: no structure remains "
+            "Nothing beyond plain Coulomb friction with scatter was found in these measurements "
             f"(family-wise p = {verdict['null']['global_p']:.2g})."
         )
     if kind == "insufficient":
-        return f"There are too few measurements to judge the model: {verdict['reason']}."
+        return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
     if kind == "unknown":
         shape = next(iter(verdict["residual_tests"]), None)
         where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""

@@ -5,7 +5,7 @@ from pathlib import PurePath
 from typing import Any
 
 from slipstitch.criticise.report import second_sentence
-from slipstitch.criticise.verdict import sentence
+from slipstitch.criticise.verdict import statement
 from slipstitch.page.figures import svg_uri
 from slipstitch.report.results import Results
 
@@ -22,7 +22,7 @@ def criticism_section(results: Results) -> list[dict[str, Any]]:
                     "name": name,
                     "case": verdict["case"].replace("_", " "),
                     "about": verdict.get("about"),
-                    "verdict": sentence(verdict),
+                    "verdict": statement(verdict),
                     "gain": second_sentence(verdict),
                     "again": results.simulated_again(name),
                     "picture": svg_uri(results.criticism_picture(name)),

@@ -113,6 +113,11 @@ def analyse(
             f"{SMALLEST_SPECIMENS} are needed"
         )
         return result("insufficient", why=why)
+    if measurements.implausible:
+        return result("insufficient", why="; ".join(measurements.implausible))
+    told = measurements.of_friction & null_state.keep & ~measurements.lower_bound
+    if not told.any():
+        return result("insufficient", why="every reading is only a bound")
     if global_p > SIGNIFICANCE:
         return result("none")
     if not ranking:

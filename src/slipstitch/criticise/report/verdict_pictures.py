@@ -141,7 +141,8 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
         axes.set_xlabel(COVARIATES[covariate].axis_label)
         axes.set_ylabel("measured − model (% of friction)")
     axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
-    axes.legend(frameon=False)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=False)
     return figure
 
 
@@ -207,6 +208,8 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     for fitted, colour, label in fits:
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
+        if not len(z):  # bounds only
+            continue
         axes.hist(
             np.clip(z, -5.99, 5.99),
             edges,
