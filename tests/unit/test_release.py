@@ -16,6 +16,8 @@ import pytest
 import yaml
 from support import synthetic_chain
 
+from slipstitch.audit.auditing import audit_release
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import attach_metadata, read_metadata
@@ -31,6 +33,8 @@ from slipstitch.release.splits import (
     unseen_fabrics,
     unseen_frictions,
 )
+from slipstitch.render.camera import pose
+from slipstitch.render.camera_file import write_camera_file
 from slipstitch.sample.images import pixels_digest
 from slipstitch.sample.manifest import dataset_digest, read_manifest
 from slipstitch.sample.shards import decode
@@ -322,7 +326,16 @@ def test_no_file_names_a_place_on_this_machine(release, results):
 def test_camera_file_from_outside_is_taken_along(tmp_path):
     camera = tmp_path / "bench" / "camera.json"
     camera.parent.mkdir()
-    camera.write_text("{}")
+    rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
+    lens = {
+        "image_size_px": [1920, 1080],
+        "focal_px": [1500.0, 1520.0],
+        "principal_point_px": [970.0, 530.0],
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+    }
+    write_camera_file(camera, lens)
     (tmp_path / "run").mkdir()
     config = synthetic_chain.config(
         grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
@@ -331,9 +344,10 @@ def test_camera_file_from_outside_is_taken_along(tmp_path):
     results = synthetic_chain.write(config, tmp_path / "run")
     write_release(config, results, tmp_path / "release", ROOT)
     carried = tmp_path / "release/records/camera.json"
-    assert carried.read_text() == "{}"
+    assert carried.read_bytes() == camera.read_bytes()
     record = json.loads((carried.parent / "camera.json.record.json").read_text())
-    assert record["sha256"] == hashlib.sha256(b"{}").hexdigest()
+    assert record["sha256"] == hashlib.sha256(carried.read_bytes()).hexdigest()
+    assert audit_release(tmp_path / "release").verdict == "intact"
     camera.write_text("[]")
     with pytest.raises(BadInput, match=r"camera.json: not the file that"):
         write_release(config, results, tmp_path / "other", ROOT)

@@ -141,9 +141,8 @@ def _made_with(
 def _inputs(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) -> set[str] | None:
     """Results that it must have been made from, shading packs left out; None if not known."""
     path = Path(artefact.path)
-    if artefact.path == SAMPLED_MANIFEST:
-        return {f"results/sample/{name}.parquet" for name in grid}
-    if artefact.path == VERIFICATION or artefact.stage == "calibrate":
+    # What the manifest was made from is followed clip by clip.
+    if artefact.path in (SAMPLED_MANIFEST, VERIFICATION) or artefact.stage == "calibrate":
         return None
     simulation = _simulation_of(artefact, grid).id
     return {
