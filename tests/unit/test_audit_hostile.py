@@ -26,7 +26,8 @@ CONFIG = synthetic_chain.config(
     render={"pixels": 16, "viewpoints": ["calibrated"], "textures": ["stripes", "tartan"]},
 )
 # Importing the libraries takes most of both.
-CPU_S, RSS_BYTES = 2.0, 2**30
+# Of a quiet machine 2 s are wanted; beyond 20 it hangs, however busy the machine is.
+CPU_S, RSS_BYTES = 20.0, 2**30
 pytestmark = pytest.mark.xdist_group("hostile")
 
 
