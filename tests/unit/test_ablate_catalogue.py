@@ -9,6 +9,7 @@ from slipstitch.ablate.questions import plan
 from slipstitch.config import resolve_config
 from slipstitch.config.ablate import QUESTIONS, AblateSettings
 from slipstitch.errors import BadInput
+from slipstitch.sample.videos import ROLES
 
 VIEWS = ["calibrated", "side"]
 
@@ -34,10 +35,7 @@ def manifest(replicates=4, textures=3, mirrors=(1, 3)):
                 "friction": 0.1 + 0.3 * f,
                 "floor_reflectance": 0.5 * ((m == 0) if held else (r in mirrors)),
                 "split_by_simulation": "test" if held else "train",
-                **{
-                    f"{kind}_role": "train"
-                    for kind in ("material", "friction", "texture", "viewpoint")
-                },
+                **{f"{kind}_role": "train" for kind in ROLES},
             }
         )
     return rows
