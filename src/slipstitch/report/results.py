@@ -270,7 +270,7 @@ class Results:
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
         return not weights[0] <= weights[1]
 
-    def verdict(self, case: str) -> Mapping[str, Any] | None:
+    def verdict(self, case: str) -> dict[str, Any] | None:
         """Content of a measured case's verdict.json."""
         return _json_if_there(self.folder / "criticise" / case / "verdict.json")
 
