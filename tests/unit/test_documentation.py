@@ -27,3 +27,12 @@ def test_the_readme_says_what_it_cannot_do_on_one_screen():
     assert text.index("make all") < text.index("## What it cannot do") < text.index("## Further")
     # Scores come from published files alone; there are none of networks yet.
     assert not re.search(r"\d\s?%", text)
+
+
+def test_the_container_is_built_from_what_there_is():
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    copied = re.findall(r"^COPY (\S+) ", text, re.M)
+    assert copied == ["envs/system-packages.txt", "envs/requirements.lock", "."]
+    assert all((ROOT / source).exists() for source in copied)
+    lock = (ROOT / "envs/requirements.lock").read_text(encoding="utf-8")
+    assert "\nsetuptools==" in lock  # the build is not isolated
