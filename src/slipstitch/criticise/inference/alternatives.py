@@ -131,6 +131,6 @@ def rich_columns(
         projected = white
     norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
     good = norm > 1e-3 * np.maximum(before, 1e-12)
-    runs = np.trace(group.same_run / group.same_run.sum(axis=0))
+    runs = len(np.unique(group.run))
     expected = EXPECTED_NONCENTRALITY * runs / max(int(good.sum()), 1)
     return columns[:, good] * np.sqrt(expected / norm[good])

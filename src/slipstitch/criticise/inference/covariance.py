@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.optimize import minimize
+from scipy.linalg import cho_solve, cholesky
 
 from slipstitch.criticise.measurements import Measurements
 
@@ -35,22 +34,35 @@ class Scatter:
 class Group:
     """The features of one protocol, as the covariance sees them.
 
-    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu).
+    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu); ``specimen``
+    and ``run`` are numbers.
     """
 
     protocol: str
     index: np.ndarray
     u: np.ndarray
     sensitivity: np.ndarray
-    same_specimen: np.ndarray
-    same_run: np.ndarray
+    specimen: np.ndarray
+    run: np.ndarray
 
     def variance(self, scatter: Scatter) -> np.ndarray:
         """V, (n, n)."""
-        shared = scatter.specimen**2 * self.same_specimen + scatter.run**2 * self.same_run
+        shared = scatter.specimen**2 * (self.specimen[:, None] == self.specimen[None, :])
+        shared = shared + scatter.run**2 * (self.run[:, None] == self.run[None, :])
         v = np.outer(self.sensitivity, self.sensitivity) * shared
         v[np.diag_indices_from(v)] += (scatter.kappa * self.u) ** 2
         return v
+
+    def part(self, kept: np.ndarray) -> Group:
+        """The features at some places of this group."""
+        return Group(
+            self.protocol,
+            self.index[kept],
+            self.u[kept],
+            self.sensitivity[kept],
+            self.specimen[kept],
+            self.run[kept],
+        )
 
 
 def make_groups(
@@ -58,7 +70,6 @@ def make_groups(
 ) -> list[Group]:
     """Groups of the kept features, a group a protocol."""
     groups = []
-    run, specimen = measurements.run, measurements.specimen
     for name in dict.fromkeys(measurements.protocol.tolist()):
         index = np.flatnonzero((measurements.protocol == name) & keep)
         if len(index):
@@ -68,8 +79,8 @@ def make_groups(
                     index,
                     measurements.u[index],
                     sensitivity[index],
-                    (specimen[index][:, None] == specimen[index][None, :]).astype(float),
-                    (run[index][:, None] == run[index][None, :]).astype(float),
+                    measurements.specimen[index],
+                    measurements.run[index],
                 )
             )
     return groups
@@ -96,71 +107,3 @@ def restricted_projection(variance: np.ndarray, fixed: np.ndarray) -> tuple[np.n
     information = fixed.T @ weighted
     projection = inverse - weighted @ np.linalg.solve(information, weighted.T)
     return projection, logdet + float(np.linalg.slogdet(information)[1])
-
-
-def restricted_log_likelihood(
-    group: Group, scatter: Scatter, residual: np.ndarray, fixed: np.ndarray, rich: np.ndarray
-) -> float:
-    """REML under a rich model whose effects are shrunken (random with unit prior sd).
-
-    The null would count effects as scatter; the saturated model would explain outliers away.
-    """
-    variance = group.variance(scatter) + rich @ rich.T
-    factor = cholesky(variance, lower=True, check_finite=False)
-    both = solve_triangular(
-        factor, np.column_stack([residual, fixed]), lower=True, check_finite=False
-    )
-    r, f = both[:, 0], both[:, 1:]
-    value = 2 * np.log(np.diag(factor)).sum() + r @ r
-    if f.shape[1]:
-        information = f.T @ f
-        value += np.linalg.slogdet(information)[1] - (f.T @ r) @ np.linalg.solve(
-            information, f.T @ r
-        )
-    return float(-0.5 * value)
-
-
-def estimate_scatter(
-    group: Group,
-    residual: np.ndarray,
-    fixed: np.ndarray,
-    rich: np.ndarray,
-    start: Scatter | None = None,
-) -> Scatter:
-    """REML with a weak prior, by a simplex search."""
-    start = start or Scatter(0.04, 0.03, KAPPA_MEDIAN)
-
-    def unpack(z):
-        s, r = np.clip(np.exp(z[:2]), *SIGMA_LIMITS)
-        return Scatter(float(s), float(r), float(np.clip(np.exp(z[2]), *KAPPA_LIMITS)))
-
-    def cost(z):
-        scatter = unpack(z)
-        try:
-            value = restricted_log_likelihood(group, scatter, residual, fixed, rich)
-        except np.linalg.LinAlgError:
-            return 1e12
-        outside = np.sum(np.maximum(np.abs(z[:2] - np.log(0.03)) - 5.5, 0))
-        outside += max(z[2] - KAPPA_LOG_LIMITS[1], KAPPA_LOG_LIMITS[0] - z[2], 0.0)
-        return -value - scatter_prior(scatter) + 10 * outside
-
-    # Not from a limit: beyond it the likelihood is flat, and the search would stay there.
-    kappa = np.clip(start.kappa, *KAPPA_STARTS)
-    first = np.log([start.specimen, start.run, kappa])
-    simplex = np.vstack([first, first + np.diag([0.5, 0.5, 0.15])])
-    found = minimize(
-        cost,
-        first,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.01, "maxfev": 90},
-    )
-    return unpack(found.x)
-
-
-def scatter_grid(centre: Scatter) -> list[Scatter]:
-    """Scatters around an estimate, among which a bootstrap replicate chooses its own."""
-    steps = np.array([0.4, 0.7, 1.0, 1.35, 1.8])
-    specimen = np.union1d(max(centre.specimen, 0.008) * steps, [centre.specimen])
-    run = np.union1d(max(centre.run, 0.008) * steps, [centre.run])
-    kappas = np.clip(centre.kappa * np.array([0.85, 1.0, 1.18]), *KAPPA_LIMITS)
-    return [Scatter(float(a), float(b), float(k)) for a in specimen for b in run for k in kappas]

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.stats import t as student
 
 from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter, make_groups
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, fit
+from slipstitch.criticise.inference.scatter import estimate_scatter
 from slipstitch.criticise.inference.selection import Candidate
 from slipstitch.criticise.inference.state import State, level_column
 
@@ -39,7 +40,7 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     for group in everything:
         fixed = level_column(group, state.sensitivity)
         nothing = np.zeros((len(group.index), 0))
-        result[group.protocol] = estimate_scatter(group, residual[group.index], fixed, nothing)
+        result[group.protocol], _ = estimate_scatter(group, residual[group.index], fixed, nothing)
     return result
 
 

@@ -7,14 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipstitch.criticise.inference.alternatives import rich_columns
-from slipstitch.criticise.inference.covariance import (
-    Group,
-    estimate_scatter,
-    make_groups,
-    restricted_projection,
-)
+from slipstitch.criticise.inference.covariance import make_groups, restricted_projection
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.state import START_SCATTER, State, level_column, state_at
+from slipstitch.criticise.inference.scatter import START_SCATTER, estimate_scatter
+from slipstitch.criticise.inference.state import State, level_column, state_at
 from slipstitch.criticise.measurements import Measurements
 
 OUTLIER_T = 4.2
@@ -104,9 +100,10 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     found: list[tuple[float, Excluded]] = []
     residual = measurements.y - fitted.prediction
     for group in state.groups:
-        scatter = state.scatters[group.protocol]
         fixed = level_column(group, state.sensitivity)
-        rich = rich_columns(state.tests, group, group.variance(scatter), fixed)
+        rich = rich_columns(state.tests, group, group.variance(START_SCATTER), fixed)
+        # Effects would count as scatter, and hide outliers, without columns for them.
+        scatter, _ = estimate_scatter(group, residual[group.index], fixed, rich)
         suspects = _deviations(measurements, group, scatter, rich, residual, state)
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
@@ -117,15 +114,8 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
         kept = np.flatnonzero(~np.isin(group.index, suspicious))
         if len(kept) < 0.6 * len(group.index):
             continue
-        rest = Group(
-            group.protocol,
-            group.index[kept],
-            group.u[kept],
-            group.sensitivity[kept],
-            group.same_specimen[np.ix_(kept, kept)],
-            group.same_run[np.ix_(kept, kept)],
-        )
-        scatter = estimate_scatter(
+        rest = group.part(kept)
+        scatter, _ = estimate_scatter(
             rest, residual[rest.index], level_column(rest, state.sensitivity), rich[kept], scatter
         )
         for t, signed, features, what in _deviations(
