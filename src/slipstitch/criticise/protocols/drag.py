@@ -21,6 +21,7 @@ from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
     pooled_texture,
+    sliding,
     trace_features,
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
@@ -122,7 +123,10 @@ def features(tables, nominal, measured) -> DragBlock | None:
         ]
         plateaus, steps = [], []
         for (out, _), u in zip(pairs, common["u_mN"], strict=True):
-            force = out["force_mN"].to_numpy()[len(out) // 3 :]
+            if not len(out):
+                continue
+            force, x = out["force_mN"].to_numpy(), out["x_stage_mm"].to_numpy()
+            force = force[sliding(x, force, spring)]
             if len(force):
                 plateaus.append((force, u, float(np.median(force))))
                 steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
