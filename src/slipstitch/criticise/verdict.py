@@ -51,6 +51,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),
         "gain": _gain(gain),
+        "data_findings": [finding.as_dict() for finding in analysis.data_findings],
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": _ranking(analysis),
         "not_testable": dict(sorted(_untestable(analysis).items())),

@@ -9,6 +9,7 @@ import numpy as np
 
 from slipstitch.criticise.inference.alternatives import sensitivity_of
 from slipstitch.criticise.inference.covariance import make_groups
+from slipstitch.criticise.inference.findings import noise_of_quantities, zero_findings
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
 from slipstitch.criticise.inference.selection import (
@@ -23,6 +24,7 @@ from slipstitch.criticise.inference.state import State, state_at, test_at
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.sensors import DataFinding
 
 SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.01
@@ -57,6 +59,7 @@ class Analysis:
     ranking: list[Candidate]
     excluded: list[Excluded] = field(default_factory=list)
     reason: str = ""
+    data_findings: list[DataFinding] = field(default_factory=list)
 
 
 def analyse(
@@ -75,6 +78,10 @@ def analyse(
     rng = np.random.default_rng(seed)
     report("fit of the null")
     null, null_state, excluded = fit_without_outliers(measurements, (), None)
+    factors, noisy_quantities = noise_of_quantities(measurements, null, null_state)
+    if np.any(factors != 1.0):
+        measurements = replace(measurements, u=measurements.u * factors)
+        null, null_state, excluded = fit_without_outliers(measurements, (), None)
     report("test of the null")
     outcome = test_at(
         measurements, null, null_state, rng, MOST_ROUNDS * replicates, (SIGNIFICANCE,)
@@ -100,6 +107,8 @@ def analyse(
             ranking,
             excluded,
             why,
+            noisy_quantities
+            + zero_findings(measurements, chosen.fitted if chosen else null, state),
         )
 
     runs = number_of_runs(measurements, null_state.keep)

@@ -29,6 +29,8 @@ class Weights:
     bounds: np.ndarray
     bound_sd: np.ndarray
     nuisance: np.ndarray | None = None  # orthonormal, whitened; projected out of everything
+    # Zeros of sensors, whitened: directions, and the share of each that they take off.
+    zeros: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
     def build(
@@ -49,7 +51,13 @@ class Weights:
             s = scatters.get(measurements.protocol[b], Scatter(0.05, 0.03, 1.2))
             d = sensitivity[b]
             sd[i] = np.sqrt((s.kappa * measurements.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
-        return cls(groups, factors, bounds, np.maximum(sd, 1e-9))
+        result = cls(groups, factors, bounds, np.maximum(sd, 1e-9))
+        if measurements.zero_columns.shape[1] and groups:
+            # V + Z Z' whitened: (1 + s^2)^-1/2 along each left singular vector of L^-1 Z.
+            white = result.whiten(measurements.zero_columns)
+            left, size, _ = np.linalg.svd(white, full_matrices=False)
+            result.zeros = (left, 1.0 - 1.0 / np.sqrt(1.0 + size**2))
+        return result
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """Stacked L^-1 of the groups' rows of ``values`` (n, ...)."""
@@ -61,16 +69,24 @@ class Weights:
 
     def with_nuisance(self, columns: np.ndarray) -> Weights:
         """The same weights with nuisance columns (n, q) fitted freely and silently."""
-        white = self.whiten(columns)
+        white = self._beside_zeros(self.whiten(columns))
         size = np.linalg.norm(white, axis=0)
         q, _ = np.linalg.qr(white[:, size > 1e-9] / size[size > 1e-9])
-        return Weights(self.groups, self.factors, self.bounds, self.bound_sd, q)
+        return Weights(self.groups, self.factors, self.bounds, self.bound_sd, q, self.zeros)
 
     def projected(self, white: np.ndarray) -> np.ndarray:
         """Whitened rows without what the nuisance columns can carry."""
+        white = self._beside_zeros(white)
         if self.nuisance is None:
             return white
         return white - self.nuisance @ (self.nuisance.T @ white)
+
+    def _beside_zeros(self, white: np.ndarray) -> np.ndarray:
+        if self.zeros is None:
+            return white
+        left, share = self.zeros
+        pulled = left.T @ white
+        return white - left @ (share[:, None] * pulled if white.ndim > 1 else share * pulled)
 
     def residual(self, measurements: Measurements, prediction: np.ndarray) -> np.ndarray:
         """Whitened residuals; a bound adds sqrt(-2 ln P(truth above it))."""

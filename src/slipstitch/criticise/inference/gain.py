@@ -9,10 +9,11 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.findings import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
 from slipstitch.criticise.inference.scatter import estimate_scatter
 from slipstitch.criticise.inference.selection import Candidate
-from slipstitch.criticise.inference.state import State, level_column
+from slipstitch.criticise.inference.state import State, level_column, zeros_of
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,8 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     result = {}
     for group in everything:
         fixed = level_column(group, state.sensitivity)
-        nothing = np.zeros((len(group.index), 0))
-        result[group.protocol], _ = estimate_scatter(group, residual[group.index], fixed, nothing)
+        zeros = zeros_of(m, group)
+        result[group.protocol], _ = estimate_scatter(group, residual[group.index], fixed, zeros)
     return result
 
 
@@ -59,7 +60,7 @@ def _linear(analysis: Analysis, fitted: Fit, parts, extra: int) -> _Linear:
     p = len(fitted.values)
     curvature = np.zeros((len(parts), p, p))
     gradient, squares = np.zeros((len(parts), p)), np.zeros(len(parts))
-    residual = analysis.measurements.y - fitted.prediction
+    residual = without_zeros(analysis.measurements, fitted, analysis.state)
     for i, (index, inverse) in enumerate(parts):
         weighted = inverse @ fitted.jacobian[index]
         curvature[i] = fitted.jacobian[index].T @ weighted
@@ -167,7 +168,7 @@ def _score(analysis: Analysis, fitted: Fit, folded, rows, scatters):
     m, state = analysis.measurements, analysis.state
     _, step, covariance = folded
     columns = fitted.jacobian[rows]
-    error = m.y[rows] - fitted.prediction[rows] - columns @ step
+    error = without_zeros(m, fitted, state)[rows] - columns @ step
     scatter = scatters[m.protocol[rows[0]]]
     d = state.sensitivity[rows]
     variance = (

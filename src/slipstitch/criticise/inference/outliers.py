@@ -10,7 +10,7 @@ from slipstitch.criticise.inference.alternatives import rich_columns
 from slipstitch.criticise.inference.covariance import make_groups, restricted_projection
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.scatter import START_SCATTER, estimate_scatter
-from slipstitch.criticise.inference.state import State, level_column, state_at
+from slipstitch.criticise.inference.state import State, level_column, state_at, zeros_of
 from slipstitch.criticise.measurements import Measurements
 
 OUTLIER_T = 4.2
@@ -102,6 +102,7 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     for group in state.groups:
         fixed = level_column(group, state.sensitivity)
         rich = rich_columns(state.tests, group, group.variance(START_SCATTER), fixed)
+        rich = np.column_stack([rich, zeros_of(measurements, group)])
         # Effects would count as scatter, and hide outliers, without columns for them.
         scatter, _ = estimate_scatter(group, residual[group.index], fixed, rich)
         suspects = _deviations(measurements, group, scatter, rich, residual, state)

@@ -176,4 +176,6 @@ def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     tests = [test for test in found.tests if test.family == "mechanism"]
     groups = make_groups(m, found.sensitivity, judge.keep & ~m.lower_bound)
     residual = m.y - fitted.prediction
-    return tests, data_ratios(tests, fitted.jacobian, residual, groups, single.scatters)
+    return tests, data_ratios(
+        tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns
+    )

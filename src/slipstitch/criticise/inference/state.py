@@ -46,12 +46,21 @@ def state_at(
     scatters = {}
     for group in groups:
         guess = (start or {}).get(group.protocol, START_SCATTER)
-        fixed, none = level_column(group, sensitivity), np.zeros((len(group.index), 0))
         scatters[group.protocol], _ = estimate_scatter(
-            group, residual[group.index], fixed, none, guess
+            group,
+            residual[group.index],
+            level_column(group, sensitivity),
+            zeros_of(measurements, group),
+            guess,
         )
     weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
     return State(keep, groups, scatters, weights, sensitivity, found.tests, found.untestable)
+
+
+def zeros_of(measurements: Measurements, group: Group) -> np.ndarray:
+    """Columns of the zeros of a protocol's sensors, (features, z), each with unit prior sd."""
+    own = [k for k, (protocol, _) in enumerate(measurements.zeros) if protocol == group.protocol]
+    return measurements.zero_columns[np.ix_(group.index, own)]
 
 
 def level_column(group: Group, sensitivity: np.ndarray) -> np.ndarray:
@@ -80,6 +89,7 @@ def test_at(
         rng,
         replicates,
         limits,
+        measurements.zero_columns,
     )
 
 
@@ -118,13 +128,14 @@ def refit(
         z = (fitted.prediction - measurements.y)[bounds] / weights.bound_sd
         total = float(log_ndtr(z).sum())
         for group in groups:
-            none = np.zeros((len(group.index), 0))
-            fixed = none if nuisance is None else _independent(nuisance[group.index])
+            fixed = np.zeros((len(group.index), 0))
+            if nuisance is not None:
+                fixed = _independent(nuisance[group.index])
             scatters[group.protocol], value = estimate_scatter(
                 group,
                 residual[group.index],
                 fixed,
-                none,
+                zeros_of(measurements, group),
                 scatters[group.protocol],
                 restricted=False,
             )

@@ -63,6 +63,7 @@ class DragBlock(Block):
         "backlash_m",
         "force_offset_N",
         "force_gain",
+        "stage_zero_m",
     )
 
     at_rest: Contact
@@ -74,6 +75,7 @@ class DragBlock(Block):
     grid_step: np.ndarray
     grid_point: np.ndarray
     ramp_mN: np.ndarray
+    spring_mN_mm: float
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
@@ -92,6 +94,7 @@ class DragBlock(Block):
         seen = sampled(seen, self.grid_step, self.grid_point)
         result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
         relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
+        relaxed = relaxed - 1e3 * bench.stage_zero_m * self.spring_mN_mm
         result = np.where(quantity == "relaxed_mN", relaxed, result)
         result = np.where(quantity == "stiffness", 1.0 + bench.force_gain, result)
         return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m, result)
@@ -170,6 +173,7 @@ def features(tables, nominal, measured) -> DragBlock | None:
         np.array([feature.grid_step for feature in found]),
         np.array([feature.grid_point for feature in found]),
         np.array([feature.ramp_mN for feature in found]),
+        nominal["k_tether_N_m"],
     )
 
 

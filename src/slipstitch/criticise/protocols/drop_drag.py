@@ -37,6 +37,10 @@ class DropDragBlock(Block):
         "tilt_across_rad",
         "camera_scale",
         "time_lag_s",
+        "stage_zero_m",
+        "turn_early_m",
+        "edge_zero_m",
+        "contact_zero_m",
     )
 
     run: np.ndarray
@@ -70,19 +74,22 @@ class DropDragBlock(Block):
         lag = 1e3 * (distance - rest_distance)
         slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
         scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
-        late = np.where(np.isnan(late), 0.0, late)
-        edge_mm = scale * (self.stage_mm - lag - late)
+        start_mm, edge_zero = 1e3 * bench.stage_zero_m, 1e3 * bench.edge_zero_m
+        contact_zero = 1e3 * bench.contact_zero_m
+        late = np.where(np.isnan(late), 0.0, late) + start_mm
+        edge_mm = scale * (self.stage_mm - lag - late) + edge_zero
+        turn_mm = self.turn_mm - start_mm - 1e3 * bench.turn_early_m
         jump = (slip - lag) * scale
         values = {
             "lag_mm": self.stage_mm - edge_mm,
             "edge_slope": np.full(n, scale),
-            "contact_len_mm": 1e3 * contact * scale,
+            "contact_len_mm": 1e3 * contact * scale + contact_zero,
             "first_motion_mm": sampled(
                 slip + late + np.maximum(self.threshold_mm - jump, 0.0) / scale,
                 self.grid_mm[:, 0],
                 self.grid_mm[:, 1],
             ),
-            "edge_at_turn_mm": scale * (self.turn_mm - lag),
+            "edge_at_turn_mm": scale * (turn_mm - lag) + edge_zero,
         }
         result = np.empty(len(self.rows))
         quantity = self.rows["quantity"].to_numpy()
@@ -108,7 +115,7 @@ class DropDragBlock(Block):
                 r = self.run[i]
                 since = 1e-3 * np.maximum(self.stuck_mm[r] - late[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
-                result[i] = 1e3 * scale * (stuck.sum() / len(stuck))
+                result[i] = 1e3 * scale * (stuck.sum() / len(stuck)) + contact_zero
         return result
 
 
