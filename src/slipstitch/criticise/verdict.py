@@ -7,9 +7,11 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
+from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
+from slipstitch.criticise.inference.rivals import TITLES as RIVALS
 from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
@@ -27,6 +29,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     gain = held_out_gain(analysis, candidates[:12] if named else [])
     fitted = chosen.fitted if named and chosen is not None else analysis.null
     left = analysis.left_over or analysis.null_outcome
+    parameters = parameters_with_intervals(analysis, fitted)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -42,7 +45,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
         ],
         "reason": analysis.reason,
-        "parameters": parameters_with_intervals(analysis, fitted),
+        "parameters": parameters,
         "null": {
             "log_score_per_row": round(gain.null_score, 5),
             "rmse": round(gain.rmse_null, 5),
@@ -51,6 +54,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),
         "gain": _gain(gain),
+        "not_identified": not_identified(parameters),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": _ranking(analysis),
@@ -212,13 +216,15 @@ def sentence(verdict: dict) -> str:
             f"(family-wise p = {verdict['null']['global_p']:.2g})."
         )
     if kind == "insufficient":
-        return f"Too little was measured to judge the model: {verdict['reason']}."
+        return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
     if kind == "unknown":
         shape = next(iter(verdict["residual_tests"]), None)
         where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
         return f"The model is wrong and no known mechanism explains how{where}."
     if kind == "confounded":
-        rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
+        rivals = " or ".join(
+            " with ".join(RIVALS.get(name, name) for name in c) for c in verdict["alternatives"]
+        )
         return f"The model is wrong, but these data cannot tell which of these is why: {rivals}."
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(

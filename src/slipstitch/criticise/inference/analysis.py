@@ -12,6 +12,7 @@ from slipstitch.criticise.inference.covariance import make_groups
 from slipstitch.criticise.inference.findings import noise_of_quantities, zero_findings
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
+from slipstitch.criticise.inference.rivals import TITLES, taken_by_rivals
 from slipstitch.criticise.inference.selection import (
     Candidate,
     Judge,
@@ -24,6 +25,7 @@ from slipstitch.criticise.inference.state import State, state_at, test_at
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.plausibility import implausible_readings
 from slipstitch.criticise.sensors import DataFinding
 
 SIGNIFICANCE = 0.04
@@ -120,6 +122,12 @@ def analyse(
             f"{SMALLEST_SPECIMENS} are needed"
         )
         return result("insufficient", why=why)
+    odd = implausible_readings(measurements, null)
+    if odd:
+        return result("insufficient", why=odd[0])
+    told = measurements.of_friction & null_state.keep & ~measurements.lower_bound
+    if global_p > SIGNIFICANCE and not told.any():
+        return result("insufficient", why="every reading is only a bound")
     if global_p > SIGNIFICANCE:
         return result("none")
     if not ranking:
@@ -188,9 +196,17 @@ def analyse(
     rivals = [c for c in singles if c.bic - chosen.bic < TIE_BIC and c.bic < 0]
     if len(chosen.causes) == 2:
         rivals += [c for c in accepted if c.bic - chosen.bic < TIE_BIC]
-    rivals = [chosen] + [c for c in rivals if c.causes != chosen.causes]
-    if len(rivals) > 1:
-        ties = [c.causes for c in rivals]
+    ties = [chosen.causes] + [c.causes for c in rivals if c.causes != chosen.causes]
+    taken = taken_by_rivals(measurements, chosen.fitted, null_state, left_state)
+    if taken:
+        others = dict.fromkeys(name for names in taken.values() for name in names)
+        kept = tuple(c for c in chosen.causes if c not in taken)
+        ties += [(*kept, name) for name in others]
+        why = f"beside {' or '.join(TITLES[name] for name in others)} its evidence is gone; " + (
+            "runs in a random order would tell"
+        )
+        return result("confounded", (), ties, chosen, left_state, left, why)
+    if len(ties) > 1:
         return result("confounded", (), ties, chosen, left_state, left)
     return result("cause", chosen.causes, [chosen.causes], chosen, left_state, left)
 
