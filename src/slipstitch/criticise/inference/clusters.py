@@ -123,6 +123,40 @@ class Clusters:
         )
         return score, squares
 
+    def rows(self, scatters: list[Scatter], fixed: np.ndarray) -> np.ndarray:
+        """Some rows of X' V^-1 X at many scatters, (scatters, len(fixed), m)."""
+        noise, run, specimen, sums = self._stacked(scatters)
+        result = noise[:, None, None] * self.gram_of_noise[fixed]
+        for j, column in enumerate(fixed):
+            result[:, j] -= (run * self.of_runs[:, column]) @ self.of_runs
+        weighted = (specimen[:, :, None] * sums[:, :, fixed]).transpose(0, 2, 1)
+        return result - weighted @ sums
+
+    def blocks(self, scatters: list[Scatter], index: np.ndarray) -> np.ndarray:
+        """Diagonal blocks of X' V^-1 X of columns (t, k) at many scatters, (scatters, t, k, k)."""
+        noise, run, specimen, sums = self._stacked(scatters)
+        left = np.broadcast_to(index[:, :, None], (*index.shape, index.shape[1])).ravel()
+        right = np.broadcast_to(index[:, None, :], (*index.shape, index.shape[1])).ravel()
+        result = np.outer(noise, self.gram_of_noise[left, right])
+        result -= run @ (self.of_runs[:, left] * self.of_runs[:, right])
+        for s in range(sums.shape[1]):
+            result -= specimen[:, s, None] * sums[:, s, left] * sums[:, s, right]
+        return result.reshape(len(noise), *index.shape, index.shape[1])
+
+    def _stacked(self, scatters: list[Scatter]):
+        """1 / kappa^2, w_j / kappa^4, z_s / kappa^4 and sums of f_j T_j, a row a scatter."""
+        pieces = [self._pieces(scatter) for scatter in scatters]
+        noise = np.array([1.0 / scatter.kappa**2 for scatter in scatters])
+        run = np.stack([p.run for p in pieces]) * noise[:, None] ** 2
+        specimen = np.stack([p.specimen for p in pieces]) * noise[:, None] ** 2
+        free = np.stack([p.free for p in pieces])
+        ends = [*self._specimens[1:], len(self.of_runs)]
+        sums = np.stack(
+            [free[:, a:b] @ self.of_runs[a:b] for a, b in zip(self._specimens, ends, strict=True)],
+            axis=1,
+        )
+        return noise, run, specimen, sums
+
     def drawn(
         self, group: Group, scatter: Scatter, rng: np.random.Generator, count: int
     ) -> np.ndarray:

@@ -14,13 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipstitch.criticise.inference.clusters import Clusters, Responses
-from slipstitch.criticise.inference.covariance import (
-    KAPPA_LIMITS,
-    Group,
-    Scatter,
-    scatter_prior,
-)
+from slipstitch.criticise.inference.clusters import Clusters
+from slipstitch.criticise.inference.covariance import KAPPA_LIMITS, Group, Scatter, scatter_prior
 from slipstitch.criticise.inference.structure import Outcome, Test, outcome_of
 
 # A column that other columns make up to this is not identified.
@@ -48,23 +43,60 @@ def scatter_grid(centre: Scatter, readings_a_run: float) -> list[Scatter]:
 
 @dataclass
 class _Set:
-    """Tests with the same nuisance columns: their base, and each test's columns."""
+    """Tests with the same nuisance columns, and the base that these and the common columns make.
+
+    Attributes
+    ----------
+    base : indices into :attr:`Ratios.fixed`.
+    tests : number of each test, tests of as many columns together.
+    own : (tests, k) their columns, an array for each k.
+    """
 
     base: np.ndarray
-    tests: list[int]
+    tests: list[np.ndarray]
     own: list[np.ndarray]
 
 
 @dataclass
+class _Beside:
+    """One set at every scatter of one protocol: what its base carries, and what is left of tests.
+
+    Attributes
+    ----------
+    inverse : (g, base, base) of the base's Gram matrix.
+    carried : (g, base, m) coefficients of the columns on the base.
+    bases : (g, tests, k, k) for each k, of the columns less what the base carries; vectors of
+        unit information, zero for those that the base makes up.
+    """
+
+    inverse: np.ndarray
+    carried: np.ndarray
+    bases: list[np.ndarray]
+
+
+@dataclass
 class _Protocol:
-    """One protocol: its sums, and the Gram matrix at each scatter of its grid."""
+    """One protocol: its sums at each scatter of its grid."""
 
     group: Group
     clusters: Clusters
     centre: Scatter
     grid: list[Scatter]
-    grams: np.ndarray
+    rows: np.ndarray
+    blocks: list[list[np.ndarray]]
     constants: np.ndarray
+    beside: list[_Beside]
+
+
+@dataclass
+class _Found:
+    """One protocol's statistics: ratios and choice of scatter (tests, b), and of the bases."""
+
+    ratios: np.ndarray
+    choice: np.ndarray
+    null_choice: np.ndarray
+    scores: np.ndarray
+    bare: np.ndarray
 
 
 class Ratios:
@@ -91,153 +123,198 @@ class Ratios:
         shrunken = np.zeros((len(residual), 0)) if shrunken is None else shrunken
         blocks, position = [base, shrunken], base.shape[1] + shrunken.shape[1]
         self.shrunken = np.arange(base.shape[1], position)
-        common = np.arange(position)
-        sets: dict[bytes, _Set] = {}
+        fixed, common = list(range(position)), np.arange(position)
+        bases: dict[bytes, np.ndarray] = {}
+        grouped: dict[bytes, dict[int, list[tuple[int, np.ndarray]]]] = {}
         for number, test in enumerate(tests):
             nuisance = test.nuisance
             key = b"" if nuisance is None else nuisance.tobytes()
-            if key not in sets:
-                index = common
+            if key not in bases:
+                bases[key] = common
                 if nuisance is not None:
                     blocks.append(nuisance)
-                    index = np.r_[common, position : position + nuisance.shape[1]]
-                    position += nuisance.shape[1]
-                sets[key] = _Set(index, [], [])
+                    added = np.arange(position, position + nuisance.shape[1])
+                    bases[key] = np.r_[common, np.arange(len(fixed), len(fixed) + len(added))]
+                    fixed += added.tolist()
+                    position += len(added)
             width = test.columns.shape[1]
             blocks.append(test.columns)
-            sets[key].tests.append(number)
-            sets[key].own.append(np.arange(position, position + width))
+            own = np.arange(position, position + width)
+            grouped.setdefault(key, {}).setdefault(width, []).append((number, own))
             position += width
+        self.fixed = np.array(fixed, int)
+        self.sets = [
+            _Set(
+                bases[key],
+                [np.array([number for number, _ in same]) for same in by_width.values()],
+                [np.stack([own for _, own in same]) for same in by_width.values()],
+            )
+            for key, by_width in grouped.items()
+        ]
         columns = np.column_stack(blocks)
         size = np.linalg.norm(columns, axis=0)
         size[self.shrunken] = 1.0
-        columns = columns / np.where(size > 0, size, 1.0)
-        self.tests, self.sets, self.residual = tests, list(sets.values()), residual
-        self.protocols = []
-        for group in groups:
-            clusters = Clusters(group, columns[group.index])
-            centre = scatters[group.protocol]
-            runs = len(clusters.information)
-            grid = scatter_grid(centre, len(group.index) / runs)
-            grams = np.stack([clusters.gram(scatter) for scatter in grid])
-            constants = np.array(
-                [scatter_prior(s) - 0.5 * clusters.log_determinant(s) for s in grid]
-            )
-            self.protocols.append(_Protocol(group, clusters, centre, grid, grams, constants))
+        self.size = np.where(size > 0, size, 1.0)
+        columns = columns / self.size
+        self.tests, self.residual = tests, residual
         self.ridge = np.zeros(position)
         self.ridge[self.shrunken] = 1.0
-        self._identify()
+        self.protocols = [
+            self._protocol(group, columns[group.index], scatters[group.protocol])
+            for group in groups
+        ]
+        self._identified()
 
-    def _identify(self) -> None:
-        """Degrees of freedom of every test, in each protocol and in all together."""
-        single = [p.grams[-1] for p in self.protocols]
-        grams = [*single, sum(single)] if len(single) > 1 else single
-        self.degrees = np.zeros((len(grams), len(self.tests)), int)
-        for i, gram in enumerate(grams):
-            for each in self.sets:
-                inner, _ = _projected(gram, np.zeros((len(gram), 1)), each.base, self.ridge)
-                for number, own in zip(each.tests, each.own, strict=True):
-                    values, _ = _basis(inner, gram, own)
-                    self.degrees[i, number] = len(values)
+    def _protocol(self, group: Group, columns: np.ndarray, centre: Scatter) -> _Protocol:
+        clusters = Clusters(group, columns)
+        grid = scatter_grid(centre, len(group.index) / len(clusters.information))
+        constants = [scatter_prior(s) - 0.5 * clusters.log_determinant(s) for s in grid]
+        rows = clusters.rows(grid, self.fixed)
+        blocks = [[clusters.blocks(grid, own) for own in each.own] for each in self.sets]
+        beside = [
+            self._beside(each, rows, own) for each, own in zip(self.sets, blocks, strict=True)
+        ]
+        return _Protocol(group, clusters, centre, grid, rows, blocks, np.array(constants), beside)
+
+    def _beside(self, each: _Set, rows: np.ndarray, blocks: list[np.ndarray]) -> _Beside:
+        """What the base of a set carries at every scatter (g, ...), and what is left."""
+        base = self.fixed[each.base]
+        gram = rows[:, each.base][:, :, base] + np.diag(self.ridge[base])
+        diagonal = np.einsum("gii->gi", gram)
+        # Columns that this protocol has not carry nothing.
+        there = diagonal > 1e-14 * diagonal.max(axis=1, initial=1e-286, keepdims=True)
+        size = np.sqrt(np.where(there, diagonal, np.inf))
+        scaled = gram / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(len(base))
+        inverse = np.linalg.inv(scaled) / size[:, :, None] / size[:, None, :]
+        pulled = rows[:, each.base]
+        carried = inverse @ pulled
+        bases = []
+        for own, block in zip(each.own, blocks, strict=True):
+            taken = np.einsum("gbtk,gbtl->gtkl", pulled[:, :, own], carried[:, :, own])
+            bases.append(_unit_vectors(block - taken, block))
+        return _Beside(inverse, carried, bases)
+
+    def _identified(self) -> None:
+        """Degrees of freedom and information of every test, in each protocol and in all."""
+        found = [[side.bases for side in p.beside] for p in self.protocols]
+        found = [[[basis[-1] for basis in bases] for bases in sides] for sides in found]
+        if len(self.protocols) > 1:
+            rows = sum(p.rows[-1:] for p in self.protocols)
+            together = []
+            for k, each in enumerate(self.sets):
+                blocks = [
+                    sum(p.blocks[k][j][-1:] for p in self.protocols) for j in range(len(each.own))
+                ]
+                together.append([basis[0] for basis in self._beside(each, rows, blocks).bases])
+            found.append(together)
+        self.degrees = np.zeros((len(found), len(self.tests)), int)
+        self.information = np.zeros((len(found), len(self.tests)))
+        for row, sides in enumerate(found):
+            for each, bases in zip(self.sets, sides, strict=True):
+                for tests, own, basis in zip(each.tests, each.own, bases, strict=True):
+                    degrees = np.any(basis != 0, axis=1).sum(axis=1)
+                    self.degrees[row, tests] = degrees
+                    scaled = basis / self.size[own][:, :, None]
+                    spread = np.linalg.norm(scaled, ord=2, axis=(1, 2)) ** 2
+                    whole = degrees == own.shape[1]
+                    self.information[row, tests] = np.where(
+                        whole, 1.0 / np.where(whole, spread, 1.0), 0.0
+                    )
 
     def statistics(self, responses: list[np.ndarray]) -> np.ndarray:
         """Ratios of data sets: a (features, b) array a protocol -> (rows, tests, b).
 
         Rows are the protocols and then all of them together (one row where there is one only).
         """
-        count = responses[0].shape[1]
-        rows, picked, scores, nulls = [], [], [], []
-        for i, protocol in enumerate(self.protocols):
-            of = protocol.clusters.responses(responses[i])
-            found = self._alone(i, protocol, of, count)
-            rows.append(found[0])
-            picked.append(found[1])
-            scores.append(found[2])
-            nulls.append(found[3])
-        if len(self.protocols) > 1:
-            rows.append(self._together(picked, scores, nulls, count))
-        return np.stack(rows)
+        found = [self._alone(p, y) for p, y in zip(self.protocols, responses, strict=True)]
+        ratios = [f.ratios for f in found]
+        if len(found) > 1:
+            ratios.append(self._together(found))
+        ratios = np.stack(ratios)
+        ratios[self.degrees == 0] = 0.0
+        return np.maximum(ratios, 0.0)
 
-    def _alone(self, i: int, protocol: _Protocol, of: Responses, count: int):
-        """One protocol: ratios, each test's scatter, scores at each scatter, null values."""
-        size = len(protocol.grid)
+    def _alone(self, protocol: _Protocol, response: np.ndarray) -> _Found:
+        """One protocol's ratios of data sets (features, b)."""
+        of, count = protocol.clusters.responses(response), response.shape[1]
         best = np.full((len(self.tests), count), -np.inf)
         choice = np.zeros((len(self.tests), count), int)
         best_null = np.full((len(self.sets), count), -np.inf)
         choice_null = np.zeros((len(self.sets), count), int)
-        scores = np.empty((size, protocol.grams.shape[1], count))
-        bare = np.empty((size, count))
+        scores = np.empty((len(protocol.grid), len(self.ridge), count))
+        bare = np.empty((len(protocol.grid), count))
         for g, scatter in enumerate(protocol.grid):
             score, squares = protocol.clusters.products(scatter, of)
             scores[g], bare[g] = score, protocol.constants[g] - 0.5 * squares
-            gram = protocol.grams[g]
-            for k, each in enumerate(self.sets):
-                base = _present(gram, each.base)
-                inner, rest = _projected(gram, score, base, self.ridge)
-                null = bare[g] + 0.5 * _explained(gram, score, base, self.ridge)
+            for k, (each, beside) in enumerate(zip(self.sets, protocol.beside, strict=True)):
+                pulled = score[self.fixed[each.base]]
+                explained = np.einsum("kb,kb->b", pulled, beside.inverse[g] @ pulled)
+                null = bare[g] + 0.5 * explained
                 better = null > best_null[k]
                 best_null[k][better], choice_null[k][better] = null[better], g
-                gains = _gains(inner, rest, gram, each, self.degrees[i])
-                value = null + 0.5 * gains
-                tests = np.array(each.tests)
-                better = value > best[tests]
-                best[tests] = np.where(better, value, best[tests])
-                choice[tests] = np.where(better, g, choice[tests])
+                left = score - beside.carried[g].T @ pulled
+                for tests, own, basis in zip(each.tests, each.own, beside.bases, strict=True):
+                    along = basis[g].transpose(0, 2, 1) @ left[own]
+                    value = null + 0.5 * (along**2).sum(axis=1)
+                    better = value > best[tests]
+                    best[tests] = np.where(better, value, best[tests])
+                    choice[tests] = np.where(better, g, choice[tests])
         ratios = np.zeros((len(self.tests), count))
         for k, each in enumerate(self.sets):
-            ratios[each.tests] = 2 * (best[each.tests] - best_null[k])
-        ratios[self.degrees[i] == 0] = 0.0
-        return np.maximum(ratios, 0.0), choice, scores, (bare, choice_null)
+            tests = np.concatenate(each.tests)
+            ratios[tests] = 2 * (best[tests] - best_null[k])
+        return _Found(ratios, choice, choice_null, scores, bare)
 
-    def _together(self, picked, scores, nulls, count: int) -> np.ndarray:
+    def _together(self, found: list[_Found]) -> np.ndarray:
         """All protocols: one effect, one base, each protocol at its own scatter."""
+        count = found[0].bare.shape[1]
         every = np.arange(count)
         result = np.zeros((len(self.tests), count))
-
-        def at(choices, index):
-            """Summed Gram matrices, scores and constants at each data set's scatters."""
-            gram, score, bare = 0.0, 0.0, 0.0
-            square = np.ix_(index, index)
-            for p, protocol in enumerate(self.protocols):
-                g = choices[p]
-                gram = gram + protocol.grams[:, square[0], square[1]][g]
-                score = score + scores[p][g[:, None], index[None, :], every[:, None]]
-                bare = bare + nulls[p][0][g, every]
-            return gram, score, bare
-
-        def value(choices, index):
-            gram, score, bare = at(choices, index)
-            return bare + 0.5 * _solved(gram, score, self.ridge[index])
-
         for k, each in enumerate(self.sets):
-            start = [null[1][k] for null in nulls]
-            start = self._null_scatters(start, each.base, scores, nulls, count)
-            null = value(start, each.base)
-            for number, own in zip(each.tests, each.own, strict=True):
-                if not self.degrees[-1, number]:
-                    continue
-                index = np.r_[each.base, own]
-                under = [choice[number] for choice in picked]
-                best = np.maximum(value(under, index), value(start, index))
-                result[number] = 2 * (best - null)
-        return np.maximum(result, 0.0)
+            base = self.fixed[each.base]
+            grams = [p.rows[:, each.base] for p in self.protocols]
+            start = self._null_scatters(found, [f.null_choice[k] for f in found], base, grams)
 
-    def _null_scatters(self, choices, base, scores, nulls, count: int):
+            def value(choices, own=None, blocks=None, base=base, grams=grams):
+                index = base if own is None else np.r_[base, own]
+                gram, score, bare = 0.0, 0.0, 0.0
+                for p, (choice, f) in enumerate(zip(choices, found, strict=True)):
+                    whole = np.zeros((len(grams[p]), len(index), len(index)))
+                    whole[:, : len(base)] = grams[p][:, :, index]
+                    if own is not None:
+                        whole[:, len(base) :, : len(base)] = grams[p][:, :, own].transpose(0, 2, 1)
+                        whole[:, len(base) :, len(base) :] = blocks[p]
+                    gram = gram + whole[choice]
+                    score = score + f.scores[choice[:, None], index[None, :], every[:, None]]
+                    bare = bare + f.bare[choice, every]
+                return bare + 0.5 * _solved(gram, score, self.ridge[index])
+
+            null = value(start)
+            for j, (tests, columns) in enumerate(zip(each.tests, each.own, strict=True)):
+                for t, (number, own) in enumerate(zip(tests, columns, strict=True)):
+                    if not self.degrees[-1, number]:
+                        continue
+                    blocks = [p.blocks[k][j][:, t] for p in self.protocols]
+                    under = [f.choice[number] for f in found]
+                    best = np.maximum(value(under, own, blocks), value(start, own, blocks))
+                    result[number] = 2 * (best - null)
+        return result
+
+    def _null_scatters(self, found, choices, base, grams) -> list[np.ndarray]:
         """Each protocol's scatter under the common base, one after the other."""
-        every, choices = np.arange(count), list(choices)
-        square = np.ix_(base, base)
-        for p, protocol in enumerate(self.protocols):
+        choices, every = list(choices), np.arange(len(choices[0]))
+        grams = [gram[:, :, base] for gram in grams]
+        for p, own in enumerate(found):
             gram, score = 0.0, 0.0
-            for q, other in enumerate(self.protocols):
+            for q, other in enumerate(found):
                 if q == p:
                     continue
-                gram = gram + other.grams[:, square[0], square[1]][choices[q]]
-                score = score + scores[q][choices[q][:, None], base[None, :], every[:, None]]
-            best = np.full(count, -np.inf)
-            for g in range(len(protocol.grid)):
-                own = protocol.grams[g][square] + gram
-                pulled = scores[p][g][base].T + score
-                value = nulls[p][0][g] + 0.5 * _solved(own, pulled, self.ridge[base])
+                gram = gram + grams[q][choices[q]]
+                score = score + other.scores[choices[q][:, None], base[None, :], every[:, None]]
+            best = np.full(len(every), -np.inf)
+            for g in range(len(grams[p])):
+                pulled = own.scores[g][base].T + score
+                value = own.bare[g] + 0.5 * _solved(grams[p][g] + gram, pulled, self.ridge[base])
                 better = value > best
                 best[better], choices[p] = value[better], np.where(better, g, choices[p])
         return choices
@@ -264,63 +341,21 @@ class Ratios:
         return [*names, None] if len(names) > 1 else [None]
 
 
-def _present(gram: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Those of the columns that one protocol has."""
-    return index[np.diag(gram)[index] > 1e-14 * max(np.diag(gram)[index].max(initial=0), 1e-300)]
+def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Vectors (..., k, k) of unit information from what is left (inner) of columns (block).
 
-
-def _factor(gram: np.ndarray, base: np.ndarray, ridge: np.ndarray):
-    own = gram[np.ix_(base, base)] + np.diag(ridge[base])
-    size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    return own / size[:, None] / size[None, :] + 1e-9 * np.eye(len(base)), size
-
-
-def _projected(gram, score, base, ridge):
-    """Gram matrix and scores of all columns without what the base carries."""
-    if not len(base):
-        return gram, score
-    own, size = _factor(gram, base, ridge)
-    weights = np.linalg.solve(own, gram[base] / size[:, None]) / size[:, None]
-    return gram - gram[:, base] @ weights, score - weights.T @ score[base]
-
-
-def _explained(gram, score, base, ridge):
-    """What the base takes off the squares, (b,)."""
-    if not len(base):
-        return 0.0
-    own, size = _factor(gram, base, ridge)
-    scaled = score[base] / size[:, None]
-    return np.einsum("kb,kb->b", scaled, np.linalg.solve(own, scaled))
-
-
-def _basis(inner, gram, own):
-    """Eigenvalues and vectors of a test's own columns, those that the base does not make up."""
-    size = np.sqrt(np.maximum(np.diag(gram)[own], 1e-300))
-    if len(own) == 1:
-        value = inner[own[0], own[0]] / size[0] ** 2
-        good = value > IDENTIFIED and gram[own[0], own[0]] > 1e-300
-        return (np.array([value]), np.ones((1, 1)) / size[0]) if good else ((), None)
-    values, vectors = np.linalg.eigh(inner[np.ix_(own, own)] / size[:, None] / size[None, :])
-    good = values > 10 * IDENTIFIED
-    return values[good], vectors[:, good] / size[:, None]
-
-
-def _gains(inner, rest, gram, each: _Set, degrees):
-    """Score statistics of a set's tests at one scatter, (tests, b)."""
-    result = np.zeros((len(each.own), rest.shape[1]))
-    alone = [j for j, own in enumerate(each.own) if len(own) == 1]
-    index = np.array([each.own[j][0] for j in alone], int)
-    diagonal = np.diag(inner)[index]
-    fine = diagonal > IDENTIFIED * np.diag(gram)[index]
-    gained = rest[index] ** 2 / np.where(fine, diagonal, np.inf)[:, None]
-    result[alone] = gained
-    for j, own in enumerate(each.own):
-        if len(own) == 1 or not degrees[each.tests[j]]:
-            continue
-        values, vectors = _basis(inner, gram, own)
-        if len(values):
-            result[j] = ((vectors.T @ rest[own]) ** 2 / values[:, None]).sum(axis=0)
-    return result
+    Those that the base makes up are zero.
+    """
+    size = np.sqrt(np.maximum(np.einsum("gtkk->gtk", block), 1e-300))
+    scaled = inner / size[..., :, None] / size[..., None, :]
+    if block.shape[-1] == 1:
+        values, vectors, least = scaled[..., 0], np.ones_like(scaled), IDENTIFIED
+    else:
+        values, vectors = np.linalg.eigh(scaled)
+        least = 10 * IDENTIFIED
+    weight = np.where(values > least, 1.0 / np.sqrt(np.maximum(values, least)), 0.0)
+    weight[block[..., 0, 0] <= 1e-300] = 0.0
+    return vectors * weight[..., None, :] / size[..., :, None]
 
 
 def _solved(gram, score, ridge):
@@ -361,10 +396,14 @@ def run_tests(
     expanded = [replace(test, protocol=row) for row in ratios.rows() for test in tests]
     simulated = np.zeros((len(expanded), 0))
     while True:
-        count = min(ROUND, replicates - simulated.shape[1])
-        drawn = ratios.statistics(ratios.drawn(rng, count))
-        simulated = np.column_stack([simulated, drawn.reshape(len(expanded), count)])
+        # Each round is as large as all before it.
+        count = min(max(ROUND, simulated.shape[1]), replicates - simulated.shape[1])
+        for start in range(0, count, ROUND):
+            part = min(ROUND, count - start)
+            drawn = ratios.statistics(ratios.drawn(rng, part))
+            simulated = np.column_stack([simulated, drawn.reshape(len(expanded), part)])
         outcome = outcome_of(expanded, observed.ravel(), simulated.T, ratios.degrees.ravel())
+        outcome.information = ratios.information.ravel()
         if simulated.shape[1] >= replicates or outcome.is_clear(limits):
             return outcome
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import chdtrc, gammaln
 from scipy.stats import beta
-from scipy.stats import chi2 as chi_square
 
 # Of the family-wise error.
 ERROR_WEIGHTS = {"mechanism": 0.6, "generic": 0.4}
@@ -49,7 +48,9 @@ class Outcome:
     """Result of a set of tests.
 
     ``statistic`` is divided by ``inflation`` (its simulated mean over the degrees of freedom).
-    ``exceeded`` of the ``replicates`` largest statistics were above the best of each family.
+    ``exceeded`` of the ``replicates`` largest statistics were above the best of each family;
+    ``largest`` are these (-log10 p, in order). ``information`` that the design has of a test's
+    columns, in the direction that it knows least.
     """
 
     tests: list[Test]
@@ -61,6 +62,8 @@ class Outcome:
     family_p: dict[str, float]
     exceeded: dict[str, int]
     replicates: int
+    largest: dict[str, np.ndarray] = field(default_factory=dict)
+    information: np.ndarray | None = None
 
     @property
     def global_p(self) -> float:
@@ -114,6 +117,7 @@ def outcome_of(
     adjusted = np.ones(len(tests))
     family_p: dict[str, float] = {}
     exceeded: dict[str, int] = {}
+    maxima: dict[str, np.ndarray] = {}
     for family in dict.fromkeys(test.family for test in tests):
         mine = np.array([test.family == family for test in tests]) & usable
         if not mine.any():
@@ -127,6 +131,7 @@ def outcome_of(
         tail = np.minimum(1.0, max(count, 1.0) * 3 * 10.0 ** -log_p[mine])
         adjusted[mine] = np.where(above == 0, np.minimum(adjusted[mine], tail), adjusted[mine])
         family_p[family], exceeded[family] = float(adjusted[mine].min()), int(above.min())
+        maxima[family] = largest
     return Outcome(
         tests,
         observed / inflation,
@@ -137,6 +142,7 @@ def outcome_of(
         family_p,
         exceeded,
         replicates,
+        maxima,
     )
 
 
@@ -145,6 +151,6 @@ def _minus_log10(statistic, degrees):
     x, half = np.broadcast_arrays(np.maximum(statistic, 0.0), np.asarray(degrees) / 2.0)
     far = x > 400.0
     with np.errstate(divide="ignore"):
-        exact = chi_square.logsf(np.where(far, 1.0, x), 2 * half)
+        exact = np.log(chdtrc(2 * half, np.where(far, 1.0, x)))
         tail = (half - 1) * np.log(np.maximum(x, 1.0) / 2) - x / 2 - gammaln(half)
     return -np.where(far, tail, exact) / np.log(10.0)
