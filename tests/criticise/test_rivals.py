@@ -31,14 +31,3 @@ def test_a_coefficient_at_a_bound_or_hardly_known_is_not_exported():
     }
     assert set(not_identified(entries)) == {"mu_face", "mu_edge"}
     assert not not_identified({"mu_face": {"estimate": 0.3, "ci95": [0.28, 0.32]}})
-
-
-def test_angles_in_radians_are_flagged_and_not_judged(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
-    table = pd.read_csv(tmp_path / "incline.csv")
-    table["angle_deg"] = np.radians(table["angle_deg"])
-    table["u_angle_deg"] = np.radians(table["u_angle_deg"])
-    table.to_csv(tmp_path / "incline.csv", index=False)
-    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
-    assert analysis.verdict == "insufficient"
-    assert "radians" in analysis.reason

@@ -31,6 +31,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="simulate the drop-and-drag runs again with null and extended law in the cloth "
         "simulator (about a second a run); errors and gain as JSON, and on the page",
     )
+    parser.add_argument(
+        "--power",
+        action="store_true",
+        help="say what the design could show, before it is measured: run tables only are read, "
+        "and --out has the smallest detectable effect of every mechanism",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
     parser.add_argument(
         "--replicates",
@@ -41,13 +47,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Criticise one case; exit code 0 whatever the verdict."""
+    """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
     from slipstitch.errors import BadInput
 
     if arguments.replicates < 50:
         raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+    if arguments.power:
+        from slipstitch.criticise.criticism_files import power_to_file
+
+        case = read_case(arguments.case, with_measurements=False)
+        print(power_to_file(case, arguments.seed, arguments.replicates, arguments.out))
+        return 0
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)

@@ -27,8 +27,9 @@ class Bench:
     ``force_offset_N`` more.
 
     The zeros are of sensors alone and no mechanisms (:mod:`slipstitch.criticise.sensors`): the
-    stage starts ``stage_zero_m`` late and turns ``turn_early_m`` early; readings are too large by
-    the others.
+    stage starts ``stage_zero_m`` late and turns ``turn_early_m`` early; a delay is that of a
+    reading behind its stage, a drift is counted from the middle of the session; readings are too
+    large by the others.
     """
 
     mass_error: float = 0.0
@@ -46,6 +47,9 @@ class Bench:
     turn_early_m: float = 0.0
     edge_zero_m: float = 0.0
     contact_zero_m: float = 0.0
+    contact_delay_s: float = 0.0
+    force_delay_s: float = 0.0
+    force_drift_N_h: float = 0.0
 
 
 @dataclass(frozen=True)

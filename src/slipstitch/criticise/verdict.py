@@ -8,7 +8,9 @@ from scipy.stats import t as student
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_identified
-from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.analysis import SIGNIFICANCE, Analysis
+from slipstitch.criticise.inference.certificate import POWER, Detectable
+from slipstitch.criticise.inference.findings import estimated_zeros
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
 from slipstitch.criticise.inference.rivals import TITLES as RIVALS
@@ -55,6 +57,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "null_tests": residual_tests(analysis.null_outcome),
         "gain": _gain(gain),
         "not_identified": not_identified(parameters),
+        "certificate": certificate(analysis.detectable, SIGNIFICANCE),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": _ranking(analysis),
@@ -72,6 +75,22 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "ignored_files": list(case.ignored_files),
         "seed": seed,
         "code_version": code_version,
+    }
+
+
+def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
+    """What this design could have seen; sizes are None where nothing would show the mechanism."""
+    return {
+        "false_alarm_rate": limit,
+        "power": POWER,
+        "smallest_detectable": {
+            name: {
+                "parameter": found.parameter,
+                "size": float(f"{found.size:.3g}") if np.isfinite(found.size) else None,
+                "unit": found.unit,
+            }
+            for name, found in sorted(detectable.items())
+        },
     }
 
 
@@ -194,12 +213,21 @@ def _entry(estimate, interval, unit) -> dict:
 
 
 def _model(analysis: Analysis, fitted: Fit) -> dict:
-    """What prediction needs: values, their covariance and the scatter of new specimens."""
+    """What prediction needs: values, their covariance, sensors' zeros, scatter of new specimens.
+
+    Zeros are [value, standard deviation] in units of :attr:`Zero.sd`, by protocol and field.
+    """
+    zeros: dict[str, dict[str, list[float]]] = {}
+    found, covariance = estimated_zeros(analysis.measurements, fitted, analysis.state)
+    for k, (protocol, zero) in enumerate(analysis.measurements.zeros):
+        own = [float(found[k]), float(np.sqrt(covariance[k, k]))]
+        zeros.setdefault(protocol, {})[zero.field] = own
     return {
         "causes": list(fitted.causes),
         "parameters": [p.name for p in fitted.parameters],
         "values": [float(v) for v in fitted.values],
         "covariance": [[float(v) for v in row] for row in fitted.covariance],
+        "zeros": zeros,
         "scatter": {
             protocol: [s.specimen, s.run, s.kappa]
             for protocol, s in plain_scatters(analysis, fitted).items()

@@ -105,6 +105,37 @@ def sliding(x_mm: np.ndarray, force_mN: np.ndarray, spring_mN_mm: float) -> np.n
     return x > slipped + SETTLED_SHARE * max(x[-1] - slipped, 0.0)
 
 
+def off_ramps(out: pd.DataFrame, back: pd.DataFrame) -> np.ndarray:
+    """Deviations of both strokes' ramps from their lines, (n,), each worth one reading's noise."""
+    found = []
+    for stroke in (out, back):
+        x, force = stroke["x_stage_mm"].to_numpy(), stroke["force_mN"].to_numpy()
+        if len(x) < 8:
+            continue
+        risen = np.abs(force - force[0])
+        # Between a late start and the slip, for which the force is taken at its least.
+        level = float(np.median(risen[len(risen) // 2 :]))
+        low, high = (_first_lasting(risen > share * level) for share in (0.15, 0.6))
+        if low is None or high is None or high - low < 4:
+            continue
+        line = np.polynomial.Polynomial.fit(x[low:high], force[low:high], 1)
+        off = force[low:high] - line(x[low:high])
+        found.append(off * np.sqrt(len(off) / (len(off) - 2)))
+    return np.concatenate([np.zeros(0), *found])
+
+
+def _late_ramp(x, force, level, threshold, spring_mN_mm) -> np.ndarray | None:
+    """Indices of the ramp if the force stayed flat before it; None if it rose at once."""
+    low = _first_lasting(force > force[:2].mean() + threshold)
+    high = _first_lasting(force > 0.6 * level)
+    if low is None or high is None or low < 2:
+        return None
+    ramp = np.arange(low, max(high, low + 1))
+    offset = np.mean(force[ramp] - spring_mN_mm * x[ramp])
+    before = force[: low - 1] - offset - spring_mN_mm * x[: low - 1]
+    return ramp if before.mean() > threshold else None
+
+
 def trace_features(
     out: pd.DataFrame, back: pd.DataFrame, spring_mN_mm: float, u: float, texture: Texture
 ) -> dict[str, Feature]:
@@ -126,6 +157,8 @@ def trace_features(
     slope, offset = spring_mN_mm, 0.0
     ramp = x < 0.6 * max(level, 2 * threshold) / spring_mN_mm
     ramp &= np.arange(len(x)) < max(2 * ramp.sum(), 2)
+    late = _late_ramp(x, force, level, threshold, spring_mN_mm)
+    ramp = ramp if late is None else np.isin(np.arange(len(x)), late)
     excess = force[ramp] - spring_mN_mm * x[ramp]
     centre = x[ramp].mean()
     spread = float(((x[ramp] - centre) ** 2).sum())
