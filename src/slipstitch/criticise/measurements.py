@@ -53,6 +53,7 @@ class Measurements:
     rows : one line a feature (see :class:`Block`), with ``protocol``.
     y, u : (n,) measured values and instrument uncertainties.
     run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
+    sound_sensors : no sensor's zero is allowed for.
     """
 
     blocks: list[Block]
@@ -63,6 +64,7 @@ class Measurements:
     specimen: np.ndarray
     protocol: np.ndarray
     lower_bound: np.ndarray
+    sound_sensors: bool = False
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
@@ -74,6 +76,8 @@ class Measurements:
     @cached_property
     def zeros(self) -> list[tuple[str, Zero]]:
         """(protocol, zero of a sensor) of every column of :attr:`zero_columns`."""
+        if self.sound_sensors:
+            return []
         return [
             (block.protocol, ZEROS[name])
             for block in self.blocks

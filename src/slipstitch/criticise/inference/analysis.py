@@ -13,7 +13,7 @@ from slipstitch.criticise.inference.covariance import make_groups
 from slipstitch.criticise.inference.findings import noise_findings, zero_findings
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
-from slipstitch.criticise.inference.rivals import TITLES, taken_by_rivals
+from slipstitch.criticise.inference.rivals import TITLES, ZEROS_OFF, taken_by_rivals
 from slipstitch.criticise.inference.selection import (
     Candidate,
     Judge,
@@ -22,7 +22,7 @@ from slipstitch.criticise.inference.selection import (
     number_of_runs,
     second_is_significant,
 )
-from slipstitch.criticise.inference.state import State, state_at, test_at
+from slipstitch.criticise.inference.state import State, refit, state_at, test_at
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
@@ -40,6 +40,8 @@ FITTED_SINGLES, FITTED_SHARE = 8, 0.5
 # A mechanism's law is an idealisation: its effect on a feature is right to this share. What a
 # strong effect leaves within it is no further structure; less than the least is not looked at.
 LAW_ERROR, NOTICEABLE = 0.03, 4.0
+# Gain in log-likelihood from where on zeros may stand where a cause should.
+ZEROS_NEEDED = 4.0
 # Stated uncertainties may be 1.5 times too small; readings of one run that disagree by more than
 # this hold an effect that differs within runs.
 LARGEST_INSTRUMENT_FACTOR = 1.8
@@ -82,6 +84,35 @@ def analyse(
     seed : of the simulated maxima; the same data and seed give the same verdict.
     replicates : simulated data sets behind every family-wise p.
     """
+    found = _analyse(measurements, seed, replicates, report)
+    if found.verdict != "none" or not measurements.zeros:
+        return found
+    # Zeros may have taken a cause's place: does one explain the data as well without them?
+    sound = replace(measurements, sound_sensors=True)
+    keep = found.null_state.keep
+    zeros = refit(measurements, keep, (), found.null, found.null_state.scatters).log_likelihood
+    plain = refit(sound, keep, (), found.null, found.null_state.scatters).log_likelihood
+    if zeros - plain < ZEROS_NEEDED:
+        return found
+    other = _analyse(sound, seed, replicates, report)
+    if other.verdict not in ("cause", "confounded") or other.chosen is None:
+        return found
+    chosen = other.chosen
+    without = refit(sound, keep, chosen.causes, chosen.fitted, chosen.scatters).log_likelihood
+    extra = len(chosen.fitted.values) - len(found.null.values)
+    without -= 0.5 * extra * np.log(max(number_of_runs(measurements, keep), 2))
+    if without < zeros - 0.5 * TIE_BIC:
+        return found
+    if without < zeros + 0.5 * TIE_BIC:
+        other.verdict, other.causes = "confounded", ()
+        other.alternatives.append((ZEROS_OFF,))
+        other.reason = "zeros of sensors that are off would explain it as well"
+    return other
+
+
+def _analyse(
+    measurements: Measurements, seed: int, replicates: int, report: Callable[[str], None]
+) -> Analysis:
     rng = np.random.default_rng(seed)
     report("fit of the null")
     null, null_state, excluded = fit_without_outliers(measurements, (), None)
@@ -161,17 +192,17 @@ def analyse(
             ranking = [judge.candidate(c.causes, c.fitted) for c in ranking]
             ranking.sort(key=lambda c: c.bic)
     imprecise = _with_law_error(measurements, ranking[0].fitted)
-    if imprecise is not None:
+    if imprecise is not measurements:
         judge = replace(judge, measurements=imprecise, bases={})
         ranking = [judge.candidate(c.causes, c.fitted) for c in ranking]
         ranking.sort(key=lambda c: c.bic)
     singles = list(ranking)
-    chosen, left_state, left = _tested(judge, singles[0], rng, replicates)
+    chosen, left_state, left = _tested(measurements, judge, singles[0], rng, replicates)
     pairs = fitted_pairs(judge, singles, left)
     accepted = [p for p in pairs if second_is_significant(p, singles)]
     ranking = sorted(singles + pairs, key=lambda c: c.bic)
     if accepted and accepted[0].bic < chosen.bic:
-        chosen, left_state, left = _tested(judge, accepted[0], rng, replicates)
+        chosen, left_state, left = _tested(measurements, judge, accepted[0], rng, replicates)
         accepted[0] = chosen
     ranking = [chosen if c.causes == chosen.causes else c for c in ranking]
     singles = [chosen if c.causes == chosen.causes else c for c in singles]
@@ -227,12 +258,12 @@ def _could_be_seen(detectable: dict[str, Detectable]) -> bool:
     )
 
 
-def _with_law_error(measurements: Measurements, fitted: Fit) -> Measurements | None:
-    """Uncertainties with the law's own error; None where that would make no difference."""
+def _with_law_error(measurements: Measurements, fitted: Fit) -> Measurements:
+    """Uncertainties with the law's own error, where that makes a difference."""
     plain = measurements.predict(fitted.as_dict(), ())
     error = np.nan_to_num(LAW_ERROR * (fitted.prediction - plain))
     if np.sum((error / measurements.u) ** 2) < NOTICEABLE:
-        return None
+        return measurements
     return replace(measurements, u=np.hypot(measurements.u, error))
 
 
@@ -260,10 +291,10 @@ def _promising(ranking: list[Candidate]) -> list[Candidate]:
 
 
 def _tested(
-    judge: Judge, chosen: Candidate, rng, replicates: int
+    measurements: Measurements, judge: Judge, chosen: Candidate, rng, replicates: int
 ) -> tuple[Candidate, State, Outcome]:
     """A candidate under its restricted scatter, as it is reported, and tests of what is left."""
-    m = judge.measurements
+    m = _with_law_error(measurements, chosen.fitted)
     state = state_at(m, chosen.fitted, judge.keep, chosen.scatters)
     weights = judge.weights_of(chosen.causes, state)
     fitted = fit(m, weights, chosen.causes, chosen.fitted.as_dict())

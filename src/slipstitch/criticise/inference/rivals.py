@@ -19,8 +19,12 @@ from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 
 SURVIVES_AT = 0.01
-TIME, BEFORE = "time_in_session", "run_before"
-TITLES = {TIME: "a drift with the time in the session", BEFORE: "memory of the run before"}
+TIME, BEFORE, ZEROS_OFF = "time_in_session", "run_before", "sensor_zeros"
+TITLES = {
+    TIME: "a drift with the time in the session",
+    BEFORE: "memory of the run before",
+    ZEROS_OFF: "zeros of sensors that are off",
+}
 REMEMBERED_COLUMNS = ("load_ratio", "speed_mm_s", "dwell_s")
 
 
