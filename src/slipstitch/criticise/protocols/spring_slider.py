@@ -184,8 +184,7 @@ def _features(
 ) -> list[tuple]:
     """(run, quantity, value, uncertainty) of every run; uncertainties are pooled over runs.
 
-    The less a slider sticks between its slips, the more an uneven track and damping change its
-    swing.
+    The less a slider sticks between its slips, the more damping changes its swing.
     """
     good = [r for r in readings if r is not None]
     slipping = [r for r in good if len(r.slips.half_mN) >= 3]
@@ -202,7 +201,10 @@ def _features(
             continue
         u, blocks = u_mN[i], middles[id(reading)]
         level = float(blocks.mean())
-        doubt = np.hypot(INERTIAL_ERROR * inertial_mN[i], uneven * level)
+        # A track as uneven as the slips' middles makes drops of its own, at no excess at rest.
+        of_track = uneven * level
+        inertial = INERTIAL_ERROR * inertial_mN[i]
+        doubt = np.hypot(inertial, of_track)
         error = np.hypot(level * level_sd, u) / np.sqrt(len(blocks))
         lines.append((i, LEVEL, level, float(error)))
         # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
@@ -213,14 +215,16 @@ def _features(
             error = np.hypot(
                 half * half_sd * of_mean, 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
             )
-            error = np.hypot(error, doubt * min(inertial_mN[i] / max(half, 1e-9), 1.0))
+            error = np.hypot(error, inertial * min(inertial_mN[i] / max(half, 1e-9), 1.0))
+            error = np.hypot(error, of_track)
             lines.append((i, SWING, half, float(error)))
         elif not len(reading.slips.half_mN):
             lines.append((i, SWING, *unseen))
         if reading.first_half_mN is not None:
             first = reading.first_half_mN - reading.bias_mN
             error = np.hypot(single_sd * first, u)
-            error = np.hypot(error, doubt * min(inertial_mN[i] / max(first, 1e-9), 1.0))
+            error = np.hypot(error, inertial * min(inertial_mN[i] / max(first, 1e-9), 1.0))
+            error = np.hypot(error, of_track)
             lines.append((i, FIRST_SWING, float(first), float(error)))
         elif reading.began_relaxed and not len(reading.slips.half_mN):
             lines.append((i, FIRST_SWING, *unseen))
