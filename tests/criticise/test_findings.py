@@ -7,6 +7,7 @@ from support.hidden_effects.bench import make_case
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.verdict import sentence, verdict_of
 
 
 def judged(folder, spoil):
@@ -42,3 +43,27 @@ def test_noise_of_one_quantity_is_a_finding(tmp_path):
 
 def test_sound_sensors_are_not_blamed(tmp_path):
     assert judged(tmp_path, lambda frames: None).data_findings == []
+
+
+def test_runs_that_scatter_more_than_usual_are_said_with_what_was_not_recorded(tmp_path):
+    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    usual = verdict_of(*judged_as_it_is(tmp_path), 1, "test")
+    assert usual["scatter_findings"] == []
+    table = pd.read_csv(tmp_path / "incline.csv")
+    noise = np.exp(0.2 * np.random.default_rng(5).standard_normal(len(table)))
+    ratio = np.tan(np.radians(table["angle_deg"])) * noise
+    table["angle_deg"] = np.degrees(np.arctan(ratio))
+    table["rh_pct"] = np.nan
+    table.to_csv(tmp_path / "incline.csv", index=False)
+    verdict = verdict_of(*judged_as_it_is(tmp_path), 1, "test")
+    (found,) = verdict["scatter_findings"]
+    assert found["protocol"] == "incline"
+    assert 0.15 < found["run_scatter"] < 0.25
+    assert "rh_pct" in found["record_next"]
+    if verdict["verdict"] == "none":
+        assert "relative humidity" in sentence(verdict)
+
+
+def judged_as_it_is(folder):
+    case = read_case(folder)
+    return case, analyse(assemble(case), replicates=100)

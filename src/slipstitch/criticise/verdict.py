@@ -10,7 +10,7 @@ from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import SIGNIFICANCE, Analysis
 from slipstitch.criticise.inference.certificate import POWER, Detectable
-from slipstitch.criticise.inference.findings import estimated_zeros
+from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
 from slipstitch.criticise.inference.rivals import TITLES as RIVALS
@@ -59,6 +59,9 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "not_identified": not_identified(parameters),
         "certificate": certificate(analysis.detectable, SIGNIFICANCE),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
+        "scatter_findings": scatter_findings(
+            analysis.measurements, analysis.state, fitted.as_dict()
+        ),
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": _ranking(analysis),
         "not_testable": dict(sorted(_untestable(analysis).items())),
@@ -241,7 +244,7 @@ def sentence(verdict: dict) -> str:
     if kind == "none":
         return (
             "The plain Coulomb model describes these measurements: no structure is left "
-            f"(family-wise p = {verdict['null']['global_p']:.2g})."
+            f"(family-wise p = {verdict['null']['global_p']:.2g}).{_scatter(verdict)}"
         )
     if kind == "insufficient":
         return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
@@ -262,3 +265,18 @@ def sentence(verdict: dict) -> str:
         if name not in [coefficient.name for coefficient in COEFFICIENTS]
     )
     return f"The model is wrong because {titles} ({numbers})."
+
+
+def _scatter(verdict: dict) -> str:
+    """What is said of runs that scatter by more than is usual."""
+    found = verdict["scatter_findings"]
+    if not found:
+        return ""
+    first = found[0]
+    names = [COVARIATES[name].title for name in first["record_next"]]
+    record = f": record {', '.join(names)}" if names else ""
+    return (
+        f" But runs of {first['protocol']} scatter by {100 * first['run_scatter']:.2g} % "
+        f"(usual: {100 * first['usual']:.2g} %), for which something may be to blame that was not "
+        f"looked at{record}."
+    )

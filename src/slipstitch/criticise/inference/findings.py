@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.state import State
@@ -14,6 +15,21 @@ from slipstitch.criticise.sensors import DataFinding
 CLEAR_RATIO = 10.8
 # Zeros within this share of their usual size are not worth saying.
 NEGLIGIBLE = 0.4
+# With one operator and apparatus, kinetic coefficients differ by more than 0.06 in one case of
+# twenty (repeatability of ASTM D2534, nine laboratories; of sheets little else is published): a
+# standard deviation of 0.06 / 2.77.
+USUAL_RUN_SD = 0.0217
+FEWEST_DEGREES, SURE = 6, 0.05
+# What may have changed from run to run without being recorded, the most frequent first.
+RECORDABLE = (
+    "clock_min",
+    "pos_x_mm",
+    "rh_pct",
+    "operator",
+    "orientation_deg",
+    "repeat_index",
+    "dwell_s",
+)
 # Stated uncertainties may be this much too small.
 USUAL_UNDERSTATEMENT = 1.5
 
@@ -97,3 +113,34 @@ def noise_findings(measurements: Measurements) -> list[DataFinding]:
         for noise in block.trace_noises
         if noise.ci95[0] > USUAL_UNDERSTATEMENT
     ]
+
+
+def scatter_findings(measurements: Measurements, state: State, coefficients: dict) -> list[dict]:
+    """Protocols whose runs scatter by clearly more than is usual, and what to record there next.
+
+    Parameters
+    ----------
+    coefficients : logarithm of every friction coefficient by name.
+    """
+    found = []
+    for block in measurements.blocks:
+        scatter = state.scatters.get(block.protocol)
+        mine = (measurements.protocol == block.protocol) & state.keep & measurements.of_friction
+        degrees = len(np.unique(measurements.run[mine]))
+        degrees -= len(np.unique(measurements.specimen[mine]))
+        if scatter is None or degrees < FEWEST_DEGREES:
+            continue
+        usual = USUAL_RUN_SD / np.exp(coefficients[block.COEFFICIENT])
+        least = scatter.run * np.sqrt(degrees / chi_square.isf(SURE, degrees))
+        if least > usual:
+            rows = measurements.rows[mine]
+            blank = [name for name in RECORDABLE if rows[name].replace("", np.nan).nunique() < 2]
+            found.append(
+                {
+                    "protocol": block.protocol,
+                    "run_scatter": float(f"{scatter.run:.3g}"),
+                    "usual": float(f"{usual:.3g}"),
+                    "record_next": blank,
+                }
+            )
+    return found
