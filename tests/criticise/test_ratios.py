@@ -75,3 +75,20 @@ def test_another_protocol_takes_no_evidence_away(tmp_path):
         assert strongest.covariate == "pos_x_mm"
     assert max(evidence.values()) < 0.01
     assert evidence[2] <= evidence[1]
+
+
+def test_the_whitening_is_a_root_of_the_inverse_covariance(group):
+    scatter = Scatter(0.07, 0.04, 1.3)
+    inverse = np.linalg.inv(group.variance(scatter))
+    root = group.whitening(scatter)
+    matrix = root.whiten(np.eye(36))
+    assert np.allclose(matrix.T @ matrix, inverse, rtol=1e-9, atol=1e-12)
+    assert np.allclose(root.pull(matrix), inverse, rtol=1e-9, atol=1e-12)
+    assert np.allclose(root.diagonal(), np.diag(inverse), rtol=1e-9)
+    wanted = [
+        (group.sensitivity * (group.run == run))
+        @ inverse
+        @ (group.sensitivity * (group.run == run))
+        for run in group.run
+    ]
+    assert np.allclose(root.information_of_runs(), wanted, rtol=1e-9)

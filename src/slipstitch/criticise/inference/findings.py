@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.inference.fit import Fit
@@ -49,14 +48,8 @@ def estimated_zeros(
     size = columns.shape[1]
     gram, pulled = np.zeros((size, size)), np.zeros(size)
     for group in state.groups:
-        variance = group.variance(state.scatters[group.protocol])
-        factor = cholesky(variance, lower=True, check_finite=False)
-        white = solve_triangular(
-            factor,
-            np.column_stack([columns[group.index], residual[group.index]]),
-            lower=True,
-            check_finite=False,
-        )
+        both = np.column_stack([columns[group.index], residual[group.index]])
+        white = group.whitening(state.scatters[group.protocol]).whiten(both)
         gram += white[:, :-1].T @ white[:, :-1]
         pulled += white[:, :-1].T @ white[:, -1]
     scale = [1.0] * count + [30.0 * p.scale for p in fitted.parameters]

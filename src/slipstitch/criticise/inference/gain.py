@@ -142,7 +142,7 @@ def _parts(analysis: Analysis, state: State, like: list | None = None):
         specimens = m.specimen[group.index]
         for specimen in np.unique(specimens):
             mine = np.flatnonzero(specimens == specimen)
-            variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
+            variance = group.part(mine).variance(state.scatters[group.protocol])
             parts.append((group.index[mine], np.linalg.inv(variance)))
             # Outliers teach nothing but count in the score: a fresh campaign has them too.
             rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))

@@ -23,6 +23,8 @@ from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
 from slipstitch.friction_law import Contact
 
+# A stage that turns early stands still while its reading goes on.
+TURN_MARGIN_MM = 5.0
 MOTION_NOISES = 5.0
 USUAL_STEADY_STAGE_MM = 200.0
 DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
@@ -154,7 +156,7 @@ def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dic
         if stuck.any():
             setting["stuck"] = x[stuck]
             features["stuck_contact_mm"] = (contact[stuck].mean(), u_contact / np.sqrt(stuck.sum()))
-    steady = x > x[first] + 0.15 * (x[-1] - x[first])
+    steady = (x > x[first] + 0.15 * (x[-1] - x[first])) & (x < x[-1] - TURN_MARGIN_MM)
     if steady.sum() >= 4:
         xs, ts = x[steady], te[steady]
         centre = xs.mean()
