@@ -1,4 +1,4 @@
-# make all: from an empty machine to results/report/index.html. make help lists the targets.
+# make all: everything from installation to results/report/index.html. make help lists the targets.
 
 PYTHON ?= python3.11
 CORES ?= 2
@@ -16,23 +16,23 @@ help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
 	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
-	@echo 'make test       lint and tests (make test TESTS=tests/unit for some)'
+	@echo 'make test       lint and tests (make test TESTS=tests/unit for a subset)'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
-	@echo 'make format     ruff and snakefmt, mend; the JSON schema'
-	@echo 'make benchmark  what simulations cost, and SolverVBD beside them (BENCHMARK=--full: 131 s)'
-	@echo 'make benchmark-criticise  how often 300 hidden effects are found, missed or misnamed'
-	@echo 'make benchmark-departures  the same on a second bench, half of it with faulty instruments'
-	@echo 'make captures   films ingested, scored, shown in the report; surrogates by default, 1 to 2 CPU h'
-	@echo 'make convergence  time step and mesh studied anew (hours), kept in results/published'
-	@echo 'make benchmark-audit  how long an audit of a release of 1 GB takes, what it finds'
-	@echo 'make benchmark-batch  simulations at once, on the CPU and on CUDA where present'
+	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
+	@echo 'make benchmark  cost of simulations, compared with SolverVBD (BENCHMARK=--full: 131 s)'
+	@echo 'make benchmark-criticise  how many of 300 hidden effects are found, missed or misnamed'
+	@echo 'make benchmark-departures  the same on a second bench, half of the cases with faulty instruments'
+	@echo 'make captures   ingest videos, score them, add them to the report; surrogates by default, 1 to 2 CPU h'
+	@echo 'make convergence  repeat the study of time step and mesh (hours), publish to results/published'
+	@echo 'make benchmark-audit  duration and findings of an audit of a 1 GB release'
+	@echo 'make benchmark-batch  batched simulations, on the CPU and on CUDA if available'
 	@echo 'make benchmark-composition  composed against direct images, every floor and viewpoint'
-	@echo 'make benchmark-render  what images cost, at 112 and 224 pixels'
-	@echo 'make benchmark-estimate  the cost of paper.yaml against a measured part of it'
+	@echo 'make benchmark-render  cost of images, at 112 and 224 pixels'
+	@echo 'make benchmark-estimate  estimated cost of paper.yaml against a measured part of it'
 	@echo 'make benchmark-kills  kill -9 at 100 random moments of the smoke chain (most of an hour)'
-	@echo 'make benchmark-fuzz  10 000 bad inputs for every reader (minutes)'
-	@echo 'make benchmark-scale  graphs of 10^3 and 10^4 jobs; 10^4 and 10^6 simulations played'
-	@echo 'make criticise-measured  docs/criticism_measured.md and its pictures, anew'
+	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
+	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
+	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -105,7 +105,10 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/scale.py
 
 criticise-measured: setup
-	$(BIN)/python benchmarks/measured_data --data data/measured --out docs
+	for case in paper_on_paper block_on_wood_board block_on_other_board; do \
+		$(SINGLE) $(BIN)/slipstitch criticise data/cases/$$case \
+			--out results/criticise/$$case/verdict.json --report docs/measured/$$case.md || exit; \
+	done
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

@@ -24,9 +24,11 @@ include: "rules/train.smk"
 include: "rules/instrument.smk"
 include: "rules/evaluate.smk"
 include: "rules/ablate.smk"
-include: "rules/report.smk"
-include: "rules/release.smk"
 include: "rules/criticise.smk"
+include: "rules/release.smk"
+include: "rules/audit.smk"
+include: "rules/report.smk"
+include: "rules/publish.smk"
 include: "rules/captures.smk"
 include: "rules/status.smk"
 
@@ -43,9 +45,11 @@ localrules:
     instrument,
     evaluate,
     ablate,
-    report,
-    release,
     criticise,
+    release,
+    audit,
+    report,
+    publish,
     captures,
 
 
@@ -54,7 +58,7 @@ if workflow.is_main_process:
     print(estimate_line(CONFIG), file=sys.stderr)
 
 
-# Every stage's files are asked for by name: a deleted simulation is made again although
+# Every stage's files are requested by name: a deleted simulation is regenerated even if
 # everything made from it still exists.
 rule all:
     default_target: True
@@ -66,4 +70,7 @@ rule all:
         rules.train.input,
         rules.instrument.input,
         rules.evaluate.input,
+        rules.criticise.input,
+        rules.release.input,
+        rules.audit.input,
         rules.report.input,

@@ -1,4 +1,4 @@
-"""How long an audit of a large release takes, and whether it finds what is planted in it.
+"""Duration of an audit of a large release, and whether it finds planted faults.
 
     python benchmarks/audit.py --size-gb 1 --jobs 2
 

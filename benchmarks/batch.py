@@ -1,4 +1,4 @@
-"""Simulations in one batch: cost a simulation on each device, and how far the results differ.
+"""Simulations in one batch: cost per simulation on each device, and differences of the results.
 
     python benchmarks/batch.py [--batch 8] [--frames 4]
 

@@ -6,7 +6,7 @@
 
 Simulates two of the paper's grid (or takes `--trajectories`), draws floors, frames and textures by
 seed, renders each image at 256 paths a pixel with the texture on the cloth, and composes it from a
-shading of its own. A line an image goes into the results, and what stands there is not made again;
+shading of its own. One line per image is appended to the results; existing ones are not repeated;
 the table is made of them.
 """
 

@@ -1,4 +1,4 @@
-"""Blind cases with hidden effects: how often the verdict is right, with Wilson intervals.
+"""Blind cases with hidden effects: share of correct verdicts, with Wilson intervals.
 
 ``python benchmarks/criticise.py --cases 300 --first-seed 1000`` (minutes to hours; one line of
 JSON a case goes to --records, so that it can be stopped and resumed), then the table is printed.

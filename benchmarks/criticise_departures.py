@@ -1,4 +1,4 @@
-"""How often the criticism is right on the bench of departures, with Wilson intervals.
+"""Share of correct verdicts on the bench of departures, with Wilson intervals.
 
 ``python benchmarks/criticise_departures.py --cases 300 --first-seed 7000 --processes 2``: even
 seeds are campaigns without faults, odd ones with faults of the instruments, gaps and uneven

@@ -1,4 +1,4 @@
-"""What Snakemake itself costs: building graphs of 10^3 and 10^4 jobs, running jobs of no work.
+"""Overhead of Snakemake: building graphs of 10^3 and 10^4 jobs, running trivial jobs.
 
 The graphs are the project's own, of grids of different sizes; CPU seconds and memory are those of
 the process of a dry run. For the cost of running, a workflow of jobs that only touch a file.

@@ -1,7 +1,7 @@
-"""Estimate of a scale's cost against what a measured part of it predicts.
+"""Estimated cost of a scale against an extrapolation from a measured part of it.
 
     python benchmarks/estimate.py [--scale config/paper.yaml] [--simulation m05_f06_r00]
-        [--viewpoints v00 v01 v02 v03] [--keep DIR]
+        [--viewpoints v00 v01 v02 v09] [--keep DIR]
 
 Runs one simulation of the scale and renders it as the workflow would (light, images, preview; one
 thread, a process of its own each): once on a matte floor and once on one that mirrors, if the
@@ -23,7 +23,7 @@ from collections import Counter
 from pathlib import Path
 
 from slipstitch.config import Config, load_config, write_config
-from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.grid import films, simulations
 from slipstitch.doctor.cost import estimate, verification_cpu_s
 from slipstitch.render.surroundings import draw_surroundings
 
@@ -68,8 +68,9 @@ def rendered(
     outs = [folder / f"{name}.png", folder / f"{name}.mp4"]
     words = ["--out-sheet", str(outs[0]), "--out-video", str(outs[1]), *map(str, shards)]
     preview = measured(["render", "--preview", *words], outs)
-    more = len(viewpoints(config)) / len(views)
-    count = config.sample.frames * len(textures(config)) * len(views)
+    shown = films(config)
+    more = len(shown) / len(simulations(config)) / len(views)
+    count = config.sample.frames * sum(len(shown[name, view]) for view in views)
     print(
         f"{name}: light {sum(one['cpu_s'] for one in light) / len(views):.1f} CPU s a viewpoint, "
         f"{count} images in {images['cpu_s']:.1f} CPU s"
@@ -109,7 +110,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scale", default=str(ROOT / "config/paper.yaml"))
     parser.add_argument("--simulation", default="m05_f06_r00")
-    parser.add_argument("--viewpoints", nargs="+", default=["v00", "v01", "v02", "v03"])
+    parser.add_argument("--viewpoints", nargs="+", default=["v00", "v01", "v02", "v09"])
     parser.add_argument("--keep", type=Path, help="folder for the part, kept")
     arguments = parser.parse_args()
     config = load_config(ROOT / "config.yaml", arguments.scale)

@@ -1,4 +1,4 @@
-"""Bad inputs for every reader: does any end in a traceback, a crash, a hang, or in too much memory?
+"""Invalid inputs for every reader: does any cause a traceback, crash, hang or excessive memory use?
 
 Every process reads a few hundred; one that dies or hangs is seen from outside, and its input kept.
 """

@@ -1,4 +1,4 @@
-"""kill -9 at random moments of every stage of the smoke chain: are the results the same?
+"""kill -9 at random moments in every stage of the smoke chain: are the results identical?
 
 Every kill starts from an undisturbed run, removes what one job made, has it made again, kills the
 machine's processes, the working process or Snakemake alone at a random moment, gives the same
@@ -42,7 +42,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no kill after this time")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary folder by default")
     parser.add_argument("--out", type=Path, help="JSON lines, one a kill")
-    parser.add_argument("--targets", nargs="*", default=["release"], help="besides all")
+    parser.add_argument("--targets", nargs="*", default=[], help="besides all")
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
     began = time.monotonic()

@@ -1,4 +1,4 @@
-"""Training: videos a second, and how far gradients in bfloat16 are from those in float32.
+"""Training: videos per second, and deviation of bfloat16 gradients from float32.
 
     python benchmarks/learning.py [--threads 2] [--pixels 64 112] [--steps 6]
 
@@ -101,7 +101,7 @@ def instrument_step(videos: np.ndarray, bfloat16: bool) -> Callable[[], None]:
     generator = np.random.default_rng(0)
 
     def step():
-        views, ordered = training_views(videos, FRAMES, settings, generator)
+        views, ordered, _ = training_views(videos, FRAMES, settings, generator)
         part = losses(network, views, friction, material, ordered, bfloat16)
         optimizer.zero_grad()
         (part["friction"] + part["material"] + part["order"]).backward()

@@ -1,4 +1,4 @@
-"""How long `slipstitch measure` takes for a film of the whole protocol, 131 s.
+"""Duration of `slipstitch measure` for a video of the whole protocol, 131 s.
 
     python benchmarks/measure.py [--width 1280] [--rate 25]
 

@@ -1,4 +1,4 @@
-"""How far an instrument's answers move if its images are rectified a little wrong.
+"""Sensitivity of an instrument's estimates to rectification errors of its images.
 
     python benchmarks/rectification.py --instrument results/instrument/by_simulation/seed0 \
         --dataset results/sample
@@ -41,11 +41,11 @@ def main() -> None:
     print(f"{'instrument':<40} {'error':<26} {'bias':>7} {'|error|':>7} {'cover':>6} {'alarm':>6}")
     for folder in arguments.instrument:
         instrument = load_instrument(folder)
-        split, view = instrument.card["split"], instrument.card["viewpoint"]
+        split, view = instrument.card["split"], instrument.card["viewpoints"]
         videos = read_videos(
             arguments.dataset,
             lambda row, split=split, view=view: (
-                takes_part(row) and row[f"split_{split}"] == "test" and row["viewpoint"] == view
+                takes_part(row) and row[f"split_{split}"] == "test" and row["viewpoint"] in view
             ),
             instrument.card["pixels"],
         )

@@ -1,4 +1,4 @@
-"""What images cost: Blender and textures apart, memory and open files of a long process.
+"""Cost of images: Blender and textures separately, memory and open files of a long process.
 
     python benchmarks/render.py                          # cost, at least 2000 images
     python benchmarks/render.py --long 500 --pixels 32   # one process, 500 frames
@@ -92,9 +92,9 @@ def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
         composed = cpu_s() - start
         size = (folder / "pack.parquet").stat().st_size / frames / pixels**2
         print(
-            f"{viewpoint}: Blender {traced / frames:.3f} CPU-s a frame, {shaded / frames:.3f} with "
+            f"{viewpoint}: Blender {traced / frames:.3f} CPU s/frame, {shaded / frames:.3f} with "
             f"separating and packing; {1e3 * composed / made:.1f} ms an image; "
-            f"pack {size:.1f} bytes a pixel"
+            f"pack {size:.1f} bytes per pixel"
         )
         shading_s, image_s = shading_s + shaded, image_s + composed
         blender_s, count = blender_s + traced, count + made

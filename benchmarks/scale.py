@@ -1,4 +1,4 @@
-"""What 10^4 and 10^6 simulations would take: the measured costs of jobs, played through a cluster.
+"""Projected cost of 10^4 and 10^6 simulations: a cluster model with the measured costs of jobs.
 
 The cost of jobs is that of `slipstitch.doctor.cost`; building graphs and running jobs that of
 `benchmarks/dag.py`. A file system that all share serves bytes and operations in the order in which
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from slipstitch.config import load_config
-from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.grid import films, simulations
 from slipstitch.doctor.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
 from slipstitch.status.runs import read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
@@ -47,7 +47,8 @@ class Work:
 
 def work_of(config) -> Work:
     """One group of jobs, at the scale of a configuration."""
-    views, runs = len(viewpoints(config)), len(simulations(config))
+    runs = len(simulations(config))
+    views = round(len(films(config)) / runs)
     kinds = ["simulate", *["render"] * views, "compose", "preview"]
     cpu_s = sum(job_cpu_s(kind, config) for kind in kinds)
     stages = {one.stage: one for one in estimate(config)}
@@ -144,8 +145,9 @@ def main() -> None:
 
 def demands(count: int, config, work: Work, graph, slope_mib: float) -> None:
     """Say what so many simulations at the configuration's scale ask for."""
-    views, runs = len(viewpoints(config)), len(simulations(config))
-    videos, jobs = views * len(textures(config)), count * work.jobs
+    runs, shown = len(simulations(config)), films(config)
+    views, jobs = len(shown) / runs, count * work.jobs
+    videos = sum(map(len, shown.values())) / runs
     train_gb = _video_bytes(config) / runs * count / 1e9
     sample_h = 2 * job_cpu_s("sample", config) / runs * count / 3600  # its table of ids is a job
     print(

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 # The paper's simulator: seconds a step of 0.5 ms, 41 x 41 vertices, one thread of a 2-core machine.
 ARGUS_STEP_S, ARGUS_STEPS_PER_S = (0.098, 0.122), 2000
-ARGUS_DEMAND, DESCENT_DEMAND = 400, 20
-RUN_DEMAND_S = 60
+ARGUS_TARGET, DESCENT_TARGET = 400, 20
+RUN_TARGET_S = 60
 COUNTS = ("steps", "iterations_per_step", "factorisations_per_step", "halvings", "memory_mib")
 
 
@@ -33,7 +33,7 @@ def draw(result, path):
     else:
         left.text(0.5, 0.5, "not measured yet", transform=left.transAxes, ha="center")
     left.set(
-        xlabel="vertices", ylabel="CPU s a simulated second", title="royal-target, touching down"
+        xlabel="vertices", ylabel="CPU s per simulated second", title="royal-target, touching down"
     )
     rows = result.get("protocol", {"rows": []})["rows"]
     for friction in sorted({row["friction"] for row in rows}):
@@ -41,8 +41,8 @@ def draw(result, path):
         right.plot([friction] * len(cost), cost, "o", color="#0072B2", alpha=0.6, mec="none")
         right.plot(friction, np.median(cost), "_", color="#1a1a1a", ms=22)
     right.set(
-        xlabel="friction coefficient", ylabel="CPU s a run", ylim=(0, None),
-        title="a dot a fabric, a line the median",
+        xlabel="friction coefficient", ylabel="CPU s per run", ylim=(0, None),
+        title="dots: fabrics, lines: median",
     )  # fmt: skip
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
@@ -58,10 +58,10 @@ def page(result):
     """The page docs/benchmarks.md."""
     parts = ["# Benchmarks", ""]
     parts += _paragraph(
-        "Written by `make benchmark` (`benchmarks/solver_cost.py`): every figure is of that",
-        "command's last run, on one core. `--full` simulates the whole protocol of 131 s, not its",
-        "first 8 s. CPU seconds count the simulation alone. A machine that others use as well",
-        "(load average above the number of its cores) raises CPU seconds, too.",
+        "Written by `make benchmark` (`benchmarks/solver_cost.py`): every figure is from the last",
+        "run of that command, on one core. `--full` simulates the whole protocol of 131 s instead",
+        "of its first 8 s. CPU seconds are those of the simulation alone. On a machine under other",
+        "load (load average above the number of cores), CPU seconds are higher as well.",
     )
     parts += _paragraph(f"Machine: {result.get('host', 'unknown')}.")
     picture = "../results/published/benchmark/benchmark.png"
@@ -91,7 +91,7 @@ def _protocol(part):
         *_paragraph(
             f"CPU seconds of whole runs with the default settings, {len(rows)} of",
             f"{part['runs_in_all']} measured. Median {np.median(costs):.0f}, from {min(costs):.0f}",
-            f"to {max(costs):.0f}; target {RUN_DEMAND_S} without folds.",
+            f"to {max(costs):.0f}; target {RUN_TARGET_S} without folds.",
         ),
         "| fabric | " + " | ".join(f"μ = {friction:g}" for friction in frictions) + " |",
         "|---|" + "---|" * len(frictions),
@@ -105,7 +105,7 @@ def _protocol(part):
         *lines,
         "",
         *_paragraph(
-            f"In the median {median['steps']:.0f} steps with",
+            f"Medians: {median['steps']:.0f} steps with",
             f"{median['iterations_per_step']:.1f} iterations and",
             f"{median['factorisations_per_step']:.2f} factorisations each,",
             f"{median['halvings']:.0f} steps halved because they did not converge,",
@@ -122,8 +122,8 @@ def _mesh(part):
             f"royal-target at μ = 0.5 while it touches down, {part['rows'][0]['simulated_s']:g} s.",
             f"CPU time grows with the number of vertices to the power {part['exponent']:.2f}.",
         ),
-        "| vertices | CPU s a simulated second | steps | iterations a step "
-        "| factorisations a step | memory, MiB |",
+        "| vertices | CPU s per simulated second | steps | iterations per step "
+        "| factorisations per step | memory, MiB |",
         "|---|---|---|---|---|---|",
     ]
     lines += [
@@ -138,18 +138,19 @@ def _mesh(part):
 def _side_by_side(part):
     ours = part["ours"]
     lines = [
-        f"## Beside SolverVBD of Newton physics {part['newton']} (load {part['load_average']})",
+        f"## Comparison with SolverVBD of Newton physics {part['newton']}"
+        f" (load {part['load_average']})",
         "",
         *_paragraph(
             "One isotropic sheet (200 N/m, Poisson's ratio 0.3, ke 5 · 10⁻⁵ N/m, 0.2 kg/m²) on one",
             "mesh of 41 × 41 vertices, hung by its tabs and lowered onto the floor. Residual: the",
             "largest out-of-balance force on a free vertex over μ times its weight, for SolverVBD",
             "from its own energy in double precision. Lowest: height of the lowest vertex; the",
-            "sheet's edge is at first 0.5 mm above the floor. Ours as in the factory (mean step),",
-            "SolverVBD at 20 ms, and at the step and iterations of its own",
-            "cloth examples. Both start from our state of rest.",
+            "sheet's edge is at first 0.5 mm above the floor. Ours with the default settings (mean",
+            "step), SolverVBD at 20 ms, and at the step and iterations of its own cloth examples.",
+            "Both start from our equilibrium state.",
         ),
-        "| solver | step, ms | iterations | CPU s a simulated second | over ours | residual "
+        "| solver | step, ms | iterations | CPU s per simulated second | ratio to ours | residual "
         "| lowest, mm | mean distance from ours, mm |",
         "|---|---|---|---|---|---|---|---|",
         f"| ours | {1e3 * ours['step_s']:.3g} | {ours['iterations_per_step']:.1f} (Newton) "
@@ -166,15 +167,15 @@ def _side_by_side(part):
     lines += [
         "",
         *_paragraph(
-            "SolverVBD does not get to an equal residual: it works in single precision, and",
-            "rounding our positions to it alone changes the forces by",
-            f"{part['single_precision_residual']:.1g} of the same unit. The rows are at what it",
-            f"reaches. Target: {DESCENT_DEMAND} times less CPU; ours takes {min(ratios):.0f} to",
-            f"{max(ratios):.0f} times less than the rows above.",
+            "SolverVBD does not reach an equal residual: it works in single precision, and",
+            "merely rounding our positions to it changes the forces by",
+            f"{part['single_precision_residual']:.1g} in the same unit. The rows show the",
+            f"residuals that it reaches. Target: {DESCENT_TARGET} times less CPU time; ours takes",
+            f"{min(ratios):.0f} to {max(ratios):.0f} times less than the rows above.",
         ),
         *_paragraph(
-            "Creep in one second on a plane of 0.98 times the friction coefficient (0.5), steps of",
-            "20 ms; SolverVBD smooths friction below a speed ε:",
+            "Creep in one second on a plane whose slope is 0.98 times the friction coefficient",
+            "(0.5), steps of 20 ms; SolverVBD smooths friction below a speed ε:",
         ),
         "| solver | iterations | ε, m/s | creep |",
         "|---|---|---|---|",
@@ -193,14 +194,14 @@ def _argus(part):
     costs = [row["cpu_s_per_s"] for row in part["rows"]]
     median = float(np.median(costs))
     return [
-        "## Beside the paper's simulator",
+        "## Comparison with the paper's simulator",
         "",
         *_paragraph(
             "ARGUS, measured on this mesh with one thread of a 2-core machine, takes 98-122 ms for",
-            f"a step of 0.5 ms: {low:.0f}-{high:.0f} CPU s a simulated second. The runs above take",
-            f"{median:.2f} in the median, {low / median:.0f}-{high / median:.0f} times less.",
-            f"Target: {ARGUS_DEMAND} times less:",
-            f"{'met' if low / median >= ARGUS_DEMAND else 'not met'}.",
+            f"a step of 0.5 ms: {low:.0f}-{high:.0f} CPU s per simulated second. The median of the",
+            f"runs above is {median:.2f}, {low / median:.0f}-{high / median:.0f} times less.",
+            f"Target: {ARGUS_TARGET} times less:",
+            f"{'met' if low / median >= ARGUS_TARGET else 'not met'}.",
             "At its default tolerance ARGUS slides where converged runs stick; ours sticks.",
         ),
     ]

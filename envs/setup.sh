@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes the virtual environment: envs/setup.sh PYTHON FOLDER. Does nothing where it is up to date.
+# Creates the virtual environment: envs/setup.sh PYTHON FOLDER. Does nothing if it is up to date.
 set -eu
 python=$1
 venv=$2
@@ -12,11 +12,11 @@ if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$digest" ]; then
 fi
 
 if ! command -v "$python" >/dev/null; then
-    echo "make setup: $python is missing: install Python 3.11 or name it with PYTHON=..." >&2
+    echo "make setup: $python not found: install Python 3.11 or set PYTHON=..." >&2
     exit 1
 fi
 if ! "$python" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then
-    echo "make setup: $python is not Python 3.11, which bpy needs; name one with PYTHON=..." >&2
+    echo "make setup: $python is not Python 3.11, which bpy requires; set PYTHON=..." >&2
     exit 1
 fi
 
@@ -25,7 +25,7 @@ fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --no-deps --no-build-isolation -e .
 
-# Blender's libraries of the system: installed where that is possible, else named.
+# System libraries for Blender: installed if possible, otherwise listed.
 missing() { ldd "$venv"/lib/python3.11/site-packages/bpy/*.so | grep 'not found' || true; }
 if [ -n "$(missing)" ]; then
     packages=$(grep -v '^#' envs/system-packages.txt | tr '\n' ' ')
@@ -35,7 +35,7 @@ if [ -n "$(missing)" ]; then
             apt-get install -y -qq --no-install-recommends $packages; } >/dev/null
     fi
     if [ -n "$(missing)" ]; then
-        echo "make setup: Blender lacks system libraries: sudo apt-get install $packages" >&2
+        echo "make setup: system libraries for Blender are missing: sudo apt-get install $packages" >&2
         exit 1
     fi
 fi

@@ -1,4 +1,4 @@
-"""What each choice in the training is worth, one at a time; not part of `all`."""
+"""Ablations: training choices changed one at a time; not part of `all`."""
 
 from slipstitch.config.ablate import QUESTIONS
 
@@ -29,9 +29,13 @@ rule ablate_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("ablate", CONFIG),
     params:
-        *settings("train", "instrument", "ablate", ablate={"seeds"}),
-        frames=CONFIG.sample.frames,
-        view_order=CONFIG.view_order,
+        *settings(
+            "train",
+            "instrument",
+            "ablate",
+            also=("sample.frames", "view_order"),
+            ablate={"seeds"},
+        ),
         code=code_of("ablate.answering"),
         config=CONFIG_FILE,
     message:
@@ -69,7 +73,7 @@ rule ablate_summary:
         code=code_of("ablate"),
         config=CONFIG_FILE,
     message:
-        "Sum up the ablations"
+        "Summarise the ablations"
     shell:
         "slipstitch ablate --config {params.config} --summary results/ablate"
         " --out {output.summary} --page {output.page} > {log} 2>&1"

@@ -1,4 +1,4 @@
-"""Settings chosen by the pushed strip, one job a swept setting, and checked against theory."""
+"""Settings chosen with a pushed strip, one job per swept setting, and checked against theory."""
 
 from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.calibrate.sweep import sweep_inputs
@@ -26,13 +26,16 @@ rule calibrate_sweep:
         mem_mb=job_memory_mb("calibrate"),
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
-        inputs=lambda wildcards: json.dumps(
-            sweep_inputs(wildcards.swept, CONFIG.calibrate, CONFIG.simulation)
-        ),
+        inputs=lambda wildcards: [
+            f"{key}: {json.dumps(value)}"
+            for key, value in sweep_inputs(
+                wildcards.swept, CONFIG.calibrate, CONFIG.simulation
+            ).items()
+        ],
         code=code_of("calibrate"),
         config=CONFIG_FILE,
     message:
-        "Push the strip with other values of {wildcards.swept}"
+        "Sweep {wildcards.swept} with the pushed strip"
     shell:
         "slipstitch calibrate --config {params.config} --sweep {wildcards.swept} --out {output} > {log} 2>&1"
 
@@ -41,7 +44,33 @@ rule calibrate_settings:
     input:
         expand("results/calibrate/sweep/{swept}.json", swept=(BASE, *KEYS)),
     output:
-        checks="results/calibrate/calibration.json",
+        "results/calibrate/calibration.json",
+    log:
+        "results/logs/calibrate/calibration.log",
+    benchmark:
+        "results/benchmarks/calibrate/calibration.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("calibrate"),
+        runtime=job_runtime_min("calibrate", CONFIG),
+    params:
+        *settings("simulation", "calibrate"),
+        code=code_of("calibrate"),
+        config=CONFIG_FILE,
+    message:
+        "Choose settings, check the simulator against theory"
+    shell:
+        "slipstitch calibrate --config {params.config} --sweeps {input} --out {output}"
+        " --only-failures --picture results/calibrate/calibration.png"
+        " --strip-picture results/calibrate/strip.png"
+        " --settings-picture results/calibrate/settings.png > {log} 2>&1"
+
+
+# A job of its own: nothing is simulated again for want of a picture.
+rule calibrate_pictures:
+    input:
+        rules.calibrate_settings.output,
+    output:
         picture=report(
             "results/calibrate/calibration.png",
             caption="../workflow/report/calibration.rst",
@@ -58,20 +87,17 @@ rule calibrate_settings:
             category="Physics",
         ),
     log:
-        "results/logs/calibrate/calibration.log",
+        "results/logs/calibrate/pictures.log",
     benchmark:
-        "results/benchmarks/calibrate/calibration.tsv"
+        "results/benchmarks/calibrate/pictures.tsv"
     threads: 1
     resources:
         mem_mb=job_memory_mb("calibrate"),
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
-        *settings("simulation", "calibrate"),
         code=code_of("calibrate"),
-        config=CONFIG_FILE,
     message:
-        "Choose settings, check the simulator against theory"
+        "Draw the calibration"
     shell:
-        "slipstitch calibrate --config {params.config} --sweeps {input} --out {output.checks}"
-        " --picture {output.picture} --strip-picture {output.strip}"
-        " --settings-picture {output.settings} > {log} 2>&1"
+        "slipstitch calibrate --draw {input} --picture {output.picture}"
+        " --strip-picture {output.strip} --settings-picture {output.settings} > {log} 2>&1"

@@ -1,4 +1,4 @@
-"""Films of a bench, or surrogates for them, through the trained networks; not part of `all`."""
+"""Videos of a bench, or surrogates, evaluated with the trained networks; not part of `all`."""
 
 CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
 SLIP_ANGLES = CONFIG.captures.angles or (
@@ -8,7 +8,7 @@ FILMS = [] if CONFIG.captures.table else CONFIG.captures.surrogate_ids()
 
 
 def pair_of(film):
-    """The fabric and floor that a surrogate film shows."""
+    """The fabric and floor of a surrogate video."""
     return CONFIG.captures.pairs[int(film[1:3])]
 
 
@@ -35,8 +35,7 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("seed", "captures"),
-        view=CONFIG.render.camera,
+        *settings("seed", "captures", also=("render.camera",)),
         catalogue=entries(
             viewpoints=["calibrated"],
             floors={pair.substrate for pair in CONFIG.captures.pairs},
@@ -62,8 +61,7 @@ rule surrogate_film:
         mem_mb=job_memory_mb("render"),
         runtime=120,
     params:
-        *settings("seed", "simulation", "captures"),
-        render=(CONFIG.render.camera, CONFIG.render.samples),
+        *settings("seed", "simulation", "captures", also=("render.camera", "render.samples")),
         fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
         catalogue=lambda wildcards: entries(
             viewpoints=["calibrated"],
@@ -73,7 +71,7 @@ rule surrogate_film:
         code=code_of("capture"),
         config=CONFIG_FILE,
     message:
-        "Simulate and film {wildcards.film}, a surrogate"
+        "Simulate and render surrogate {wildcards.film}"
     shell:
         "slipstitch capture surrogate --config {params.config} --film {wildcards.film}"
         " --out {output} > {log} 2>&1"
@@ -103,7 +101,7 @@ if SLIP_ANGLES:
         params:
             code=code_of("capture"),
         message:
-            "Friction from slip angles"
+            "Compute friction from slip angles"
         shell:
             "slipstitch capture reference {input} --out {output.table} --json {output.details}"
             " --picture {output.picture} > {log} 2>&1"

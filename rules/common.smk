@@ -1,12 +1,14 @@
-"""The configuration, checked; what all rules share."""
+"""The validated configuration; definitions shared by all rules."""
 
 import hashlib
 import json
 import os
 import sys
+from contextlib import contextmanager
+from operator import attrgetter
 
-from slipstitch.config import resolve_config, write_config
-from slipstitch.config.grid import batches, grid_rows, simulations, viewpoints
+from slipstitch.config import read_mapping, resolve_config, write_config
+from slipstitch.config.grid import batches, films, grid_rows, simulations, viewpoints
 from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest, fabric_names
@@ -15,17 +17,36 @@ from slipstitch.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"
 
-try:
+
+@contextmanager
+def one_line_errors():
+    """Bad input ends the run in one line, without Snakemake's traceback."""
+    try:
+        yield
+    except BadInput as error:
+        print(f"snakemake: error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+with one_line_errors():
+    # Snakemake has merged them already; a key given twice is lost by then.
+    for file in workflow.configfiles if workflow.is_main_process else ():
+        read_mapping(file)
     CONFIG = resolve_config(config, sources=("configuration",), words=True)
-except BadInput as error:
-    print(f"snakemake: error: {error}", file=sys.stderr)
-    sys.exit(2)
 
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
 
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}
 VIEWPOINTS = {viewpoint["id"]: viewpoint for viewpoint in viewpoints(CONFIG)}
+SHOWN = films(CONFIG)
+SHARDS = [f"{simulation}_{viewpoint}" for simulation, viewpoint in SHOWN]
+# Viewpoints from which every simulation is filmed; from the others only some are.
+FULL_VIEWPOINTS = [
+    viewpoint
+    for viewpoint in VIEWPOINTS
+    if all((simulation, viewpoint) in SHOWN for simulation in SIMULATIONS)
+]
 
 
 wildcard_constraints:
@@ -35,8 +56,8 @@ wildcard_constraints:
     seed=r"\d+",
 
 
-def settings(*sections, **exclude):
-    """Sections of the configuration, a parameter a key: the rule reruns when one changes."""
+def settings(*sections, also=(), **exclude):
+    """Sections of the configuration, one parameter per key: the rule reruns when one changes."""
     kept = CONFIG.model_dump(mode="json", include=set(sections), exclude=exclude)
     parameters = []
     for section, values in kept.items():
@@ -44,30 +65,31 @@ def settings(*sections, **exclude):
             parameters += [f"{section}.{key}: {json.dumps(values[key])}" for key in values]
         else:
             parameters.append(f"{section}: {json.dumps(values)}")
+    parameters += [f"{key}: {json.dumps(attrgetter(key)(CONFIG))}" for key in also]
     return parameters
 
 
 def code_of(stage):
-    """Digest of a stage's code as a rule's parameter: the rule reruns when what computes changes.
+    """Digest of a stage's code as a rule's parameter: the rule reruns when the computation changes.
 
     Only the main process compares a job's parameters with those that its files were made with; the
     processes of single jobs do not read all sources again.
     """
-    return code_digest(stage) if workflow.is_main_process else stage
+    return f"code of {stage}: {code_digest(stage)}" if workflow.is_main_process else stage
 
 
 def fabrics(*names):
-    """Measured fabrics as a rule's parameter: one more in the catalogue reruns nothing."""
+    """Measured fabrics as a rule's parameter: additions to the catalogue cause no reruns."""
     return [f"{name}: {fabric_digest(name)}" for name in names]
 
 
 def entries(**names):
-    """Entries of the catalogue, by kind, as a rule's parameter: one more reruns nothing."""
+    """Entries of the catalogue, by kind, as a rule's parameter: additions cause no reruns."""
     return json.dumps(catalogue_entries(**names))
 
 
 def digest_if_there(path):
-    """A file that a rule shows where there is one, as its parameter: the rule reruns with it."""
+    """An optional file that a rule displays, as its parameter: the rule reruns when it changes."""
     return file_digest(path) if os.path.exists(path) else None
 
 
@@ -80,6 +102,6 @@ rule grid:
         rows=hashlib.sha256(json.dumps(grid_rows(CONFIG)).encode()).hexdigest(),
         config=CONFIG_FILE,
     message:
-        "Table of ids and seeds"
+        "Write the table of ids and seeds"
     shell:
         "slipstitch grid --config {params.config} --out {output} > {log} 2>&1"

@@ -1,4 +1,4 @@
-"""How far drop-and-drag depends on the time step and the mesh; not part of `all`."""
+"""Dependence of drop-and-drag on time step and mesh; not part of `all`."""
 
 from slipstitch.convergence.cases import cases
 
@@ -41,7 +41,7 @@ rule convergence_run:
         code=code_of("simulate"),
         config=CONFIG_FILE,
     message:
-        "Convergence: simulate {wildcards.case}"
+        "Convergence study: simulate {wildcards.case}"
     shell:
         "slipstitch convergence run --config {params.config} --calibration {input}"
         " --case {wildcards.case} --out {output} > {log} 2>&1"
@@ -71,7 +71,7 @@ rule convergence_compare:
         code=code_of("convergence"),
         config=CONFIG_FILE,
     message:
-        "Convergence: compare the runs"
+        "Convergence study: compare the runs"
     shell:
         "slipstitch convergence compare --config {params.config}"
         " --calibration {input.calibration} --runs results/convergence/runs"

@@ -1,6 +1,17 @@
-"""Measured cases: verdict, extended model, and their runs simulated again; not part of `all`."""
+"""Measured cases: verdict, extended model, and their runs simulated again."""
 
-MEASURED = {Path(case).name: Path(workflow.basedir) / case for case in CONFIG.criticise.cases}
+
+def case_folder(case):
+    """A case of the configuration: in the working folder, or one that comes with the workflow."""
+    places = [Path(case), Path(workflow.basedir) / case]
+    found = next((place for place in places if place.is_dir()), None)
+    if found is None:
+        raise BadInput(f"criticise.cases: {case}: no such folder")
+    return found
+
+
+with one_line_errors():
+    MEASURED = {Path(case).name: case_folder(case) for case in CONFIG.criticise.cases}
 
 
 wildcard_constraints:
@@ -9,16 +20,26 @@ wildcard_constraints:
 
 rule criticise:
     input:
-        expand("results/criticise/{measured}/index.html", measured=MEASURED),
+        expand(
+            "results/criticise/{measured}/{file}",
+            measured=MEASURED,
+            file=["index.html", "verdict.json", "picture.svg"],
+        ),
 
 
 rule criticise_one:
     input:
         lambda wildcards: sorted(
-            path for path in MEASURED[wildcards.measured].iterdir() if path.is_file()
+            path for path in MEASURED[wildcards.measured].rglob("*") if path.is_file()
         ),
     output:
         page="results/criticise/{measured}/index.html",
+        picture=report(
+            "results/criticise/{measured}/picture.svg",
+            caption="../workflow/report/criticism.rst",
+            category="Criticism",
+            labels={"case": "{measured}"},
+        ),
         verdict="results/criticise/{measured}/verdict.json",
         model="results/criticise/{measured}/extended_model.yaml",
         again="results/criticise/{measured}/resimulation.json",
@@ -37,4 +58,4 @@ rule criticise_one:
         "Criticise {wildcards.measured}"
     shell:
         "slipstitch criticise {params.case} --out {output.verdict} --report {output.page}"
-        " --model {output.model} --resimulate {output.again} > {log} 2>&1"
+        " --picture {output.picture} --model {output.model} --resimulate {output.again} > {log} 2>&1"

@@ -30,9 +30,7 @@ rule evaluate_all:
         mem_mb=job_memory_mb("evaluate", CONFIG),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
-        *settings("evaluate"),
-        frames=CONFIG.sample.frames,
-        view_order=CONFIG.view_order,
+        *settings("evaluate", also=("sample.frames", "view_order")),
         code=code_of("evaluate.evaluation"),
         config=CONFIG_FILE,
     message:

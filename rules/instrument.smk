@@ -32,9 +32,7 @@ rule instrument_one:
         mem_mb=job_memory_mb("instrument", CONFIG),
         runtime=job_runtime_min("instrument", CONFIG),
     params:
-        *settings("instrument", instrument={"seeds"}),
-        frames=CONFIG.sample.frames,
-        view_order=CONFIG.view_order,
+        *settings("instrument", also=("sample.frames", "view_order"), instrument={"seeds"}),
         code=code_of("instrument"),
         config=CONFIG_FILE,
         folder=subpath(output.weights, parent=True),

@@ -1,4 +1,4 @@
-"""The dataset as a folder to hand out; not part of `all`."""
+"""The dataset as a folder to distribute."""
 
 
 rule release:
@@ -8,15 +8,15 @@ rule release:
 
 rule release_folder:
     input:
-        rules.calibrate.input,
+        rules.calibrate_settings.output,
         rules.simulate.input,
         rules.render.input.shards,
         rules.sample.input,
         rules.render.input.verification,
         grid="results/grid.parquet",
     output:
-        # Write-protected: a release that was handed out is removed by hand or not at all.
-        protected(directory("results/release")),
+        # Regenerated when its inputs change; publish a copy.
+        directory("results/release"),
     log:
         "results/logs/release/release.log",
     benchmark:
@@ -31,7 +31,7 @@ rule release_folder:
         config=CONFIG_FILE,
         project=workflow.basedir,
     message:
-        "Release the dataset"
+        "Write the release"
     shell:
         "slipstitch release --config {params.config} --results results --out-dir {output}"
         " --project {params.project} > {log} 2>&1"

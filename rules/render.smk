@@ -1,32 +1,44 @@
-"""One Blender process a simulation and viewpoint; then all textures, without Blender; previews."""
+"""One Blender process per simulation and viewpoint; then all textures, without Blender; previews."""
 
-# Which shards there are, and what is put on the light afterwards, is not what the light depends on.
+# The shading depends neither on the set of shards nor on what is applied to it afterwards.
 SHADING_SETTINGS = settings(
+    "seed",
     "render",
+    also=("sample.frames_kept", "render.augmentation.lamp_m"),
     render={
         "viewpoints",
         "test_viewpoints",
+        "test_viewpoint_videos",
+        "floors",
+        "reflective_floors",
         "textures",
         "test_textures",
         "augmentation",
         "verified_images",
+        "threads",
     },
 )
-RENDER_SETTINGS = settings("render", render={"viewpoints", "test_viewpoints", "verified_images"})
+RENDER_SETTINGS = settings(
+    "seed",
+    "render",
+    render={
+        "viewpoints",
+        "test_viewpoints",
+        "test_viewpoint_videos",
+        "verified_images",
+        "threads",
+    },
+)
 
 
 def camera_file(wildcards):
-    """The camera file that the viewpoint's camera stands by, if one is configured."""
+    """The camera file of the viewpoint, if one is configured."""
     return CONFIG.render.camera_of(VIEWPOINTS[wildcards.viewpoint]["name"]) or []
 
 
 rule render:
     input:
-        shards=expand(
-            "results/render/{simulation}_{viewpoint}.parquet",
-            simulation=SIMULATIONS,
-            viewpoint=VIEWPOINTS,
-        ),
+        shards=expand("results/render/{shard}.parquet", shard=SHARDS),
         previews=expand(
             "results/render/preview/{simulation}.{kind}",
             simulation=SIMULATIONS,
@@ -51,17 +63,16 @@ rule render_shading:
         runtime=job_runtime_min("render", CONFIG),
     params:
         *SHADING_SETTINGS,
-        lamp=CONFIG.render.augmentation.lamp_m,
-        seed=CONFIG.seed,
-        frames=CONFIG.sample.frames_kept,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
+        floors=lambda wildcards: CONFIG.render.floors_of(wildcards.viewpoint),
         catalogue=lambda wildcards: entries(
-            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]], floors=CONFIG.render.floors
+            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]],
+            floors=CONFIG.render.floors_of(wildcards.viewpoint),
         ),
         code=code_of("render.packing"),
         config=CONFIG_FILE,
     message:
-        "Render the light of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+        "Render the shading of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectory}"
         " --viewpoint {wildcards.viewpoint} --shading {output} > {log} 2>&1"
@@ -71,11 +82,12 @@ rule render_images:
     input:
         trajectory="results/simulate/{simulation}.parquet",
         shading=expand(
-            "results/render/shading/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS
+            "results/render/shading/{{simulation}}_{viewpoint}.parquet",
+            viewpoint=FULL_VIEWPOINTS,
         ),
         textures=CONFIG.render.texture_files(),
     output:
-        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=FULL_VIEWPOINTS),
     log:
         "results/logs/render/compose_{simulation}.log",
     benchmark:
@@ -86,12 +98,45 @@ rule render_images:
         runtime=job_runtime_min("compose", CONFIG),
     params:
         *RENDER_SETTINGS,
-        seed=CONFIG.seed,
         catalogue=entries(textures=CONFIG.render.texture_ids().values()),
         code=code_of("render"),
         config=CONFIG_FILE,
     message:
         "Compose the images of {wildcards.simulation}"
+    shell:
+        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
+
+
+# Of viewpoints from which only some simulations are filmed, and in some textures.
+rule render_images_drawn:
+    input:
+        trajectory="results/simulate/{simulation}.parquet",
+        shading="results/render/shading/{simulation}_{viewpoint}.parquet",
+        textures=CONFIG.render.texture_files(),
+    output:
+        "results/render/{simulation}_{viewpoint}.parquet",
+    log:
+        "results/logs/render/compose_{simulation}_{viewpoint}.log",
+    benchmark:
+        "results/benchmarks/render/compose_{simulation}_{viewpoint}.tsv"
+    wildcard_constraints:
+        viewpoint="|".join(view for view in VIEWPOINTS if view not in FULL_VIEWPOINTS) or "none",
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("compose"),
+        runtime=job_runtime_min("compose", CONFIG),
+    params:
+        *RENDER_SETTINGS,
+        seed=CONFIG.seed,
+        worn=lambda wildcards: SHOWN[wildcards.simulation, wildcards.viewpoint],
+        catalogue=lambda wildcards: entries(
+            textures=SHOWN[wildcards.simulation, wildcards.viewpoint].values()
+        ),
+        code=code_of("render"),
+        config=CONFIG_FILE,
+    message:
+        "Compose the images of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectory}"
         " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
@@ -112,8 +157,8 @@ rule render_verification:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("verify", CONFIG),
     params:
+        *settings("seed"),
         images=CONFIG.render.verified_images,
-        seed=CONFIG.seed,
         code=code_of("render"),
         config=CONFIG_FILE,
     message:
@@ -125,7 +170,11 @@ rule render_verification:
 
 rule preview_one:
     input:
-        expand("results/render/{{simulation}}_{viewpoint}.parquet", viewpoint=VIEWPOINTS),
+        lambda wildcards: [
+            f"results/render/{wildcards.simulation}_{viewpoint}.parquet"
+            for viewpoint in VIEWPOINTS
+            if (wildcards.simulation, viewpoint) in SHOWN
+        ],
     output:
         sheet=report(
             "results/render/preview/{simulation}.png",
@@ -145,7 +194,7 @@ rule preview_one:
     params:
         code=code_of("render"),
     message:
-        "Contact sheet and film of {wildcards.simulation}"
+        "Preview {wildcards.simulation}: contact sheet and video"
     shell:
         "slipstitch render --preview --out-sheet {output.sheet} --out-video {output.film}"
         " {input} > {log} 2>&1"

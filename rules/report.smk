@@ -8,7 +8,7 @@ rule report:
 
 rule report_page:
     input:
-        calibration=rules.calibrate.input,
+        calibration=rules.calibrate_settings.output,
         simulations=rules.simulate.input,
         grid="results/grid.parquet",
         previews=rules.render.input.previews,
@@ -16,6 +16,8 @@ rule report_page:
         dataset=rules.sample.input,
         networks=rules.train.input,
         evaluation=rules.evaluate.input,
+        criticism=rules.criticise.input,
+        audit=rules.audit.input,
     output:
         report(
             "results/report/index.html",
@@ -34,9 +36,6 @@ rule report_page:
         *settings(*type(CONFIG).model_fields),
         code=code_of("report"),
         captures=digest_if_there("results/captures/metrics.json"),
-        reflective=digest_if_there(
-            Path(CONFIG.evaluate.reflective_results or "") / "captures/metrics.json"
-        ),
         config=CONFIG_FILE,
     message:
         "Write the report"

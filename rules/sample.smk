@@ -28,7 +28,7 @@ rule sample_all:
         code=code_of("sample"),
         config=CONFIG_FILE,
     message:
-        "Sample frames, draw the splits"
+        "Sample frames and draw the splits"
     shell:
         "slipstitch sample --config {params.config} --out-dir results/sample"
         " {input.shards} > {log} 2>&1"

@@ -1,4 +1,4 @@
-"""What happens around a run: the configuration and the journal are written, failures shown last."""
+"""Hooks of a run: write the configuration and the journal, show failures last."""
 
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
@@ -6,7 +6,7 @@ from snakemake.logging import logger
 from slipstitch.status.journal import Journal
 from slipstitch.status.runs import last_failures
 
-# What `slipstitch status` and the report read; the processes of single jobs add nothing to it.
+# What `slipstitch status` and the report read; the processes of single jobs do not write to it.
 JOURNAL = Journal()
 if workflow.is_main_process:
     logger.addHandler(JOURNAL)
@@ -16,11 +16,13 @@ def refuse_unwritable(jobs):
     """Stop before the first job if a folder of results cannot be written to."""
     for folder in sorted({Path(file).parent for job in jobs for file in job.output}):
         if folder.exists() and not os.access(folder, os.W_OK):
-            raise WorkflowError(f"{folder}: the file system cannot be written to")
+            raise WorkflowError(
+                f"{folder}: not writable (read-only file system or missing permission)"
+            )
 
 
-# What the stages read is written when the first job starts: neither a dry run nor a changed key
-# that a stage does not use touches anything. The rules carry the values as parameters instead.
+# The configuration file is written when the first job starts: neither a dry run nor a changed key
+# that a stage does not use modifies anything. The rules carry the values as parameters instead.
 onstart:
     refuse_unwritable(workflow.dag.needrun_jobs())
     write_config(CONFIG, CONFIG_FILE)

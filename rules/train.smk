@@ -20,10 +20,12 @@ def material_option(wildcards, input):
 rule train:
     input:
         expand(
-            "results/train/{split}/{network}/seed{seed}/{file}",
-            split=CONFIG.train.splits,
-            network=NETWORKS,
-            seed=CONFIG.train.seeds,
+            "results/train/{training}/{file}",
+            training=[
+                f"{split}/{network}/seed{seed}"
+                for split in CONFIG.train.splits
+                for network, seed in CONFIG.train.trainings(split)
+            ],
             file=["model.safetensors", "model.json", "history.csv"],
         ),
 
@@ -52,8 +54,12 @@ rule train_one:
         mem_mb=job_memory_mb("train", CONFIG),
         runtime=job_runtime_min("train", CONFIG),
     params:
-        *settings("seed", "train", train={"seeds", "splits"}),
-        view_order=CONFIG.view_order,
+        *settings(
+            "seed",
+            "train",
+            also=("view_order",),
+            train={"seeds", "reflective_seeds", "splits"},
+        ),
         code=code_of("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),

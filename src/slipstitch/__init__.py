@@ -1,3 +1,3 @@
-"""Slipstitch: read the friction coefficient of cloth off video."""
+"""Slipstitch: measure the friction coefficient of cloth from video."""
 
 __version__ = "0.1.0"

@@ -1,10 +1,10 @@
-"""The viewpoints and the cloth textures there are, by name.
+"""The available viewpoints, cloth textures and floors, by name.
 
 Standard library only: the configuration and the workflow load it without numpy or Blender.
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 
@@ -16,19 +16,23 @@ class Viewpoint:
     ----------
     azimuth_deg : float
         Angle about the vertical axis; 0 looks against the drag direction (the camera stands
-        ahead of the stage), 90 looks along +y (the camera stands beside the track, at -y).
+        ahead of the stage), 90 looks along +y (from a camera beside the track, at -y).
     elevation_deg : float
         Angle of the optical axis below the horizontal.
     distance_m : float
         From the camera to the point it is aimed at.
     test_only : bool
         True where the viewpoint exists to test networks on views they have not seen.
+    drawn : bool
+        True of a family: every bench has a camera of its own near this viewpoint, and its images
+        are rectified into the calibrated one (`slipstitch.render.bench_camera`).
     """
 
     azimuth_deg: float
     elevation_deg: float
     distance_m: float
     test_only: bool = False
+    drawn: bool = False
 
 
 _CALIBRATED = Viewpoint(azimuth_deg=40.0, elevation_deg=24.0, distance_m=1.4)
@@ -46,6 +50,7 @@ VIEWPOINTS: dict[str, Viewpoint] = {
         )
         for turn in (-15, -10, -5, 5, 10, 15)
     },
+    **{f"bench_{member}": replace(_CALIBRATED, drawn=True) for member in range(1, 9)},
 }
 
 #: Name -> seed of the texture's random choices. The last one is the paper's "unseen texture": it
@@ -71,7 +76,7 @@ def is_texture_file(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Floor:
-    """A substrate's look: a mirror of some roughness over a grey Lambertian body.
+    """Appearance of a substrate: a rough specular layer over a grey Lambertian body.
 
     Each pair is a range from which every simulation draws its own value.
 
@@ -80,7 +85,7 @@ class Floor:
     albedo : tuple of float
         Of the body.
     reflectance : tuple of float
-        Of the mirror at normal incidence; it grows towards grazing incidence (Schlick 1994).
+        Specular, at normal incidence; it grows towards grazing incidence (Schlick 1994).
     roughness : tuple of float
         As Blender has it: the width of the distribution of slopes (GGX) is its square.
     """
@@ -89,8 +94,13 @@ class Floor:
     reflectance: tuple[float, float] = (0.0, 0.0)
     roughness: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def reflects_plainly(self) -> bool:
+        """Whether the paper's tests would set it apart as reflective: metals and mirrors."""
+        return self.reflectance[1] > 0.1
 
-#: The paper's substrates, and two that stand for many. Reflectances at normal incidence are those
+
+#: The paper's substrates, and two generic ones. Reflectances at normal incidence are those
 #: of the materials (aluminium 0.91, steel 0.58, a refractive index of 1.5: 0.04) less what a film
 #: or a worn surface takes; roughness and albedo are estimates of what such plates look like.
 FLOORS: dict[str, Floor] = {
@@ -109,7 +119,7 @@ FLOORS: dict[str, Floor] = {
 def catalogue_entries(
     viewpoints: Iterable[str] = (), textures: Iterable[str] = (), floors: Iterable[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """What the catalogue says of these names: it is compared to tell what is up to date.
+    """The catalogue entries of these names, compared to determine what is up to date.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The errors that a user may meet, each shown as one line by the command line."""
+"""User-facing errors, each shown as one line by the command line."""
 
 import errno
 import os
@@ -14,7 +14,7 @@ class BadInput(SlipstitchError):  # noqa: N818 - the name is what the user did, 
 
 
 class Damaged(BadInput):
-    """A file that is not as it was written; says how to make it anew.
+    """A damaged or altered file; the message says how to regenerate it.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Damaged(BadInput):
         path = os.fspath(path)
         again = ""
         if not os.path.isabs(path) and os.path.normpath(path).split(os.sep)[0] == "results":
-            again = f"; make it anew with: snakemake --cores 2 all --forcerun {shlex.quote(path)}"
+            again = f"; regenerate it with: snakemake --cores 2 all --forcerun {shlex.quote(path)}"
         super().__init__(f"{path}: {reason}{again}")
 
 
@@ -46,15 +46,15 @@ class NotConverged(SlipstitchError):  # noqa: N818
 # What the machine refuses, whatever the program: told in one line, without a traceback.
 _OF_THE_MACHINE = {
     errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file would be larger than is allowed",
-    errno.EROFS: "the file system cannot be written to",
+    errno.EDQUOT: "the disk quota is exceeded",
+    errno.EFBIG: "the file would exceed the size limit",
+    errno.EROFS: "the file system is read-only",
     errno.EACCES: "permission denied",
     errno.EPERM: "not permitted",
-    errno.EIO: "the disk fails",
+    errno.EIO: "disk I/O error",
     errno.EMFILE: "too many open files",
     errno.ENOMEM: "out of memory",
-    errno.ENAMETOOLONG: "a file name is too long",
+    errno.ENAMETOOLONG: "file name too long",
 }
 # The words of libraries whose exceptions have no code.
 _WORDS_OF_THE_MACHINE = {
@@ -69,7 +69,7 @@ _WORDS_OF_THE_MACHINE = {
 
 
 def refused_by_the_machine(error: BaseException) -> str | None:
-    """What the machine refused (disk, memory, permission), if that is what an error is about."""
+    """The failure of the machine (disk, memory, permission) that caused an error, if any."""
     code = error.errno if isinstance(error, OSError) else None
     if isinstance(error, MemoryError):
         code = errno.ENOMEM

@@ -1,4 +1,4 @@
-"""How far a loop has come: a bar on a terminal, elsewhere a plain line now and then."""
+"""Progress of a loop: a bar on a terminal, otherwise a plain line at intervals."""
 
 import sys
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import TextIO
 from tqdm import tqdm
 
 LINE_INTERVAL_S = 30.0
-_LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} since the start, {remaining} to go"
+_LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} elapsed, {remaining} remaining"
 
 
 class _Lines:

@@ -1,4 +1,4 @@
-"""One thread for NumPy's and SciPy's linear algebra: sums over several round otherwise.
+"""One thread for NumPy's and SciPy's linear algebra: with several, sums round differently.
 
 The same numbers then come out wherever a verb is started. Where more threads pay (training,
 rendering, hashing), the stage has a setting of its own, which this leaves alone. Standard library

@@ -1,7 +1,9 @@
 """Bad input is one line that names file, row and column."""
 
 import json
+import os
 
+import numpy as np
 import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
@@ -106,3 +108,69 @@ def test_an_unknown_protocol_is_refused_not_dropped(case):
 def test_unknown_tables_are_reported_not_swallowed(case):
     (case / "peel.csv").write_text("a,b\n1,2\n")
     assert read_case(case).ignored_files == ("peel.csv",)
+
+
+def test_true_is_no_number(case):
+    meta = json.loads((case / "meta.json").read_text())
+    meta["nominal"]["rho_kg_m2"] = True
+    (case / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(BadInput, match=r"nominal\.rho_kg_m2: True; must be a positive number"):
+        read_case(case)
+
+
+@pytest.mark.parametrize("name", ["meta.json", "incline.csv"])
+def test_a_pipe_is_not_waited_for(case, name):
+    (case / name).unlink()
+    os.mkfifo(case / name)
+    with pytest.raises(BadInput, match=f"{name}: not a file"):
+        read_case(case)
+
+
+def test_zeros_after_a_table_are_not_left_out_in_silence(case):
+    with (case / "incline.csv").open("ab") as file:
+        file.write(bytes(100_000))
+    with pytest.raises(BadInput, match=r"incline\.csv: .* NUL bytes"):
+        read_case(case)
+
+
+def test_a_table_of_gigabytes_is_refused_unread(case):
+    os.truncate(case / "incline.csv", 3 * 2**30)
+    with pytest.raises(BadInput, match=r"incline\.csv: larger than 512 MiB"):
+        read_case(case)
+
+
+@pytest.mark.parametrize("with_time", [True, False])
+def test_the_order_of_a_traces_rows_does_not_matter(case, with_time):
+    if not with_time:
+        change(case / "drag.csv", lambda t: t.assign(t_s=""))
+    columns = ["run_id", "stroke", "x_stage_mm", "force_mN"]
+    ordered = read_case(case).tables["drag"].groupby("run_id")[columns]
+    change(case / "drag.csv", lambda t: t.sample(frac=1, random_state=1))
+    shuffled = read_case(case).tables["drag"].groupby("run_id")[columns]
+    for run, rows in ordered:
+        again = shuffled.get_group(run)
+        for stroke in (0, 1):
+            pd.testing.assert_frame_equal(
+                again[again["stroke"] == stroke].reset_index(drop=True),
+                rows[rows["stroke"] == stroke].reset_index(drop=True),
+            )
+
+
+def test_numbers_may_be_padded_and_lines_blank(case):
+    expected = read_case(case).tables["incline"]
+    change(case / "incline.csv", lambda t: t.assign(angle_deg=" " + t["angle_deg"] + "\u00a0"))
+    with (case / "incline.csv").open("a") as file:
+        file.write("\n" + "," * (len(expected.columns) - 1) + "\n \n")
+    pd.testing.assert_frame_equal(read_case(case).tables["incline"], expected)
+
+
+def test_dates_and_lists_in_parquet_are_refused(case):
+    table = pd.read_csv(case / "incline.csv")
+    for column, cells in (
+        ("angle_deg", pd.Timestamp("2020-01-01")),
+        ("run_id", [np.array([1, 2])] * len(table)),
+    ):
+        table.assign(**{column: cells}).to_parquet(case / "incline.parquet")
+        (case / "incline.csv").unlink(missing_ok=True)
+        with pytest.raises(BadInput, match=column):
+            read_case(case)

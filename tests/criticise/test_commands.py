@@ -1,10 +1,13 @@
 """The two verbs, from a case folder to a verdict and to predictions."""
 
 import csv
+import hashlib
 import json
+import shutil
 from contextlib import redirect_stderr
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
@@ -13,6 +16,7 @@ from slipstitch.cli.main import main
 KEYS = {
     "case",
     "spec_version",
+    "about",
     "verdict",
     "causes",
     "alternatives",
@@ -79,11 +83,38 @@ def test_prediction_of_fresh_specimens_is_calibrated_and_gains(written):
     assert z["ext_score"] > z["null_score"]
 
 
+def test_a_prediction_is_locked_before_and_scored_after(written, tmp_path, capsys):
+    def criticise(case):
+        words = ["criticise", str(written / "case"), "--out", str(tmp_path / "v.json")]
+        return main([*words, "--validate", str(case)])
+
+    design = tmp_path / "design"
+    shutil.copytree(written / "fresh", design)
+    table = pd.read_csv(design / "incline.csv")
+    table.drop(columns=["angle_deg", "censored"]).to_csv(design / "incline.csv", index=False)
+    assert criticise(design) == 0
+    assert not (tmp_path / "v.validation.json").exists()
+    locked = (tmp_path / "v.prediction.csv").read_bytes()
+    # Then it was measured: the same prediction is scored, not a later one.
+    assert criticise(written / "fresh") == 0
+    assert (tmp_path / "v.prediction.csv").read_bytes() == locked
+    found = json.loads((tmp_path / "v.validation.json").read_text())
+    assert found["prediction_sha256"] == hashlib.sha256(locked).hexdigest()
+    assert found["gain"]["ci95"][0] > 0
+    assert found["extended"]["within_95"] > 0.85
+    assert found["extended"]["error"]["angle_deg"] < found["null"]["error"]["angle_deg"]
+    assert "the extended model predicts better" in capsys.readouterr().out
+    # A prediction that was touched is no prediction.
+    (tmp_path / "v.prediction.csv").write_bytes(locked.replace(b"1", b"2", 5))
+    assert criticise(written / "fresh") == 2
+    assert "not the prediction that v.prediction.lock.json locks" in capsys.readouterr().err
+
+
 def test_the_page_says_the_verdict_first(written):
     page = (written / "page.html").read_text()
     assert "<h1" in page and "warp differs" in page
     assert page.count("<svg") >= 4
-    assert "along everything recorded" in page
+    assert "against all covariates" in page
 
 
 def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):
@@ -93,3 +124,26 @@ def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):
     assert caught.value.code == 2
     error = capsys.readouterr().err.strip()
     assert "meta.json" in error and "\n" not in error
+
+
+def test_a_seed_below_zero_is_refused(written, capsys):
+    words = ["criticise", str(written / "case"), "--out", str(written / "v.json"), "--seed", "-1"]
+    assert main(words) == 2
+    assert "--seed must be at least 0" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_bounds_alone_give_strict_json_without_warnings(written, tmp_path):
+    case = tmp_path / "case"
+    shutil.copytree(written / "case", case)
+    table = pd.read_csv(case / "incline.csv").assign(censored=1, angle_deg=60.0)
+    table.to_csv(case / "incline.csv", index=False)
+    page = tmp_path / "page.html"
+    words = ["--out", str(tmp_path / "v.json"), "--report", str(page), "--replicates", "50"]
+    assert not main(["criticise", str(case), *words])
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    verdict = json.loads((tmp_path / "v.json").read_text(), parse_constant=refuse)
+    assert verdict["gain"]["estimate"] is None

@@ -11,6 +11,7 @@ from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.protocols import spring_slider
 from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
 from slipstitch.criticise.verdict import parameters_with_intervals
 from slipstitch.errors import BadInput
@@ -146,3 +147,20 @@ def test_bad_tables_are_refused_in_one_line(case, tmp_path, table, edit, words):
     assert "\n" not in message
     for word in (table, *words):
         assert word in message
+
+
+@pytest.mark.parametrize("slid_s, first", [(0.0, True), (2.0, False)])
+def test_only_a_drop_at_the_end_of_the_loading_is_a_first_slip(slid_s, first):
+    """A slider that has followed the track falls where the track does: no static excess."""
+    slider = Slider(0.3, 60.0, 1.5e-3)
+    time = np.arange(0.0, 20.0, 0.005)
+    loaded_s = 600.0 / (1e3 * slider.spring_N_m * slider.speed_m_s)
+    falls = time > loaded_s + slid_s
+    force = np.where(falls, 300.0, np.minimum(600.0, 600.0 * time / loaded_s))
+    later = falls & (time > loaded_s + slid_s + 0.3)
+    force[later] = 450.0
+    noise = np.random.default_rng(1).normal(0, 1.0, len(time))
+    trace = pd.DataFrame({"t_s": time, "force_mN": force + noise})
+    reading = spring_slider._read(trace, slider, 1.0)
+    assert (reading.first_half_mN is not None) == first
+    assert reading.first_unseen == (not first)

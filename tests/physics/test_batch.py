@@ -164,7 +164,9 @@ def test_every_kernel_compiles_for_a_gpu(tmp_path):
 
 @pytest.mark.skipif(wp.is_cuda_available(), reason="there is such a device")
 def test_a_device_that_is_not_there_is_bad_input():
-    with pytest.raises(BadInput, match="device cuda: not available on this machine; there is: cpu"):
+    with pytest.raises(
+        BadInput, match="device cuda: not available on this machine; available: cpu"
+    ):
         simulate_batch(HEAPS, HEAP, device="cuda")
 
 

@@ -113,6 +113,9 @@ def test_perturbations_have_the_stated_spread():
     assert np.std([p.bending_factor for p in drawn]) == pytest.approx(0.03, rel=0.1)
     leaning = np.mean([p.natural_curl_per_m > 0 for p in drawn])
     assert leaning == pytest.approx(0.5, abs=0.05)
+    one_side = SMALL.model_copy(update={"curl_side": "same"})
+    sides = {draw_perturbation(one_side, seed).natural_curl_per_m for seed in range(20)}
+    assert sides == {SMALL.natural_curl_per_m}
 
 
 @pytest.mark.parametrize("curl", [-1.0, 1.0])

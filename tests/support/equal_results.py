@@ -84,7 +84,8 @@ def digests(results: Path) -> dict[str, str]:
 
     What lies under a temporary name is no artefact; see `leftovers`.
 
-    A release counts with its data and splits; its records, card and checksums carry times.
+    A release counts with its data and splits; its records, card and checksums carry times, and so
+    does what an audit says of them.
     """
     found = {}
     for path in sorted(results.rglob("*")):
@@ -96,8 +97,16 @@ def digests(results: Path) -> dict[str, str]:
         if name.startswith("release/") and not name.startswith(("release/data/", "release/splits")):
             found[name] = "of the release"
             continue
+        if name.startswith("audit/"):
+            found[name] = _audited(path)
+            continue
         found[name] = hashlib.sha256(_content(path, name)).hexdigest()
     return found
+
+
+def _audited(path: Path) -> str:
+    text = path.read_text(encoding="utf-8")
+    return json.loads(text)["verdict"] if path.suffix == ".json" else str("intact" in text)
 
 
 def leftovers(results: Path) -> list[str]:

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from slipstitch.config import Config, resolve_config
-from slipstitch.config.grid import simulations, textures, viewpoints
+from slipstitch.config.grid import films, simulations, textures, viewpoints
 
 SCHEMA = pa.schema(
     [
@@ -92,7 +92,10 @@ def write_shards(config: Config, folder: Path, frames: range | None = None) -> l
         height = 0.45 + 0.12 * fabrics.index(one.material) + jitter[1]
         for v, view in enumerate(viewpoints(config)):
             rows = []
+            worn = films(config).get((one.id, view["id"]), {})
             for t, texture in enumerate(textures(config)):
+                if texture["id"] not in worn:
+                    continue
                 for frame in numbers:
                     phase = frame / total * 4 * np.pi
                     image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
@@ -109,6 +112,8 @@ def write_shards(config: Config, folder: Path, frames: range | None = None) -> l
                             "image": {"bytes": stream.getvalue(), "path": f"{frame}.png"},
                         }
                     )
+            if not worn:
+                continue
             path = Path(folder) / f"{one.id}_{view['id']}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
             pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), path)

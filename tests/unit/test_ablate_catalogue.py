@@ -9,6 +9,7 @@ from slipstitch.ablate.questions import plan
 from slipstitch.config import resolve_config
 from slipstitch.config.ablate import QUESTIONS, AblateSettings
 from slipstitch.errors import BadInput
+from slipstitch.sample.videos import ROLES
 
 VIEWS = ["calibrated", "side"]
 
@@ -34,10 +35,7 @@ def manifest(replicates=4, textures=3, mirrors=(1, 3)):
                 "friction": 0.1 + 0.3 * f,
                 "floor_reflectance": 0.5 * ((m == 0) if held else (r in mirrors)),
                 "split_by_simulation": "test" if held else "train",
-                **{
-                    f"{kind}_role": "train"
-                    for kind in ("material", "friction", "texture", "viewpoint")
-                },
+                **{f"{kind}_role": "train" for kind in ROLES},
             }
         )
     return rows
@@ -118,7 +116,7 @@ def test_the_floors_exchange_mirrors_for_matte_simulations_of_the_same_coefficie
     matte, mixed = (chosen(rows, one.videos) for one in found.variants)
     assert not any(row["floor_reflectance"] for row in matte)
     assert sum(row["floor_reflectance"] > 0 for row in mixed) == 6 == len(mixed) / 2
-    assert found.variants[1].phrase == "training with 6 mirroring floors of 12"
+    assert found.variants[1].phrase == "training with 6 reflective floors out of 12"
     for part in (matte, mixed):
         assert set(Counter((r["material_id"], r["friction_id"]) for r in part).values()) == {2}
     for name, reflecting in (("matte floors", False), ("mirroring floors", True)):
@@ -151,15 +149,15 @@ def test_what_a_variant_changes():
     ("question", "rows", "views", "needed"),
     [
         ("diversity", manifest(replicates=2), VIEWS, "2 training replicates of every pair"),
-        ("diversity", manifest(textures=1), VIEWS, "and 2 training textures are needed, not 3"),
+        ("diversity", manifest(textures=1), VIEWS, "and 2 training textures are required, not 3"),
         ("floors", manifest(mirrors=()), VIEWS, "floors: 2 friction coefficients with 2 matte"),
-        ("schedule", manifest(), VIEWS[:1], "schedule: 2 training viewpoints are needed, not 1"),
-        ("initialisation", manifest(), ["frontal"], "seen from frontal is needed"),
+        ("schedule", manifest(), VIEWS[:1], "schedule: 2 training viewpoints are required, not 1"),
+        ("initialisation", manifest(), ["frontal"], "seen from frontal is required"),
         (
             "conditioning",
             [row for row in manifest() if row["material_id"] == "m00"],
             VIEWS,
-            "conditioning: 2 training materials are needed, not 1",
+            "conditioning: 2 training materials are required, not 1",
         ),
     ],
 )
@@ -172,7 +170,7 @@ def test_a_question_that_the_dataset_cannot_answer_says_what_is_needed(
 
 def test_the_network_that_is_asked_after_must_be_trained():
     assert planned("diversity", networks=["instrument"]).networks == ["instrument"]
-    with pytest.raises(BadInput, match=r"network lrcn, which ablate\.networks leaves out"):
+    with pytest.raises(BadInput, match=r"network lrcn, which is not in ablate\.networks"):
         planned("initialisation", networks=["instrument"])
 
 
@@ -180,7 +178,7 @@ def test_the_network_that_is_asked_after_must_be_trained():
     ("section", "problem"),
     [
         ({"questions": ["divers"]}, "ablate.questions.0"),
-        ({"seeds": [0, 0]}, "seeds must be different"),
+        ({"seeds": [0, 0]}, "seeds must be distinct"),
         ({"train": {"widht": 0.1}}, "ablate.train: widht"),
         ({"train": {"epochs_per_cycle": 3}}, "epochs_per_cycle is set by the ablation itself"),
         ({"instrument": {"epochs": 3}}, "epochs is set by the ablation itself"),

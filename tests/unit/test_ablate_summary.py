@@ -93,8 +93,9 @@ def test_a_planted_difference_is_found_and_said():
 
 def test_equal_variants_cannot_be_told_apart():
     found = concluded(0.0)
-    assert found["verdict"] == "not told apart" and found["low"] < 0 < found["high"]
-    assert "cannot be told apart by 20 simulations and 3 seeds: difference" in found["sentence"]
+    assert found["verdict"] == "no significant difference" and found["low"] < 0 < found["high"]
+    assert "no significant difference" in found["sentence"]
+    assert "with 20 simulations and 3 seeds: difference" in found["sentence"]
 
 
 def test_the_rows_are_scores_with_their_spread_over_seeds():
@@ -129,14 +130,14 @@ def test_runs_at_chance_and_diverged_ones_are_in_the_row_and_the_sentence():
     assert found["seeds"] == 2 and "the second way diverged with 1 of 3 seeds" in found["sentence"]
     found = concluded(0.04, failures=3)
     assert (found["verdict"], found["low"]) == ("not compared", None)
-    assert "no seed trained both without diverging" in found["sentence"]
+    assert "in no seed did both train without diverging" in found["sentence"]
 
 
 def test_one_seed_or_one_simulation_says_so():
-    assert "of other seeds the interval says nothing" in concluded(0.04, seeds=1)["sentence"]
+    assert "the interval does not cover other seeds" in concluded(0.04, seeds=1)["sentence"]
     found = concluded(0.04, simulations=1)
     assert found["verdict"] == "not compared" and found["difference"] is not None
-    assert "one test simulation says nothing of others" in found["sentence"]
+    assert "one test simulation does not generalise to others" in found["sentence"]
 
 
 def test_the_test_set_stands_in_the_sentence():
@@ -147,7 +148,7 @@ def test_the_test_set_stands_in_the_sentence():
 def test_answers_of_different_datasets_are_refused():
     mixed = answers(0.0)
     mixed[1]["dataset_digest"] = "another"
-    with pytest.raises(BadInput, match="of different datasets"):
+    with pytest.raises(BadInput, match="from different datasets"):
         summarise(mixed, 0.1)
 
 

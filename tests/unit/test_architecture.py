@@ -12,7 +12,8 @@ SOURCE = Path(slipstitch.__file__).parent
 # that no two packages import each other.
 FLOORS = (
     # what happened, and what is wrong
-    {"errors", "progress", "threads"},
+    {"errors", "progress", "threads", "warp_start"},
+    {"project"},
     {"provenance"},
     {"catalogue"},
     # what is known before anything is computed
@@ -38,6 +39,7 @@ FLOORS = (
     {"doctor"},
     {"status", "release"},
     {"report", "audit"},
+    {"publish"},
     # the command line
     {"cli"},
     {"__main__"},

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
+from support.forger import Forger
 
 from slipstitch.audit import rebuild, staleness
 from slipstitch.audit.auditing import audit_release
@@ -73,11 +73,9 @@ def edit_record(release: Path, name: str, edit) -> str:
 
 
 def edit_table(path: Path, edit) -> None:
-    """Change the rows of a Parquet file, keep its metadata."""
-    table = pq.read_table(path)
-    rows = table.to_pylist()
-    edit(rows)
-    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    """Change the rows of a Parquet file, keep its metadata and how it is stored."""
+    release = path.parents[1] if path.parent.name == "data" else path.parent
+    Forger(release, release).edit_rows(path.relative_to(release).as_posix(), edit)
 
 
 def found(release: Path, kind: Kind, **options) -> dict[str, set[str]]:
@@ -149,8 +147,8 @@ def test_swapped_shards_are_both_named(release):
     aside.rename(second)
     audit = audit_release(release)
     said = {finding.where: finding.what for finding in audit.of_kind(Kind.ALTERED)}
-    assert said[f"data/{first.name}"] == f"holds what belongs to data/{second.name}"
-    assert said[f"data/{second.name}"] == f"holds what belongs to data/{first.name}"
+    assert said[f"data/{first.name}"] == f"has the content of data/{second.name}"
+    assert said[f"data/{second.name}"] == f"has the content of data/{first.name}"
     reseal(release)
     broken = found(release, Kind.BROKEN)
     assert {f"data/{first.name}", f"data/{second.name}"} <= set(broken)
@@ -255,13 +253,6 @@ def test_dropped_manifest_leaves_the_files_checked(release):
     assert audit.of_kind(Kind.BROKEN)
 
 
-def test_link_in_place_of_a_file_is_found(release):
-    card = release / "README.md"
-    card.rename(release.parent / "elsewhere.md")
-    card.symlink_to(release.parent / "elsewhere.md")
-    assert "README.md" in found(release, Kind.ALTERED)
-
-
 FORGERIES = {
     "another seed": (
         "simulate/m05_f01_r00.parquet",
@@ -318,7 +309,7 @@ FORGERIES = {
     "another exposure": (
         "render/m05_f01_r00_v00.parquet",
         lambda one: one["metadata"]["augmentation"]["t00"].update(exposure_stops=0.0),
-        {CLIP},
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "no viewpoint": (
         "render/m05_f01_r00_v00.parquet",
@@ -360,16 +351,7 @@ def test_forged_calibration_breaks_every_clip(release):
     path = release / "records/calibrate/calibration.json"
     path.write_text(path.read_text().replace("true", "false", 1))
     reseal(release)
-    (clips,) = found(release, Kind.BROKEN).values()
-    assert len(clips) == 144
-
-
-def test_forged_verification_breaks_every_clip(release):
-    path = release / "records/render/verification.json"
-    path.write_text(path.read_text().replace("39.87", "49.87"))
-    reseal(release)
-    (clips,) = found(release, Kind.BROKEN).values()
-    assert len(clips) == 144
+    assert len(found(release, Kind.BROKEN)["records/calibrate/calibration.json"]) == 144
 
 
 def test_forged_configuration_contradicts_the_records(release):
@@ -395,18 +377,6 @@ def test_forged_sources_do_not_have_the_digest_of_the_records(release):
     assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
 
 
-def test_only_the_digest_from_elsewhere_tells_a_consistent_forgery(release):
-    """A card is free text: with both lists rewritten nothing in the release contradicts it."""
-    published = audit_release(release).sums_sha256
-    card = release / "README.md"
-    card.write_text(card.read_text().replace("GPL", "ABC"))
-    reseal(release)
-    assert audit_release(release).verdict == "intact"
-    audit = audit_release(release, expected=published)
-    assert [finding.where for finding in audit.findings] == ["SHA256SUMS"]
-    assert len(audit.findings[0].clips) == 144
-
-
 def test_changed_configuration_makes_stale_not_damaged(original):
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2})
     audit = audit_release(original, other)
@@ -427,7 +397,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
 
 def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     """The chain's calibration chose other settings than configured: released, intact, not stale."""
-    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0, "halvings_max": 9})
+    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0})
     out = tmp_path / "release"
     write_release(CONFIG, results, out, ROOT)
     contents = read_contents(out)
@@ -436,6 +406,19 @@ def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     assert CONFIG.simulation.damping_s == 0.002
     assert audit_release(out).verdict == "intact"
     assert audit_release(out, CONFIG).verdict == "intact"
+
+
+def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
+    """Not every simulation from every viewpoint in every texture, and floors of two kinds."""
+    render = {"test_viewpoint_videos": 3, "reflective_floors": ["ceramic", "aluminium"]}
+    config = CONFIG.model_copy(update={"render": CONFIG.render.model_copy(update=render)})
+    results = synthetic_chain.write(config, tmp_path)
+    write_release(config, results, tmp_path / "release", ROOT)
+    audit = audit_release(tmp_path / "release")
+    assert audit.verdict == "intact", audit.findings[:3]
+    rows = pq.read_table(tmp_path / "release" / "manifest.parquet").to_pylist()
+    assert sum(row["viewpoint_role"] == "test" for row in rows) == 3
+    assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
 
 
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
@@ -464,8 +447,8 @@ def test_changed_code_makes_its_stage_stale(original, monkeypatch):
     monkeypatch.setattr(
         staleness,
         "current_digest",
-        lambda stage, root=None: (
-            "0" * 64 if stage == "render" and root is None else now(stage, root)
+        lambda stage, root=None, versions=None: (
+            "0" * 64 if stage == "render" and root is None else now(stage, root, versions)
         ),
     )
     audit = audit_release(original)
@@ -560,23 +543,23 @@ def test_story_of_a_clip_names_every_link(original, capsys):
         "results/render/m05_f01_r00_v00.parquet",
         "results/simulate/m05_f01_r00.parquet",
         "results/calibrate/calibration.json",
-        "fabric gray-interlock (as today)",
+        "fabric gray-interlock (same as the current one)",
         "friction 0.3",
-        "as decoded just now",
+        "equal to the decoded pixels",
         "by_simulation: ",
         "yaw_deg",
     ):
         assert part in story
     assert "v01.parquet" not in story
-    assert "NOT" not in story.replace("NOT the code", "")
+    assert "NOT" not in story.replace("NOT the current code", "")
     assert main(["audit", str(original), "--explain", "m99"]) == 2
-    assert "no clip 'm99'; ids are like m" in capsys.readouterr().err
+    assert "no clip 'm99'; ids look like m" in capsys.readouterr().err
 
 
 def test_story_says_where_the_chain_breaks(release, capsys):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.update(sha256="0" * 64))
     main(["audit", str(release), "--explain", CLIP])
-    assert "results/render/m05_f01_r00_v00.parquet (ANOTHER FILE than the next)" in (
+    assert "results/render/m05_f01_r00_v00.parquet (DIFFERENT from the next)" in (
         capsys.readouterr().out
     )
 
@@ -594,7 +577,15 @@ def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     assert other.psnr_db == pytest.approx(expected, abs=0.01)
 
 
+def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
+    pixels = np.zeros((3, 8, 8, 3), np.uint8)
+    same = rebuild.compare("a", pixels, pixels, True)
+    other = replace(same, differing=("solver of results/simulate/a.parquet",))
+    assert same.same and not other.same
+    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
+
+
 def test_clip_without_whole_records_is_not_rebuilt(release):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
-    with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
+    with pytest.raises(BadInput, match=f"the records of {CLIP} are incomplete"):
         rebuild.rebuild(read_contents(release), CLIP)

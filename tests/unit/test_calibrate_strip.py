@@ -97,7 +97,7 @@ def test_a_demand_that_nothing_meets_says_what_came_closest():
     with pytest.raises(DemandNotMet) as caught:
         calibrated(strip_slip_strain=1e-6)
     said = str(caught.value.args[0])
-    assert said.startswith("no settings meet the demand (slip strain within 1e-06")
+    assert said.startswith("no settings meet the requirements (slip strain within 1e-06")
     assert "closest: time_step_s = 0.005 with slip strain within 0.0005" in said
     assert "\n" not in said
 
@@ -204,8 +204,12 @@ def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed
 def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
     paths = sweeps(config, tmp_path)
     other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
-    with pytest.raises(BadInput, match=r"settings tried, not the .* of the configuration"):
+    with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
         read_sweeps(paths, other)
+    for changed in ({"step_error_m": 1e-5}, {"bending_stiffness_at": "end"}):
+        stepped = config.simulation.model_copy(update=changed)
+        with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
+            read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
     (tmp_path / "base.json").write_text("{")
-    with pytest.raises(BadInput, match=r"base\.json: damaged or no JSON file"):
+    with pytest.raises(BadInput, match=r"base\.json: damaged or not a JSON file"):
         read_sweeps(paths, config)

@@ -10,12 +10,12 @@ from support import board_photographs as bench
 
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.lens_calibration import FloorPlace
-from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import cloth_room, crop_to
 from slipstitch.render.camera_file import read_camera_file
+from slipstitch.render.rectification import rectify, stage_plane
 
 VIEWS = 9
 CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]
@@ -128,8 +128,8 @@ def test_a_video_of_the_board_will_do(work, tmp_path, capsys):
     assert "18 views" in capsys.readouterr().out
     content = json.loads(out.read_text())
     assert content["focal_px"] == pytest.approx([612, 631], rel=0.01)
-    # It does not say where the camera stands, so that nothing can be rendered from it.
-    with pytest.raises(BadInput, match="does not say where the camera stands"):
+    # It lacks the position of the camera, so that nothing can be rendered from it.
+    with pytest.raises(BadInput, match="does not contain the position of the camera"):
         read_camera_file(out)
 
 
@@ -203,14 +203,14 @@ def _fine(folder):
     [
         (_no_board, [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
         (_no_image, [], "view2.png: not an image"),
-        (_too_few, [], "the board is in 4 usable view(s) only, at least 5 are needed"),
-        (_alike, [], "views are too much alike"),
-        (_another_size, [], "one camera's images have one size"),
-        (_bare_floor, [], "floor.png: the board is not in it"),
+        (_too_few, [], "the board was found in only 4 usable view(s); at least 5 are required"),
+        (_alike, [], "views are too similar"),
+        (_another_size, [], "all images of a camera must have the same size"),
+        (_bare_floor, [], "floor.png: no board found in it"),
         (_fine, ["--squares", "9x7"], "one odd and one even number"),
-        (_fine, ["--squares", "board"], "width x height of at least 4x4"),
+        (_fine, ["--squares", "board"], "must be width x height, at least 4x4"),
         (_fine, ["--square-mm", "-1"], "--square-mm: -1; must be greater than 0"),
-        (_fine, ["--board", "charuco"], "a ChArUco board needs one, smaller than its squares"),
+        (_fine, ["--board", "charuco"], "required for a ChArUco board, smaller than its squares"),
         (_fine, ["--stage-view", "none.png"], "none.png: no such file"),
     ],
 )
@@ -251,10 +251,10 @@ def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
     [
         ({"format": "other"}, "not a camera file"),
         ({"focal_px": [600, -1]}, "not positive"),
-        ({"focal_px": [600]}, "focal_px must hold 2 finite numbers"),
+        ({"focal_px": [600]}, "focal_px must contain 2 finite numbers"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "not a rotation matrix"),
-        ({"distortion": {"k1": 0.1}}, "distortion must hold k1, k2, p1, p2, k3"),
-        ({"translation_m": None}, "does not say where the camera stands"),
+        ({"distortion": {"k1": 0.1}}, "distortion must contain k1, k2, p1, p2, k3"),
+        ({"translation_m": None}, "does not contain the position of the camera"),
     ],
 )
 def test_a_damaged_camera_file_is_bad_input(work, tmp_path, change, message):

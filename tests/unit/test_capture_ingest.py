@@ -10,7 +10,6 @@ import pytest
 from support import analytic_stage as stage
 
 from slipstitch.capture.ingest.dataset import read_known
-from slipstitch.capture.rectification import rectify, source_pixels, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import read_stage_video
 from slipstitch.catalogue import VIEWPOINTS
@@ -18,6 +17,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
+from slipstitch.render.rectification import rectify, source_pixels, stage_plane
 from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(
@@ -180,7 +180,7 @@ def test_a_long_gap_is_refused(tmp_path):
 def test_a_wrong_frame_rate_is_noticed_and_can_be_stated(tmp_path):
     right = np.arange(0, 13.2, 1 / RATE_HZ)
     path = stage.write_video(tmp_path / "slow.mp4", images(right), right / 2)
-    with pytest.raises(BadInput, match=r"sinks (1\.9|2\.0)\d times as fast .*frame_rate_hz"):
+    with pytest.raises(BadInput, match=r"descends (1\.9|2\.0)\d times as fast .*frame_rate_hz"):
         read_stage_video(path, LENS, SCHEDULE)
     read = read_stage_video(path, LENS, SCHEDULE, frame_rate_hz=RATE_HZ)
     assert read.start.time_s == pytest.approx(START_S, abs=0.01)
@@ -249,19 +249,19 @@ def test_reference_values_fill_empty_cells(folder):
     ("row", "problem"),
     [
         (GOOD.replace("a.mp4", "c.mp4"), "line 2, video: 'c.mp4'; no such file below"),
-        (GOOD.replace("a.mp4", "../a.mp4"), "video: '../a.mp4'; a path below"),
-        (GOOD.replace("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; a path below"),
+        (GOOD.replace("a.mp4", "../a.mp4"), "video: '../a.mp4'; must be a path below"),
+        (GOOD.replace("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; must be a path below"),
         (GOOD.replace("camera.json", "no.json"), "camera: 'no.json'; no such file below"),
-        (GOOD.replace("0.31", "-0.31"), "mu_ref: '-0.31'; a number from 0 to 10 is allowed"),
-        (GOOD.replace("0.31", "nan"), "mu_ref: 'nan'; a number from 0 to 10 is allowed"),
+        (GOOD.replace("0.31", "-0.31"), "mu_ref: '-0.31'; must be a number from 0 to 10"),
+        (GOOD.replace("0.31", "nan"), "mu_ref: 'nan'; must be a number from 0 to 10"),
         (GOOD.replace("0.31", ""), "mu_ref: empty"),
-        (GOOD.replace("0.31", "=1/3"), "mu_ref: '=1/3' begins like a formula"),
+        (GOOD.replace("0.31", "=1/3"), "mu_ref: '=1/3' looks like a formula"),
         (
             GOOD.replace("glass", '"=HYPERLINK(""http://x"")"'),
-            "substrate: '=HYPERLINK(\"http://x\")' begins like a formula",
+            "substrate: '=HYPERLINK(\"http://x\")' looks like a formula",
         ),
-        (GOOD.replace(",1,", ",one,"), "repeat: 'one'; a whole number from 0 to 99 is allowed"),
-        (GOOD.replace(",no,", ",maybe,"), "reflective: 'maybe'; yes or no is allowed"),
+        (GOOD.replace(",1,", ",one,"), "repeat: 'one'; must be a whole number from 0 to 99"),
+        (GOOD.replace(",no,", ",maybe,"), "reflective: 'maybe'; must be yes or no"),
         (GOOD + ",7", "line 2: 9 cells, the header has 8"),
     ],
 )
@@ -276,13 +276,13 @@ def test_a_wrong_cell_is_one_line(folder, capsys, row, problem):
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
-        ([GOOD, GOOD], "line 3: repeat 1 of gray-interlock on glass is in line 2 too"),
+        ([GOOD, GOOD], "line 3: repeat 1 of gray-interlock on glass duplicates line 2"),
         ([GOOD, GOOD.replace(",1,", ",2,")], "line 3, video: the same content as in line 2"),
         (
             [GOOD, GOOD.replace("a.mp4", "b.mp4").replace(",1,0.31", ",2,0.35")],
-            "line 3: gray-interlock on glass has another mu_ref, error or reflective than in",
+            "line 3: gray-interlock on glass differs in mu_ref, mu_ref_error or reflective from",
         ),
-        ([], "no row in it"),
+        ([], "contains no rows"),
     ],
 )
 def test_rows_that_contradict_one_another_are_one_line(folder, capsys, rows, problem):
@@ -296,8 +296,8 @@ def test_rows_that_contradict_one_another_are_one_line(folder, capsys, rows, pro
     ("columns", "problem"),
     [
         (COLUMNS.replace("material", "materiel"), "unknown column 'materiel'; did you mean mate"),
-        (COLUMNS.replace(",camera", ",video"), "column 'video' is there twice"),
-        (COLUMNS.removesuffix(",camera"), "no column 'camera'; needed: video, material"),
+        (COLUMNS.replace(",camera", ",video"), "column 'video' is duplicated"),
+        (COLUMNS.removesuffix(",camera"), "no column 'camera'; required: video, material"),
     ],
 )
 def test_wrong_columns_are_one_line(folder, capsys, columns, problem):
@@ -312,7 +312,7 @@ def test_a_link_that_leads_out_of_the_folder_is_refused(folder, tmp_path_factory
     outside.write_bytes(b"\0")
     (folder / "c.mp4").symlink_to(outside)
     assert ingest(folder, GOOD.replace("a.mp4", "c.mp4")) == 2
-    assert "a link that leads out of" in capsys.readouterr().err
+    assert "must not be a link to outside" in capsys.readouterr().err
 
 
 def _text(folder):
@@ -365,11 +365,14 @@ def _backwards(folder):
         (_text, "a text file, not a video"),
         (_playlist, "a text file, not a video"),
         (_noise, "not a video that OpenCV can read"),
-        (_truncated, "not a video that OpenCV can read (damaged or cut off?)"),
+        (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
         (_truncated_stream, "ends after"),
         (_empty, "empty, not a video"),
         (_ten_frames, "no start of the stage's motion found"),
-        (_portrait, "240x320 pixels (portrait: the camera was calibrated the other way round)"),
+        (
+            _portrait,
+            "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
+        ),
         (_still, "no start of the stage's motion found"),
         (_backwards, "no start of the stage's motion found"),
     ],

@@ -57,7 +57,7 @@ def test_unknown_verb_is_one_line(capsys):
     assert command.main(["simulat"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    assert "there is no verb 'simulat'" in line
+    assert "unknown verb 'simulat'" in line
 
 
 def test_version(capsys):
@@ -142,7 +142,7 @@ def test_installed_program_and_module_are_the_same():
     for start in ([sys.executable, "-m", "slipstitch"], [f"{sys.prefix}/bin/slipstitch"]):
         answer = subprocess.run([*start, "nonsense"], capture_output=True, text=True)
         assert answer.returncode == 2
-        assert answer.stderr.startswith("slipstitch: error: there is no verb 'nonsense'")
+        assert answer.stderr.startswith("slipstitch: error: unknown verb 'nonsense'")
 
 
 def test_reader_that_goes_away_is_no_error():
@@ -157,7 +157,7 @@ def test_reader_that_goes_away_is_no_error():
 
 
 def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
-    """OpenBLAS, short of memory, tries for ever; so that nothing starts that cannot end."""
+    """Without memory, OpenBLAS would retry for ever."""
     words = f"slipstitch protocol incline --out {tmp_path}/x.json"
     answer = subprocess.run(
         ["bash", "-c", f"ulimit -v 600000; {sys.executable} -m {words}"],
@@ -166,23 +166,24 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
     )
     assert answer.returncode == 1
     assert answer.stderr.count("\n") == 1
-    assert "limited to 585 MiB (ulimit -v), at least 2048 are needed" in answer.stderr
+    assert "the limit is 585 MiB (ulimit -v), at least 2048 MiB are required" in answer.stderr
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["criticise", "{folder}", "--out", "{folder}"], "a folder; name a file in it"),
-        (["criticise", "{folder}", "--out", "/dev/full"], "a device or a pipe; name a file"),
+        (["criticise", "{folder}", "--out", "{folder}"], "is a folder; must be a file"),
+        (["criticise", "{folder}", "--out", "/dev/full"], "is a device or a pipe; must be a file"),
         (
             ["report", "--config", "x.yaml", "--out", "{file}/x.html"],
             "{file} is a file, not a folder",
         ),
         (["predict", "x.json", "{folder}", "--out", "{file}/a/x.csv"], "{file} is a file"),
-        (["protocol", "incline", "--out", "{folder}"], "a folder; name a file in it"),
+        (["protocol", "incline", "--out", "{folder}"], "is a folder; must be a file"),
+        (["report", "--config", "x.yaml", "--out", "x.png"], "x.png: must end in .html or .htm"),
         (
             ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
-            "a file; a folder is to be written",
+            "is a file; must be a folder",
         ),
     ],
 )

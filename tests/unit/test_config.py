@@ -7,6 +7,7 @@ import pytest
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.render import AugmentationSettings
 from slipstitch.config.schema import schema_text
 from slipstitch.errors import BadInput
 
@@ -36,6 +37,16 @@ def test_paper_scale_is_the_grid_of_the_paper():
     assert len(config.render.viewpoints) == 3
     assert len(config.render.test_viewpoints) == 6
     assert (config.simulation.frames, config.sample.frames) == (300, 30)
+
+
+def test_paper_scale_perturbs_nothing():
+    """The same fabric hangs on the same bench at all coefficients, and at every seed."""
+    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
+    simulation = config.simulation
+    spreads = (simulation.yaw_sd_deg, simulation.height_sd_m, simulation.fabric_sd_rel)
+    assert (*spreads, simulation.curl_side) == (0.0, 0.0, 0.0, "same")
+    assert config.render.augmentation == AugmentationSettings()
+    assert config.render.floors == ["matte"]
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -75,13 +86,13 @@ BAD = {
     "grid: {friction: [0.1]}": "grid.friction: unknown key; did you mean frictions?",
     "colour: red": "colour: unknown key; known: seed, grid, simulation",
     "grid: {frictions: [0.3, -0.1]}": "grid.frictions.1: must be at least 0, not -0.1",
-    "grid: {frictions: []}": "grid.frictions: must not have fewer entries than 1",
+    "grid: {frictions: []}": "grid.frictions: must have at least 1 entries",
     "grid: {frictions: 0.3}": "grid.frictions: must be a list, not 0.3",
     "grid: {frictions: [0.3, 0.1]}": "grid.frictions: friction coefficients must increase",
     "grid: {frictions: [.nan]}": "grid.frictions.0: must be a finite number",
     "grid: {frictions: [.inf]}": "grid.frictions.0: must be a finite number",
-    "grid: {materials: [silk]}": "grid.materials: no material 'silk'; there are: ivory-rib-knit",
-    "grid: {materials: [gray-interlock, gray-interlock]}": "grid.materials: a material is named",
+    "grid: {materials: [silk]}": "grid.materials: unknown material 'silk'; known: ivory-rib-knit",
+    "grid: {materials: [gray-interlock, gray-interlock]}": "grid.materials: duplicate material",
     "grid: {replicates: 1.5}": "grid.replicates: must be a whole number, not 1.5",
     "grid: {replicates: '2'}": "grid.replicates: must be a whole number, not '2'",
     "grid: {replicates: true}": "grid.replicates: must be a whole number, not true",
@@ -90,9 +101,9 @@ BAD = {
     "simulation: {frames: 0}": "simulation.frames: must be at least 1, not 0",
     "simulation: {time_step_s: .nan}": "simulation.time_step_s: must be a finite number",
     "simulation: {time_step_s: soon}": "simulation.time_step_s: must be a number, not 'soon'",
-    "render: {textures: [plaid]}": "render.textures: no texture 'plaid'; there are: stripes",
-    "render: {viewpoints: [below]}": "render.viewpoints: no viewpoint 'below'; there are:",
-    "sample: {frames: 400}": "sample.frames: 400 frames cannot be sampled from the 300",
+    "render: {textures: [plaid]}": "render.textures: unknown texture 'plaid'; known: stripes",
+    "render: {viewpoints: [below]}": "render.viewpoints: unknown viewpoint 'below'; known:",
+    "sample: {frames: 400}": "sample.frames: 400 frames cannot be sampled from 300",
     "train: {view_order: [frontal, calibrated_+5]}": "train.view_order: 'calibrated_+5' is not in",
     "seed: -1": "seed: must be at least 0, not -1",
 }
@@ -130,7 +141,7 @@ def test_several_problems_are_all_named_in_one_line(tmp_path):
     ("content", "message"),
     [
         (None, "cannot be read: No such file"),
-        ("- 1\n- 2\n", "holds a list, a mapping of keys is needed"),
+        ("- 1\n- 2\n", "contains a list; must be a mapping of keys"),
         ("grid: [unclosed\n", "not YAML"),
         (b"\xff\xfe\x00", "cannot be read: not a text file"),
     ],
@@ -165,7 +176,7 @@ def test_written_configuration_holds_every_key(tmp_path):
 def test_schema_file_is_the_one_of_the_types():
     file = ROOT / "workflow/schemas/config.schema.json"
     assert file.read_text(encoding="utf-8") == schema_text(), (
-        f"write it anew: slipstitch schema > {file.relative_to(ROOT)}"
+        f"regenerate it: slipstitch schema > {file.relative_to(ROOT)}"
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from slipstitch.config import resolve_config
 from slipstitch.config.grid import (
     bench_of,
+    films,
     find_simulation,
     grid_rows,
     simulations,
@@ -94,6 +95,62 @@ def test_test_textures_and_viewpoints_come_after_those_of_training():
     # The render stage names them itself: both must mean the same.
     assert config.render.texture_ids() == {one["id"]: one["name"] for one in textures(config)}
     assert config.render.viewpoint_ids() == {one["id"]: one["name"] for one in viewpoints(config)}
+
+
+PAPER = {
+    "grid": {"replicates": 1},
+    "render": {
+        "textures": ["dots", "stripes"],
+        "test_textures": ["chevron"],
+        "viewpoints": ["calibrated", "side"],
+        "test_viewpoints": ["calibrated_-5", "calibrated_+5"],
+        "test_viewpoint_videos": 5,
+        "reflective_floors": ["ceramic", "aluminium"],
+    },
+}
+
+
+def test_the_second_training_set_is_the_training_viewpoints_once_more():
+    config = resolve_config(PAPER)
+    assert [(one["id"], one["name"], one["floor_role"]) for one in viewpoints(config)] == [
+        ("v00", "calibrated", "train"),
+        ("v01", "side", "train"),
+        ("v02", "calibrated_-5", "train"),
+        ("v03", "calibrated_+5", "train"),
+        ("v04", "calibrated", "test"),
+        ("v05", "side", "test"),
+    ]
+    assert config.render.floors_of("v01") == ["matte"]
+    assert config.render.floors_of("v05") == ["ceramic", "aluminium"]
+    shown = films(config)
+    for simulation in simulations(config):
+        assert list(shown[simulation.id, "v00"]) == ["t00", "t01", "t02"]
+        assert list(shown[simulation.id, "v05"]) == ["t00", "t01"]
+
+
+def test_as_many_videos_as_asked_for_are_drawn_from_a_test_viewpoint():
+    """By what they are: other fabrics and viewpoints leave those of a viewpoint alone."""
+    drawn = turned(resolve_config(PAPER))
+    assert [len(drawn[view]) for view in ("calibrated_-5", "calibrated_+5")] == [5, 5]
+    assert drawn["calibrated_-5"] != drawn["calibrated_+5"]
+    assert {texture for videos in drawn.values() for _, texture in videos} == {"dots", "stripes"}
+    alone = turned(resolve_config({**PAPER, "render": PAPER["render"] | {"viewpoints": ["side"]}}))
+    assert alone["calibrated_+5"] == drawn["calibrated_+5"]
+    more = PAPER["render"] | {"textures": ["linen", "dots", "stripes"]}
+    kept = turned(resolve_config({**PAPER, "render": more}))["calibrated_+5"]
+    assert {video for video in kept if video[1] != "linen"} <= drawn["calibrated_+5"]
+    every = turned(resolve_config({**PAPER, "render": more | {"test_viewpoint_videos": 1000}}))
+    assert len(every["calibrated_+5"]) == 3 * 4 * 3
+
+
+def turned(config):
+    """Test viewpoint -> simulations and textures that are filmed from it."""
+    names = {one["id"]: one["name"] for one in viewpoints(config) if one["role"] == "test"}
+    found = {name: set() for name in names.values()}
+    for (simulation, view), textures_shown in films(config).items():
+        if view in names:
+            found[names[view]] |= {(simulation, name) for name in textures_shown.values()}
+    return found
 
 
 def test_rows_explain_every_part_of_every_id():

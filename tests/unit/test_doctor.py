@@ -19,7 +19,7 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
     assert main(["doctor"]) == 0
     shown = capsys.readouterr().out
     assert "MISSING" not in shown
-    assert "Everything that Slipstitch needs is here." in shown
+    assert "All requirements of Slipstitch are met." in shown
     assert len(shown.splitlines()) <= 24  # one screen
 
 
@@ -112,6 +112,7 @@ def test_other_python_is_missing(monkeypatch):
 
 def test_requirements_are_those_of_the_lock():
     direct = checks.pinned_versions(ROOT / "envs/requirements.txt")
+    direct |= checks.pinned_versions(ROOT / "envs/development.txt")
     lock = {
         name.lower(): version
         for name, version in checks.pinned_versions(ROOT / "envs/requirements.lock").items()

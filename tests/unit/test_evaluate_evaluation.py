@@ -12,10 +12,11 @@ from support import synthetic_videos
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.train import NETWORKS, SPLITS
+from slipstitch.config.train import REFLECTIVE, SPLITS, TRAINED_ON
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
+from slipstitch.evaluate.probes import PREFIX
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import read_provenance
@@ -25,18 +26,24 @@ from slipstitch.train.training import train_network
 CONFIG = synthetic_videos.config(
     grid={"test_frictions": [0.35], "test_materials": ["royal-target"]},
     instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
-    render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15", "calibrated_+5"]},
+    render={
+        "test_textures": ["chevron"],
+        "test_viewpoints": ["calibrated_-15", "calibrated_+5"],
+        "test_viewpoint_videos": 5,
+        "reflective_floors": ["ceramic"],
+    },
+    train={"splits": list(TRAINED_ON)},
 )
 
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
-    """A dataset with test-only textures and views, and all networks of both splits."""
+    """A dataset with test-only textures, views and floors, and all networks."""
     folder = tmp_path_factory.mktemp("chain")
     shards = synthetic_videos.write_shards(CONFIG, folder / "render")
     write_dataset(CONFIG, shards, folder / "sample")
-    for split in SPLITS:
-        for network in NETWORKS:
+    for split in TRAINED_ON:
+        for network, _ in CONFIG.train.trainings(split):
             material = folder / "train" / split / "material_baseline" / "seed0"
             train_network(
                 CONFIG.train,
@@ -48,13 +55,15 @@ def chain(tmp_path_factory):
                 view_order=CONFIG.render.viewpoints,
                 material_model=material if network == "friction_conditional" else None,
             )
+        if split == REFLECTIVE:
+            continue
         train_instrument(
             CONFIG.instrument,
             folder / "sample",
             split,
             0,
             folder / "instrument" / split / "seed0",
-            viewpoint="calibrated",
+            viewpoints=["calibrated"],
             frames=6,
         )
     return folder
@@ -90,11 +99,17 @@ def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluate
         "unseen_fabric",
         "view_-15",
         "view_+5",
+        "reflective_floors",
+        "by_video_reflective",
     ]
     for split, models in metrics.items():
         # Of the split by video, the instrument's viewpoint may have no test video.
+        probed = {model for model in models if model.startswith(PREFIX)}
+        assert bool(probed) == (split in SPLITS)
+        models = {model: row for model, row in models.items() if model not in probed}
         assert list(models)[:2] == ["lrcn_baseline", "lrcn_conditional"]
-        assert split == "by_video" or list(models)[2:] == ["instrument"]
+        of_few = ("by_video", "reflective_floors", REFLECTIVE)
+        assert split in of_few or list(models)[2:] == ["instrument"]
         for model, row in models.items():
             assert tuple(row) == FIELDS
             known = model != "lrcn_conditional" and split != "unseen_fabric"
@@ -114,8 +129,10 @@ def test_the_test_sets_hold_what_they_should(evaluated):
         "off_grid": 8,
         "unseen_fabric": 8,
         "unseen_texture": 16,
-        "view_-15": 16,
-        "view_+5": 16,
+        "view_-15": 5,  # drawn, as in the paper
+        "view_+5": 5,
+        "reflective_floors": 3,  # those of by_video on the other floor
+        "by_video_reflective": 3,
     }
 
 
@@ -136,6 +153,9 @@ def test_the_tables_follow_from_the_predictions(evaluated):
     ):
         for split in metrics:
             chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
+            if not chosen:  # no such network on reflective floors
+                assert (split, network) == (REFLECTIVE, "friction_baseline")
+                continue
             error = np.array([row["predicted_value"] - row["true_value"] for row in chosen])
             right = np.mean(abs(error) < 0.05)
             assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
@@ -193,7 +213,7 @@ def test_wrong_inputs_are_what_they_are_called():
 def test_every_file_says_where_it_comes_from(evaluated):
     for name in ("metrics.json", "details.json", "predictions.parquet"):
         record = read_provenance(evaluated / name)
-        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 6 + 2
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 8 + 2
 
 
 def test_the_command_prints_the_table(chain, tmp_path, capsys):
@@ -208,7 +228,7 @@ def test_the_command_prints_the_table(chain, tmp_path, capsys):
 
 
 def test_a_folder_without_models_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="no model in it"):
+    with pytest.raises(BadInput, match="no models found"):
         find_models(tmp_path)
 
 
@@ -217,16 +237,17 @@ def test_models_of_an_earlier_configuration_do_not_count(chain):
     of_video = find_models(
         chain / "train", CONFIG.train.model_copy(update={"splits": ["by_video"]})
     )
-    assert {split for split, _, _ in every} == {"by_video", "by_simulation"}
+    assert {split for split, _, _ in every} == set(TRAINED_ON)
     assert {split for split, _, _ in of_video} == {"by_video"}
-    with pytest.raises(BadInput, match="no model in it"):
-        find_models(chain / "train", CONFIG.train.model_copy(update={"seeds": [7]}))
+    with pytest.raises(BadInput, match="no models found"):
+        seeds = {"seeds": [7], "reflective_seeds": [7]}
+        find_models(chain / "train", CONFIG.train.model_copy(update=seeds))
 
 
 def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
     source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
     shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
-    with pytest.raises(BadInput, match="not what its folder says"):
+    with pytest.raises(BadInput, match="does not match its folder"):
         find_models(tmp_path)
 
 
@@ -234,15 +255,16 @@ def test_a_conditional_network_without_its_material_network_is_refused(chain, tm
     models = tmp_path / "train"
     shutil.copytree(chain / "train", models)
     shutil.rmtree(models / "by_video" / "material_baseline")
-    with pytest.raises(BadInput, match="has no material_baseline beside it"):
+    with pytest.raises(BadInput, match="has no matching material_baseline"):
         _evaluate(chain / "sample", models, tmp_path)
 
 
 def test_models_of_another_dataset_are_refused(chain, tmp_path):
-    config = CONFIG.model_copy(update={"seed": 9})
+    sample = CONFIG.sample.model_copy(update={"test_fraction": 0.3})
+    config = CONFIG.model_copy(update={"sample": sample})
     shards = sorted((chain / "render").glob("*.parquet"))
     write_dataset(config, shards, tmp_path / "sample")
-    with pytest.raises(BadInput, match="was trained on another dataset"):
+    with pytest.raises(BadInput, match="was not trained on"):
         _evaluate(tmp_path / "sample", chain / "train", tmp_path)
 
 

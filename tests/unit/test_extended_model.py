@@ -69,3 +69,16 @@ def test_drop_and_drag_runs_with_the_model(tmp_path):
     assert runs["extended"].metadata["extended_model"]["mass_error"] == 0.1
     tail = {name: run.positions_m[-1, -9:, 0].mean() for name, run in runs.items()}
     assert tail["extended"] < tail["plain"] - 0.002  # adhesion holds the tail back
+
+
+def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
+    """Dragged along v, with half as much again along the warp and half as much less across."""
+    law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.5}}}
+    model = str(written(tmp_path, friction_law={"face": law}, bench={}))
+    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    tail_m = {}
+    for warp in ("u", "v"):
+        settings = SimulationSettings(**coarse, model=model, warp=warp)
+        run, _ = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        tail_m[warp] = run.positions_m[-1, -9:, 0].mean()
+    assert tail_m["v"] < tail_m["u"] - 0.002

@@ -1,4 +1,4 @@
-"""Input from strangers: nothing is run, file names are only names, errors are one clean line."""
+"""Untrusted input: nothing is executed, file names are only names, errors are one clean line."""
 
 import ast
 import json
@@ -95,7 +95,7 @@ def test_no_reader_runs_a_pickle(readers, tmp_path):
 
 
 def test_weights_that_are_a_pickle_are_refused(tmp_path):
-    (tmp_path / "model.json").write_text('{"format": "slipstitch-lrcn-1"}')
+    (tmp_path / "model.json").write_text('{"format": "slipstitch-lrcn-2"}')
     (tmp_path / "model.safetensors").write_bytes(pickle.dumps(Trap(str(tmp_path / "sprung"))))
     with pytest.raises(BadInput, match="altered or damaged"):
         load_model(tmp_path)
@@ -110,7 +110,7 @@ def test_weights_of_another_shape_than_the_card_says_are_refused(tmp_path, reade
     save_file(weights, tmp_path / "model.safetensors", {"card": json.dumps(inside)})
     card["weights_sha256"] = file_digest(tmp_path / "model.safetensors")
     (tmp_path / "model.json").write_text(json.dumps(card))
-    with pytest.raises(BadInput, match="weights do not fit the card"):
+    with pytest.raises(BadInput, match="weights do not match the card"):
         load_model(tmp_path)
 
 
@@ -133,7 +133,7 @@ def test_a_files_name_is_only_a_name(name, tmp_path, monkeypatch, capfd):
     words = ["render", "--preview", "--out-sheet", "x.png", str(path)]
     assert main(words) == 2
     said = capfd.readouterr().err
-    assert "damaged or no Parquet file" in said
+    assert "damaged or not a Parquet file" in said
     assert said.count("\n") == 1
     assert said.rstrip("\n").isprintable()
     assert sorted(os.listdir()) == ["in"]
@@ -239,7 +239,7 @@ def test_the_machine_refusing_is_one_line(tmp_path):
         [sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=tmp_path
     )
     assert answer.returncode == 1
-    assert "the file would be larger than is allowed" in answer.stderr.splitlines()[-1]
+    assert "the file would exceed the size limit" in answer.stderr.splitlines()[-1]
     assert "Traceback" not in answer.stderr
     assert os.listdir(tmp_path) == []
 

@@ -73,9 +73,9 @@ def test_it_is_raised_for_what_is_wrong(alarm, new, kind):
 
 def test_an_embedding_or_an_order_that_is_strange_raises_it_and_is_named(alarm, new):
     caught, reason = share(alarm, new[:60], embedding=np.full((60, 4), 12.0))
-    assert caught == 1.0 and "the network has seen nothing like it" in reason
+    assert caught == 1.0 and "outside the training distribution" in reason
     caught, reason = share(alarm, new[:60], order=np.full(60, -30.0))
-    assert caught == 1.0 and "do not follow one another" in reason
+    assert caught == 1.0 and "order of the frames does not match" in reason
 
 
 def test_an_answer_that_is_no_number_raises_it(alarm, new):

@@ -1,6 +1,8 @@
 """The instrument's files and what it says of any array of frames."""
 
+import dataclasses
 import json
+import math
 from itertools import permutations
 
 import numpy as np
@@ -13,7 +15,13 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
-from slipstitch.instrument.measuring import CARD, WEIGHTS, save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import (
+    CARD,
+    WEIGHTS,
+    ErrorBars,
+    save_instrument,
+    untrained_instrument,
+)
 from slipstitch.instrument.network import shifted_in_time
 from slipstitch.train.model_file import write_weights
 
@@ -70,7 +78,7 @@ def test_larger_frames_are_brought_to_the_networks_size(folder):
     [frames(count=5), frames()[:, :, :20], frames().astype(np.float32), frames()[..., 0], "frames"],
 )
 def test_other_arrays_are_refused(folder, wrong):
-    with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is needed"):
+    with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is required"):
         load_instrument(folder).measure(wrong)
 
 
@@ -192,7 +200,7 @@ def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, clai
     card = json.loads((folder / CARD).read_text())
     card.pop("weights_sha256")
     write_weights(tensors, {**card, **claim}, tmp_path / WEIGHTS, tmp_path / CARD)
-    with pytest.raises(BadInput, match="do not fit the card"):
+    with pytest.raises(BadInput, match="do not match the card"):
         load_instrument(tmp_path)
 
 
@@ -201,8 +209,31 @@ def test_foreign_files_are_refused(folder, tmp_path):
         load_instrument(tmp_path)
     save_file({"weight": torch.zeros(2)}, tmp_path / WEIGHTS)
     (tmp_path / CARD).write_text("{}")
-    with pytest.raises(BadInput, match="no model card of Slipstitch"):
+    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
         load_instrument(tmp_path)
     (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
-    with pytest.raises(BadInput, match="'slipstitch-instrument-1' is needed"):
+    with pytest.raises(BadInput, match="'slipstitch-instrument-2' is needed"):
         load_instrument(tmp_path)
+
+
+def test_too_few_calibration_simulations_are_told_from_enough(folder):
+    instrument = load_instrument(folder)
+    for factor, groups, said in (
+        (math.inf, 4, "no error bar: calibrated on 4 simulations; 9 are needed"),
+        (math.inf, 1, "no error bar: calibrated on 1 simulation; 9 are needed"),
+        (1.3, 12, ""),
+    ):
+        bars = ErrorBars(1.0, 1.0, factor, alarm=None)
+        card = instrument.card | {"calibration_simulations": groups}
+        told = dataclasses.replace(instrument, error_bars=bars, card=card)
+        assert told.without_error_bar == said
+
+
+def test_an_instrument_trained_by_video_says_so(folder):
+    instrument = load_instrument(folder)
+    by = {
+        split: dataclasses.replace(instrument, card=instrument.card | {"split": split})
+        for split in ("by_video", "by_simulation")
+    }
+    assert "trained with the split by video" in by["by_video"].caveats[0]
+    assert by["by_simulation"].caveats == []

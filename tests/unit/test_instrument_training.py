@@ -60,7 +60,7 @@ def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None
         split,
         seed,
         out,
-        viewpoint="calibrated",
+        viewpoints=["calibrated"],
         frames=frames,
         after_step=after_step,
     )
@@ -175,7 +175,7 @@ def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_
     with pytest.raises(KilledError):
         train(dataset, tmp_path, after_step=kill, **FEW)
     train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
-    assert "going on from" in capsys.readouterr().err
+    assert "continuing from" in capsys.readouterr().err
     weights = load_instrument(tmp_path).network.state_dict()
     for name, value in load_instrument(undisturbed).network.state_dict().items():
         assert torch.equal(value, weights[name]), name
@@ -197,7 +197,7 @@ def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"frames": 13}, "videos have 12 frames, the instrument needs 13"),
+        ({"frames": 13}, "videos have 12 frames; the instrument requires 13"),
         ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
         ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
     ],
@@ -222,7 +222,7 @@ def leaking(rows):
     ("change", "settings", "code", "words"),
     [
         (emptied, {}, 2, "friction 0.8 has no training video"),
-        (leaking, {}, 2, "stands in train and validation"),
+        (leaking, {}, 2, "is in train and validation"),
         (None, {"learning_rate": 1e30}, 1, "the loss became nan in epoch 1, step"),
         (None, {"learning_rate": 1e-9}, 1, "at chance"),
     ],
@@ -254,7 +254,7 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
     settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, 2, 24)
-    views, ordered = training_views(frames[:8], 6, settings, np.random.default_rng(0))
+    views, ordered, _ = training_views(frames[:8], 6, settings, np.random.default_rng(0))
     gradients = []
     for bfloat16 in (False, True):
         network.zero_grad()

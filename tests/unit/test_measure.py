@@ -49,8 +49,9 @@ def test_result_numbers_and_page(bench, capsys):
     assert measure(bench, "--out", str(page), "--json", str(numbers)) == ALARM_EXIT_CODE
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
-    assert "90 % interval 0.000 ... 1.500" in said[0]
-    assert said[1].startswith("fabric most like ")
+    assert said[0].endswith(", no error bar: calibrated on 0 simulations; 9 are needed")
+    assert "±" not in said[0]
+    assert said[1].startswith("most similar fabric ")
     assert said[-1].startswith("ALARM: the instrument is not calibrated")
     told = json.loads(numbers.read_text())
     assert told["stage_start_s"] == pytest.approx(START_S, abs=0.01)
@@ -58,7 +59,9 @@ def test_result_numbers_and_page(bench, capsys):
     assert len(told["frame_time_s"]) == 6
     content = page.read_text()
     assert content.count("data:image/png;base64,") == 6
-    assert "Do not trust these numbers" in content
+    assert "These numbers are not reliable" in content
+    assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
+    assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
     assert f"{told['friction_coefficient']:.3f}" in content
 
 
@@ -123,9 +126,12 @@ def _portrait(bench, path):
     ("make", "problem"),
     [
         (_text, "a text file, not a video"),
-        (_truncated, "not a video that OpenCV can read (damaged or cut off?)"),
+        (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
         (_ten_frames, "no start of the stage's motion found"),
-        (_portrait, "240x320 pixels (portrait: the camera was calibrated the other way round)"),
+        (
+            _portrait,
+            "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
+        ),
         (lambda bench, path: None, "no such file"),
     ],
     ids=["text", "cut off", "ten frames", "portrait", "none"],
@@ -145,3 +151,34 @@ def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
     write_config(other, tmp_path / "config.json")
     assert measure(bench, "--config", str(tmp_path / "config.json")) == 2
     assert "sample.frames is 4, the instrument" in capsys.readouterr().err
+
+
+def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path, capsys):
+    damaged = tmp_path / "damaged.mp4"
+    _text(bench, damaged)
+    files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged)]
+    words = ["--camera", str(bench / "camera.json")]
+    words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
+    out = [
+        f"--out={tmp_path / 'x.html'}",
+        f"--json={tmp_path / 'x.json'}",
+        f"--csv={tmp_path / 'x.csv'}",
+    ]
+    assert main(["measure", *files, *words, *out]) == 2  # one could not be measured
+    said = capsys.readouterr().out
+    assert said.count("video.mp4: friction ") == 2
+    assert "not measured: " in said and "damaged.mp4: a text file" in said
+    assert "ALARM in every video: no combined value" in said
+    told = json.loads((tmp_path / "x.json").read_text())
+    assert len(told["videos"]) == 2 and len(told["refused"]) == 1
+    assert told["combined"] is None
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 3
+    content = (tmp_path / "x.html").read_text()
+    assert "No measurement" in content and content.count("data:image/png;base64,") == 10
+
+
+def test_a_stated_start_belongs_to_one_video(bench, capsys):
+    files = [str(bench / "video.mp4")] * 2 + ["--camera", str(bench / "camera.json")]
+    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
+    assert main(["measure", *files, *model, "--start-s", "2.9"]) == 2
+    assert "only allowed for a single video" in capsys.readouterr().err

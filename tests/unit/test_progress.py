@@ -31,7 +31,7 @@ def test_a_log_gets_plain_lines_and_a_short_job_none(monkeypatch):
         for _ in range(4):
             told.update()
     lines = stream.getvalue().splitlines()
-    assert lines[0].startswith("light: 1 of 4 frames, 00:00 since the start")
+    assert lines[0].startswith("light: 1 of 4 frames, 00:00 elapsed")
     assert "\r" not in stream.getvalue() and all(line == line.strip() for line in lines)
 
 

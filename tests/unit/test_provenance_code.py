@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from slipstitch.provenance import code_digest, code_sources
+from slipstitch.provenance import code, code_digest, code_sources
 
 FILES = {
     "slipstitch/__init__.py": "",
@@ -159,6 +159,19 @@ def test_the_configuration_counts_where_it_computes(tree, old, new, reruns):
     assert digest("train", tree) == before["train"]
 
 
+def test_versions_that_change_results_count_where_they_are_imported(tree, monkeypatch):
+    law = tree / "slipstitch/material/law.py"
+    law.write_text(law.read_text() + "\nimport warp as wp\nimport numpy\n", encoding="utf-8")
+    before = digest("render", tree), digest("train", tree)
+    monkeypatch.setattr(code, "installed_version", lambda package: "9.9+cu128")
+    after = digest("render", tree), digest("train", tree)
+    assert after[0] != before[0]
+    assert after[1] == before[1]
+    # As a record states it, without the name of the build.
+    assert code_digest("render", tree, (("numpy", "1"), ("warp-lang", "9.9"))) == after[0]
+    code_digest.cache_clear()
+
+
 def test_digest_of_the_real_stages_is_the_same_in_another_process():
     stages = ("simulate", "render", "train")
     code = f"from slipstitch.provenance import code_digest; print(*map(code_digest, {stages}))"
@@ -167,6 +180,18 @@ def test_digest_of_the_real_stages_is_the_same_in_another_process():
     )
     code_digest.cache_clear()
     assert answer.stdout.split() == [code_digest(stage) for stage in stages]
+
+
+def test_real_stages_depend_on_the_versions_that_change_their_results():
+    base = code._base(None)
+    needed = {
+        stage: code._foreign(code._modules(stage, base))
+        for stage in ("simulate", "calibrate", "render", "render.packing", "train", "sample")
+    }
+    assert needed["simulate"] == needed["calibrate"] == {"warp-lang"}
+    assert needed["render"] == needed["render.packing"] == {"bpy", "warp-lang"}
+    assert needed["train"] == {"torch"}
+    assert needed["sample"] == set()
 
 
 def test_real_stages_do_not_depend_on_later_ones():

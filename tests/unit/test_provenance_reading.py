@@ -69,7 +69,7 @@ def test_text_that_is_none_is_noticed_in_files_of_others_too(tmp_path):
 def test_a_truncated_parquet_file_is_named(table, share):
     whole = table.read_bytes()
     table.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(Damaged, match=r"x\.parquet: damaged or no Parquet file"):
+    with pytest.raises(Damaged, match=r"x\.parquet: damaged or not a Parquet file"):
         read_parquet(table)
 
 
@@ -94,7 +94,7 @@ def test_json_that_is_not_what_its_record_was_written_for_is_damaged(tmp_path):
     write_sidecar(path, {"stage": "x"})
     assert read_json(path) == {"friction": 0.3}
     path.write_text('{"friction": 0.7}')
-    with pytest.raises(Damaged, match="not the bytes that its record was written for"):
+    with pytest.raises(Damaged, match="its content does not match its record"):
         read_json(path)
 
 
@@ -118,7 +118,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         (BOMB, "more than 100000 values"),
         ("a: &a [*a]", "more than 100000 values"),
         ("[" * 50_000, "nested too deeply"),
-        ("x" * 300_000, "at most 262144 are read"),
+        ("x" * 300_000, "at most 262144 are allowed"),
         ("a: !!python/object/apply:os.system ['touch pwned']", "not YAML"),
         ("a: !!python/name:os.system", "not YAML"),
         ("!!python/object/new:subprocess.Popen [[ls]]", "not YAML"),
@@ -150,3 +150,10 @@ def test_digest_of_the_metadata_is_that_of_its_text(table):
     want = hashlib.sha256(keys[b"slipstitch"]).hexdigest()
     assert keys[b"slipstitch_sha256"].decode() == want
     assert json.loads(keys[b"slipstitch"])["simulation"] == "m00"
+
+
+def test_a_key_given_twice_is_refused_with_its_line():
+    with pytest.raises(BadInput, match=r"here: line 3: not YAML: key 'frames' is given twice"):
+        load_yaml("simulation:\n  frames: 5\n  frames: 6\n", "here")
+    assert load_yaml("{a: {frames: 1}, b: {frames: 2}}", "here")["b"] == {"frames": 2}
+    assert load_yaml("a: &x {f: 1}\nb: {<<: *x, g: 2}", "here")["b"] == {"f": 1, "g": 2}

@@ -66,18 +66,19 @@ def test_the_rules_name_their_stages():
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("vertices along a side of the 20 cm square", "vertices along one side"),
+        ("vertices per side of the 20 cm square", "vertices along one side"),
         ("41, ge=5, le=401,", "41, ge=6, le=500,"),
         (
             "    frame_rate_hz: float = Field(2.4",
             "    more: int = 1\n    frame_rate_hz: float = Field(2.4",
         ),
         ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
-        ("must be a finite number, at least 0", "must be finite and at least 0"),
+        ("must lie between 0 and {FRICTION_MAX:g}", "must be from 0 to {FRICTION_MAX:g}"),
         ("\n# The cloth hangs still for this long", "\n# For so long the cloth hangs still"),
         ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
         ('    "chevron": 109,', '    "chevron": 109,\n    "new": 110,'),
+        ('"sample: ", unit="simulation"', '"dataset: ", unit="run"'),
         ("train.view_order: {name!r} is not", "train.view_order: {name!r} is none"),
     ],
 )
@@ -115,7 +116,8 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
     [
         ("wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)", "tangent", OF_CLOTH, ...),
         ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
-        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"sample", "capture"}, {"render", "calibrate"}),
+        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, {"render", "calibrate"}),
+        ('[:8], "big"', '[:7], "big"', {"render", "render.packing"}, {"simulate", "train"}),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
         (
             "def load_fabric(name: str)",

@@ -16,6 +16,8 @@ import pytest
 import yaml
 from support import synthetic_chain
 
+from slipstitch.audit.auditing import audit_release
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import attach_metadata, read_metadata
@@ -31,6 +33,8 @@ from slipstitch.release.splits import (
     unseen_fabrics,
     unseen_frictions,
 )
+from slipstitch.render.camera import pose
+from slipstitch.render.camera_file import write_camera_file
 from slipstitch.sample.images import pixels_digest
 from slipstitch.sample.manifest import dataset_digest, read_manifest
 from slipstitch.sample.shards import decode
@@ -231,8 +235,16 @@ def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
 
 def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
     card = (release / "README.md").read_text()
-    assert "| matte | 1 | 43.2 dB | 43.2 dB | 38 dB | 0.990 |" in card
-    assert "| mirrors | 1 | 39.9 dB | 39.9 dB | 36 dB | 0.990 |" in card
+    compared = json.loads((release / "records/render/verification.json").read_text())["comparisons"]
+    floors = {"matte": 38, "mirrors": 36}
+    for floor, least_db in floors.items():
+        of_floor = [one for one in compared if (one["floor"] == "matte") == (floor == "matte")]
+        assert of_floor
+        psnr_db = [one["psnr_db"] for one in of_floor]
+        assert (
+            f"| {floor} | {len(of_floor)} | {min(psnr_db):.1f} dB | {np.mean(psnr_db):.1f} dB | "
+            f"{least_db} dB | {min(one['ssim'] for one in of_floor):.3f} |"
+        ) in card
     assert "verification.json" in (release / "SHA256SUMS").read_text()
 
 
@@ -314,7 +326,16 @@ def test_no_file_names_a_place_on_this_machine(release, results):
 def test_camera_file_from_outside_is_taken_along(tmp_path):
     camera = tmp_path / "bench" / "camera.json"
     camera.parent.mkdir()
-    camera.write_text("{}")
+    rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
+    lens = {
+        "image_size_px": [1920, 1080],
+        "focal_px": [1500.0, 1520.0],
+        "principal_point_px": [970.0, 530.0],
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+    }
+    write_camera_file(camera, lens)
     (tmp_path / "run").mkdir()
     config = synthetic_chain.config(
         grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
@@ -323,9 +344,10 @@ def test_camera_file_from_outside_is_taken_along(tmp_path):
     results = synthetic_chain.write(config, tmp_path / "run")
     write_release(config, results, tmp_path / "release", ROOT)
     carried = tmp_path / "release/records/camera.json"
-    assert carried.read_text() == "{}"
+    assert carried.read_bytes() == camera.read_bytes()
     record = json.loads((carried.parent / "camera.json.record.json").read_text())
-    assert record["sha256"] == hashlib.sha256(b"{}").hexdigest()
+    assert record["sha256"] == hashlib.sha256(carried.read_bytes()).hexdigest()
+    assert audit_release(tmp_path / "release").verdict == "intact"
     camera.write_text("[]")
     with pytest.raises(BadInput, match=r"camera.json: not the file that"):
         write_release(config, results, tmp_path / "other", ROOT)
@@ -334,9 +356,12 @@ def test_camera_file_from_outside_is_taken_along(tmp_path):
 @pytest.mark.parametrize(
     ("prepare", "problem"),
     [
-        (lambda out: (out / "data").mkdir(parents=True), "exists and is no release"),
-        (lambda out: out.write_text("mine"), "exists and is no release"),
-        (lambda out: (out.mkdir(), (out / SUMS).write_text("")), "there is a release already"),
+        (lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
+        (lambda out: out.write_text("mine"), "exists and is not a release"),
+        (
+            lambda out: (out.mkdir(), (out / SUMS).write_text("")),
+            "contains a release, which is not overwritten",
+        ),
     ],
 )
 def test_folder_of_somebody_else_is_left_alone(results, tmp_path, prepare, problem):
@@ -365,13 +390,21 @@ def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
 
 def test_other_configuration_than_the_results_were_made_with_is_refused(results, tmp_path):
     other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
-    with pytest.raises(BadInput, match=r"another configuration: sample.test_fraction: 0.1 -> 0.3"):
+    with pytest.raises(
+        BadInput, match=r"different configuration: sample.test_fraction: 0.1 -> 0.3"
+    ):
         write_release(other, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_other_versions_than_the_lock_has_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "locked_versions", lambda project: {"numpy": "1.0"})
+    with pytest.raises(BadInput, match=r"was made with numpy .*; envs/requirements.lock has 1.0"):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
 def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr("slipstitch.release.currency.fabric_digest", lambda name: "0" * 64)
-    with pytest.raises(BadInput, match=r"another catalogue: catalogue\.fabrics\."):
+    with pytest.raises(BadInput, match=r"different catalogue: catalogue\.fabrics\."):
         write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
@@ -379,12 +412,12 @@ def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
     monkeypatch.setattr(
         assembly, "current_digest", lambda stage: "0" * 64 if stage == "render" else ""
     )
-    with pytest.raises(BadInput, match="made by other code of the stage"):
+    with pytest.raises(BadInput, match="made by different code of the stage"):
         write_release(CONFIG, results, tmp_path / "out", ROOT)
 
 
 def test_folder_that_is_no_checkout_is_refused(results, tmp_path):
-    with pytest.raises(BadInput, match="not a checkout of Slipstitch: it has no Snakefile"):
+    with pytest.raises(BadInput, match="not a workflow folder of Slipstitch: no Snakefile"):
         write_release(CONFIG, results, tmp_path / "out", tmp_path)
 
 
@@ -419,6 +452,6 @@ def test_command_says_what_it_wrote(results, tmp_path, capsys):
     assert "144 videos, 720 images" in said
     assert hashlib.sha256((out / SUMS).read_bytes()).hexdigest() in said
     assert main(["release", *words, "--out-dir", str(out)]) == 2
-    assert "there is a release already" in capsys.readouterr().err
+    assert "contains a release, which is not overwritten" in capsys.readouterr().err
     facts = json.loads((out / "records/release.json").read_text())
     assert facts["provenance"]["stage"] == "release"

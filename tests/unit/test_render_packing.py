@@ -11,8 +11,11 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.cli.main import main
+from slipstitch.config import resolve_config
 from slipstitch.provenance import read_metadata, read_provenance, read_sidecar
 from slipstitch.render import verification
+from slipstitch.render.packing import Job
+from slipstitch.render.surroundings import draw_surroundings
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 
 ONE = "m05_f01_r00"
@@ -176,7 +179,7 @@ def test_a_pack_of_another_trajectory_is_one_clear_line(work, tmp_path, capsys):
     words = compose_words(work, "v00")
     words[words.index("--trajectory") + 1] = str(tmp_path / f"{ONE}.parquet")
     assert main(words) == 2
-    assert "rendered from another trajectory" in capsys.readouterr().err
+    assert "not rendered from" in capsys.readouterr().err
 
 
 def test_what_is_no_pack_is_one_clear_line(work, capsys):
@@ -227,4 +230,24 @@ def test_an_altered_image_fails_the_verification(work, tmp_path, capsys):
         altered = table.from_pylist(rows, schema=table.schema)
         pq.write_table(altered, work / "altered" / path.name)
     assert verify(work, tmp_path / "verification.json", "altered") == 1
-    assert "the stored image is not what its shading pack gives" in capsys.readouterr().err
+    assert (
+        "the stored image differs from the one composed from its shading pack"
+        in capsys.readouterr().err
+    )
+
+
+def test_a_viewpoint_of_the_second_training_set_keeps_its_id_and_its_floors(tmp_path):
+    """It shares its name with another."""
+    render = {"viewpoints": ["calibrated", "side"], "reflective_floors": ["aluminium"]}
+    config = resolve_config({"render": render})
+    path = tmp_path / "m05_f00_r00.parquet"
+    ids = ("v00", "v02", "calibrated", "frontal")
+    jobs = {name: Job.of(config, path, name) for name in ids}
+    assert {name: job.viewpoint_id for name, job in jobs.items()} == {
+        "v00": "v00", "v02": "v02", "calibrated": "v00", "frontal": "frontal"
+    }  # fmt: skip
+    assert jobs["v02"].viewpoint == "calibrated"
+    assert list(jobs["v02"].catalogue_entries()["floors"]) == ["aluminium"]
+    assert list(jobs["v00"].catalogue_entries()["floors"]) == ["matte"]
+    floors = {draw_surroundings(config.render, 1, path.stem, name).floor for name in ("v02", "v03")}
+    assert floors == {"aluminium"}

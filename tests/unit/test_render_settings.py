@@ -36,9 +36,9 @@ def test_ids_count_training_names_first():
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"textures": ["plaid"]}, "no texture 'plaid'; there are: stripes, checks"),
-        ({"viewpoints": ["top"]}, "no viewpoint 'top'; there are: calibrated, frontal"),
-        ({"textures": ["dots", "dots"]}, "named twice"),
+        ({"textures": ["plaid"]}, "unknown texture 'plaid'; known: stripes, checks"),
+        ({"viewpoints": ["top"]}, "unknown viewpoint 'top'; known: calibrated, frontal"),
+        ({"textures": ["dots", "dots"]}, "duplicate"),
         ({"textures": ["dots"], "test_textures": ["dots"]}, "share dots"),
         ({"textures": ["chevron"]}, "chevron: for testing only"),
         ({"viewpoints": ["calibrated_-10"]}, "calibrated_-10: for testing only"),

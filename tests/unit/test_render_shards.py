@@ -241,12 +241,12 @@ def _missing(source, path):
     ("damage", "message"),
     [
         (_missing, "no such file"),
-        (_cut, "damaged or no Parquet file"),
+        (_cut, "damaged or not a Parquet file"),
         (_another_parquet, "no column 'frame'"),
         (_without("positions_m"), "no column 'positions_m'"),
-        (_bare_mesh, "metadata has no 'rest_positions_m'"),
-        (_not_finite, "positions_m holds numbers that are not finite"),
-        (_texture_coordinates_in_metres, "texture coordinates lie outside 0 ... 1"),
+        (_bare_mesh, "no 'rest_positions_m' in its metadata"),
+        (_not_finite, "positions_m contains non-finite numbers"),
+        (_texture_coordinates_in_metres, "texture coordinates are outside 0 ... 1"),
     ],
 )
 def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message):
@@ -265,8 +265,8 @@ def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message)
     ("words", "message"),
     [
         (["--viewpoint", "v07"], "no viewpoint 'v07'; the configuration has v00 (side)"),
-        ([], "rendering needs --viewpoint"),
-        (["--viewpoint", "v00", "--out-sheet", "a.png"], "go with --preview only"),
+        ([], "rendering requires --viewpoint"),
+        (["--viewpoint", "v00", "--out-sheet", "a.png"], "require --preview"),
     ],
 )
 def test_wrong_options_are_one_clear_line(work, capsys, words, message):
@@ -280,11 +280,11 @@ def test_wrong_options_are_one_clear_line(work, capsys, words, message):
     ("words", "message"),
     [
         (["--out-sheet", "a.png"], "at least one shard"),
-        (["v00.parquet"], "needs --out-sheet or --out-video"),
+        (["v00.parquet"], "requires --out-sheet or --out-video"),
         (["--out-sheet", "a.png", "m05_f01_r00.parquet"], "not an image shard"),
         (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),
         (["--out-video", "a.avi", "v00.parquet"], "must end in .mp4"),
-        (["--out-sheet", "a.png", "v00.parquet", "v00.parquet"], "which another shard holds"),
+        (["--out-sheet", "a.png", "v00.parquet", "v00.parquet"], "which is also in another shard"),
         (["--out-sheet", "a.png", "none.parquet"], "no such file"),
     ],
 )

@@ -30,5 +30,5 @@ def test_textures_differ():
 
 
 def test_a_texture_that_is_not_there_is_bad_input():
-    with pytest.raises(BadInput, match="no texture 'plaid'; there are: stripes"):
+    with pytest.raises(BadInput, match="unknown texture 'plaid'; known: stripes"):
         texture("plaid")

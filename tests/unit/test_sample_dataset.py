@@ -12,9 +12,11 @@ from support import synthetic_videos
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.videos import takes_part
 
 synthetic = synthetic_videos
 
@@ -97,6 +99,20 @@ def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tm
     assert {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"} == {-15}
 
 
+def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path):
+    config = synthetic.config(render={"reflective_floors": ["ceramic"]})
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    key = ("simulation", "texture", "viewpoint")
+    own = {tuple(row[k] for k in key): row for row in rows if row["floor_role"] == "train"}
+    others = [row for row in rows if row["floor_role"] == "test"]
+    assert len(others) == len(own) == len(rows) / 2
+    for row in others:
+        twin = own[tuple(row[k] for k in key)]
+        assert row["video"] != twin["video"]
+        assert all(row[side] == twin[side] for side in ("split_by_video", "split_by_simulation"))
+        assert not takes_part(row) and takes_part(row, REFLECTIVE) and takes_part(twin, REFLECTIVE)
+
+
 def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):
     config = synthetic.config(grid={"test_frictions": [0.35], "test_materials": ["royal-target"]})
     rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
@@ -152,13 +168,13 @@ def test_a_damaged_image_is_named(config, shards, tmp_path):
 
 
 def test_images_of_another_size_are_refused(rendered, tmp_path):
-    with pytest.raises(BadInput, match="image is 16x16 RGB, 32x32 RGB is needed"):
+    with pytest.raises(BadInput, match="image is 16x16 RGB; must be 32x32 RGB"):
         write_dataset(synthetic.config(render={"pixels": 32}), rendered, tmp_path)
 
 
 def test_a_simulation_that_is_not_of_the_grid_is_refused(config, rendered, tmp_path):
     smaller = synthetic.config(grid={"replicates": 1, "materials": config.grid.materials[:2]})
-    with pytest.raises(BadInput, match=r"'m.._f.._r01' is not of the configured grid"):
+    with pytest.raises(BadInput, match=r"'m.._f.._r01' is not in the configured grid"):
         write_dataset(smaller, rendered, tmp_path)
 
 
@@ -168,7 +184,7 @@ def test_a_damaged_file_is_one_line_and_exit_code_2(config, shards, tmp_path, ca
     words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
     assert main([*words, *map(str, shards)]) == 2
     message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "damaged or no Parquet file" in message
+    assert message.count("\n") == 1 and "damaged or not a Parquet file" in message
 
 
 def test_the_command_says_what_it_wrote(config, rendered, tmp_path, capsys):

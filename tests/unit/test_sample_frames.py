@@ -83,11 +83,11 @@ def test_a_grid_too_small_to_hold_anything_out_is_refused(materials, frictions):
 
 
 def test_replicates_that_do_not_exist_cannot_be_held_out():
-    with pytest.raises(BadInput, match=r"grid\.replicates must be 2"):
+    with pytest.raises(BadInput, match=r"grid\.replicates must be at least 2"):
         split_by_simulation(grid(3, 3, 1), 0.1, 0.1, seed=0, hold_out="replicate")
 
 
 def test_a_simulation_on_both_sides_is_named():
-    with pytest.raises(BadInput, match=r"leaks: a stands in train and test \(1 of 2"):
+    with pytest.raises(BadInput, match=r"leaks: a is in train and test \(1 of 2"):
         check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "test"])
     check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "train"])

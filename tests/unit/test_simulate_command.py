@@ -91,10 +91,14 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
     "words, message",
     [
         (["--material", "silk", "--friction", "0.3"], "unknown material 'silk'"),
-        (["--material", "gray-interlock", "--friction", "-1"], "friction -1.0: must be"),
-        (["--material", "gray-interlock", "--friction", "nan"], "friction nan: must be"),
+        (
+            ["--material", "gray-interlock", "--friction", "-1"],
+            "friction -1: must lie between 0 and 10",
+        ),
+        (["--material", "gray-interlock", "--friction", "nan"], "friction nan: must lie"),
+        (["--material", "gray-interlock", "--friction", "50"], "friction 50: must lie"),
         (["--material", "gray-interlock"], "either --material and --friction, or --simulation"),
-        (["--simulation", "m00_f00_r00"], "--simulation needs --config"),
+        (["--simulation", "m00_f00_r00"], "--simulation requires --config"),
         (
             ["--material", "gray-interlock", "--friction", "0.3", "--set", "time_step_s=0"],
             "simulation.time_step_s: must be greater than 0",
@@ -117,7 +121,7 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
         ),
         (
             ["--material", "gray-interlock", "--friction", "0.3", "--device", "abacus"],
-            "device abacus: not available on this machine; there is: cpu",
+            "device abacus: not available on this machine; available: cpu",
         ),
     ],
 )
@@ -160,7 +164,7 @@ def test_several_simulations_of_the_grid_at_once_are_those_one_by_one(grid_file,
 def test_as_many_files_as_simulations_are_needed(grid_file, tmp_path, capfd):
     words = ["--config", grid_file, "--simulation", *simulation_ids(grid_file)[:2]]
     assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
-    assert "1 files --out for 2 simulations: one each" in capfd.readouterr().err
+    assert "1 files in --out for 2 simulations: must be one each" in capfd.readouterr().err
 
 
 def test_what_could_be_solved_is_written_although_another_failed(
@@ -201,13 +205,13 @@ def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp
     out = tmp_path / "flat.json"
     assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0
     result = json.loads(out.read_text())
-    assert set(result) == {"pull_over_weight", "theory_pull_over_weight"}
+    assert set(result) == {"pull_over_weight", "theory_pull_over_weight", "passed", "demands"}
     assert json.loads(capfd.readouterr().out) == result
 
 
 def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
-    assert run("protocol", "tilt", "--out", tmp_path / "x.json") == 2
-    assert "allowed: incline, flat-drag, strip-drag" in capfd.readouterr().err
+    assert run("protocol", "slope", "--out", tmp_path / "x.json") == 2
+    assert "choose from 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
 
 
 def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_path, capfd):
@@ -220,4 +224,4 @@ def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_
     state = np.load(tmp_path / "x.failed.npz")
     assert state["positions_m"].shape == state["last_residual_N"].shape == (25, 3)
     error = capfd.readouterr().err
-    assert f"did not converge to 0.0005 in 1 iterations; its state is in {tmp_path}" in error
+    assert f"did not converge to 0.0005 in 1 iterations; its state was saved to {tmp_path}" in error

@@ -142,7 +142,7 @@ def test_a_clock_that_was_set_back_makes_no_job_longer(bench):
     bench.start(1)
     found = status(bench.results, None, now_s=0.0)
     assert found.stages[0].left_s == pytest.approx(3 * 10.0)
-    assert "since 0 s" in text(bench.results, found, 3, now_s=0.0)
+    assert "for 0 s" in text(bench.results, found, 3, now_s=0.0)
 
 
 def test_before_any_job_ended_the_cost_model_says_how_long():
@@ -177,8 +177,8 @@ def test_a_run_that_was_killed_is_told_from_one_that_goes_on(bench):
     found = status(bench.results, None)
     assert found.alive is False
     page = text(bench.results, found, 3)
-    assert "broken off without a word; to go on: `snakemake --unlock`" in page
-    assert "Broken off:" in page
+    assert "interrupted; to continue: `snakemake --unlock`" in page
+    assert "Interrupted:" in page
     journal.write_text(alive.replace(process_identity()["boot"], "another machine"))
     assert status(bench.results, None).alive is None
 
@@ -189,8 +189,8 @@ def test_a_failure_is_the_first_thing_on_the_page_with_the_end_of_its_log(bench)
     bench.fail(0, "\n".join(f"line {k}" for k in range(100)) + "\n\x1b[31mout of thread\n")
     bench.journal.end(success=False)
     page = text(bench.results, status(bench.results, None), 3).splitlines()
-    assert page[0] == f"failed: simulate_one, which makes results/simulate/{NAMES[0]}.parquet"
-    assert page[1] == f"  the end of results/logs/simulate/{NAMES[0]}.log:"
+    assert page[0] == f"failed: simulate_one, output results/simulate/{NAMES[0]}.parquet"
+    assert page[1] == f"  end of results/logs/simulate/{NAMES[0]}.log:"
     assert page[2:5] == ["    line 98", "    line 99", "     [31mout of thread"]
     assert "out of thread" in last_failures(bench.results)
 
@@ -207,9 +207,9 @@ def test_an_attempt_that_was_retried_is_told_from_what_failed_for_good(bench):
     bench.begin(finished_before=NAMES[:1])
     bench.finish(1)
     found = failures(bench.results, read_runs(bench.results))
-    assert [one.then for one in found] == ["retried", "made later", "not made"]
+    assert [one.then for one in found] == ["retried", "completed later", "not completed"]
     page = text(bench.results, status(bench.results, None), 3)
-    assert "2 earlier failed attempts made good since" in page
+    assert "2 earlier failed attempts resolved since" in page
 
 
 def test_the_report_lists_failures_and_retries(bench):
@@ -258,7 +258,7 @@ def test_stages_are_the_folders_below_results():
 
 def test_the_verb_says_so_where_nothing_was_run_and_where_nothing_is(tmp_path, capsys):
     assert main(["status", "--results", str(tmp_path)]) == 0
-    assert "no run of snakemake has started a job here" in capsys.readouterr().out
+    assert "no snakemake run has started a job here" in capsys.readouterr().out
     assert main(["status", "--results", str(tmp_path / "none")]) == 2
     assert "no such folder" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""The network is the paper's as far as it is known, and computes what it says."""
+"""The network is that of the paper's Table 1, and computes what it says."""
 
 import math
 from typing import get_args
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from support import synthetic_videos
+from torch import nn
 
 from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
@@ -34,10 +35,96 @@ def frames(videos=2, count=5, pixels=16):
     return torch.randint(0, 256, (videos, count, pixels, pixels, 3), dtype=torch.uint8)
 
 
-@pytest.mark.parametrize("convolutions", [[1, 2, 2, 1], [2, 2, 1, 1], [1, 1, 2, 2]])
-def test_at_full_width_and_224_pixels_it_costs_what_the_papers_net_costs(convolutions):
-    net = network(224, 16, width=1.0, convolutions=convolutions)
-    assert net.multiply_accumulates == pytest.approx(6.56e9, rel=5e-4)
+# Table 1 at 224 pixels, borders padded: a row a layer that has weights or pools, with its output.
+TABLE_1 = [
+    ("conv1a", 64, 224),
+    ("conv1b", 64, 224),
+    ("maxpool1", 64, 112),
+    ("conv2a", 128, 112),
+    ("conv2b", 128, 112),
+    ("maxpool2", 128, 56),
+    ("conv3a", 256, 56),
+    ("maxpool3", 256, 28),
+    ("conv4a", 512, 28),
+]
+
+
+def full_width(**changes):
+    """The network at full width and 224 pixels with 16 coefficients and 10 fabrics: shapes only."""
+    with torch.device("meta"):
+        return build_network(
+            TrainSettings(width=1.0, initialisation="pytorch", **changes), 16, 224, 10
+        )
+
+
+def convolutions_and_poolings(net) -> list[nn.Module]:
+    return [
+        layer for layer in net.convolutions.modules() if isinstance(layer, nn.Conv2d | nn.MaxPool2d)
+    ]
+
+
+def test_its_convolutions_and_poolings_are_those_of_table_1():
+    net = full_width()
+    layers = convolutions_and_poolings(net)
+    found = []
+    for layer in layers:
+        layer.register_forward_hook(lambda layer, inputs, output: found.append(output.shape[1:]))
+    net.convolutions(torch.zeros(1, 3, 224, 224, device="meta"))
+    assert found == [(channels, side, side) for _, channels, side in TABLE_1]
+    for layer, (name, _, _) in zip(layers, TABLE_1, strict=True):
+        pools = name.startswith("maxpool")
+        assert isinstance(layer, nn.MaxPool2d if pools else nn.Conv2d), name
+        size = (layer.kernel_size, layer.stride)
+        assert size == ((3, 2) if pools else ((3, 3), (1, 1))), name
+    rectifiers = [layer for layer in net.convolutions.modules() if isinstance(layer, nn.ReLU)]
+    assert len(rectifiers) == 6
+
+
+def test_two_lstm_layers_then_two_fully_connected_ones_with_dropout_between_only():
+    net = full_width()
+    assert net.lstm.num_layers == 2 and net.lstm.hidden_size == 256 and net.lstm.dropout == 0
+    kinds = [type(layer) for layer in net.fully_connected]
+    assert kinds == [nn.Linear, nn.ReLU, nn.Dropout, nn.Linear]
+    assert sum(isinstance(layer, nn.Dropout) for layer in net.modules()) == 1
+
+
+def test_the_material_goes_through_a_softmax_layer_of_its_own_beside_every_frame():
+    net = network(condition_classes=3, material_units=5).eval()
+    seen = []
+    net.lstm.register_forward_pre_hook(lambda lstm, inputs: seen.append(inputs[0]))
+    net(frames(), torch.tensor([0, 2]))
+    told = seen[0][..., :5]
+    assert torch.equal(told, told[:, :1].expand_as(told))  # the same for every frame
+    assert torch.allclose(told.sum(-1), torch.ones(2, 5)) and told.min() > 0
+    assert not torch.allclose(told[0], told[1])
+    assert [type(layer) for layer in net.material] == [nn.Linear, nn.Softmax]
+    assert full_width().material[0].out_features == 10  # as many as fabrics, by default
+
+
+def test_at_full_width_and_224_pixels_it_has_the_papers_weights_and_cost():
+    convolutions = 9 * (3 * 64 + 64 * 64 + 64 * 128 + 128 * 128 + 128 * 256 + 256 * 512)
+    channels = 64 + 64 + 128 + 128 + 256 + 512
+    heads = (10 * 10 + 10) + (256 * 256 + 256) + (256 * 16 + 16)
+
+    def lstm(inputs):
+        return 4 * 256 * (inputs + 256 + 2) + 4 * 256 * (256 + 256 + 2)
+
+    def weights(net):
+        return sum(weight.numel() for weight in net.parameters())
+
+    bare = full_width(batch_norm="none", readout="pool")
+    assert weights(bare) == convolutions + channels + lstm(512 + 10) + heads == 3_130_558
+    flat = full_width(batch_norm="none", readout="flatten")
+    assert weights(flat) == convolutions + channels + lstm(512 * 28**2 + 10) + heads
+    # Two numbers a channel for its bias, and two a feature.
+    assert weights(full_width(batch_norm="convolutions")) == weights(bare) + channels
+    assert weights(full_width(batch_norm="all")) == weights(bare) + channels + 2 * 512
+    assert bare.multiply_accumulates == pytest.approx(6.56e9, rel=5e-4)
+
+
+def test_without_padding_the_maps_are_smaller():
+    net = full_width(padding="valid")
+    assert net.convolutions(torch.zeros(1, 3, 224, 224, device="meta")).shape[2:] == (22, 22)
 
 
 @pytest.mark.parametrize(
@@ -47,9 +134,11 @@ def test_at_full_width_and_224_pixels_it_costs_what_the_papers_net_costs(convolu
         {"readout": "flatten"},
         {"outputs": "all"},
         {"padding": "valid", "channels": [64, 128], "convolutions": [1, 1]},
-        {"pool_last_block": False},
-        {"batch_norm": False},
-        {"fc_units": 64},
+        {"padding": "valid", "readout": "flatten", "channels": [8, 16], "convolutions": [1, 1]},
+        {"batch_norm": "none"},
+        {"batch_norm": "features"},
+        {"batch_norm": "convolutions"},
+        {"fc_units": 64, "lstm_units": 32},
         {"initialisation": "glorot"},
         {"initialisation": "pytorch"},
     ],
@@ -96,7 +185,7 @@ def test_he_initialisation_keeps_the_signal_through_the_convolutions_and_pytorch
     """Why a network with another initialisation stays at chance: its features are all but zero."""
     size = {}
     for kind in ("he", "pytorch"):
-        net = network(32, batch_norm=False, initialisation=kind)
+        net = network(32, batch_norm="none", initialisation=kind)
         net.mean.fill_(127.5)
         net.deviation.fill_(74.0)
         images = frames(2, 3, 32).flatten(0, 1).permute(0, 3, 1, 2).float()
@@ -144,7 +233,7 @@ needs_bfloat16 = pytest.mark.skipif(
 
 
 @needs_bfloat16
-@pytest.mark.parametrize("batch_norm", [True, False])
+@pytest.mark.parametrize("batch_norm", ["all", "none"])
 @pytest.mark.parametrize(("videos", "steps"), [(2, 0), (4, 0), (2, 10)])
 def test_gradients_in_bfloat16_agree_with_float32(batch_norm, videos, steps):
     video = drawn_videos(videos)

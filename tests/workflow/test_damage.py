@@ -139,7 +139,7 @@ def test_the_damaged_file_is_named_with_the_command_that_makes_it_anew(
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert status == 2
     assert f"error: {name}: " in said
-    assert f"make it anew with: snakemake --cores 2 all --forcerun {name}" in said
+    assert f"regenerate it with: snakemake --cores 2 all --forcerun {name}" in said
     assert not [one for one in tmp_path.rglob("*") if one.is_file()]
 
 

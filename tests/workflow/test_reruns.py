@@ -15,9 +15,9 @@ def fabrics_file(chain) -> str:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("vertices along a side of the 20 cm square", "vertices along one side"),
+        ("vertices per side of the 20 cm square", "vertices along one side"),
         ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
-        ("must be a finite number, at least 0", "must be finite and at least 0"),
+        ("must lie between 0 and {FRICTION_MAX:g}", "must be from 0 to {FRICTION_MAX:g}"),
         ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
     ],

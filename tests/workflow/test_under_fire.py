@@ -115,7 +115,7 @@ def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(undisturbed, ref
         answer = undisturbed.snakemake("simulate")
         assert answer.returncode == 1
         assert "no space left on the disk" in answer.stderr
-        assert "Finished work is kept: the same command goes on" in answer.stderr
+        assert "Finished work is kept: fix the cause and repeat the command" in answer.stderr
         target.unlink()
         kept.rename(target)
     assert undisturbed.snakemake("all").returncode == 0
@@ -128,7 +128,7 @@ def test_the_command_that_is_named_makes_a_damaged_file_anew(undisturbed, refere
     answer = undisturbed.snakemake("all")
     assert answer.returncode == 1
     last = answer.stderr[answer.stderr.index("failed: render_shading") :]
-    command = re.search("make it anew with: snakemake --cores 2 (all --forcerun [^ \n]+)", last)
+    command = re.search("regenerate it with: snakemake --cores 2 (all --forcerun [^ \n]+)", last)
     assert undisturbed.snakemake(*command[1].split()).returncode == 0
     assert kills.differences(undisturbed.folder, reference, partial=False) == []
 
@@ -186,7 +186,7 @@ def test_results_that_cannot_be_written_are_said_to_be_so(undisturbed, reference
     finally:
         subprocess.run(["umount", "-l", folder], check=True)
     assert answer.returncode == 1
-    assert "the file system cannot be written to" in answer.stderr
+    assert "not writable (read-only file system or missing permission)" in answer.stderr
     assert "Traceback" not in answer.stderr
     assert undisturbed.snakemake("all").returncode == 0
     assert kills.differences(undisturbed.folder, reference, partial=False) == []

@@ -1,1 +1,1 @@
-"""Ablations: what changes when one thing in the training changes, at an equal budget."""
+"""Ablations: the effect of single training choices, at an equal budget."""

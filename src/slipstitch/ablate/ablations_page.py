@@ -1,4 +1,4 @@
-"""The page of the ablations: a sentence, a picture and a table a question."""
+"""The page of the ablations: conclusions, a plot and a table per question."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ from slipstitch.page.palette import BAD, FAINT, GOOD, PALE, SOFT
 from slipstitch.page.templates import render
 
 _TEMPLATE = Path(__file__).with_name("ablations.html.j2")
-_COLOURS = {"better": GOOD, "worse": BAD, "not told apart": SOFT, "nothing learnt": PALE}
+_COLOURS = {"better": GOOD, "worse": BAD, "no significant difference": SOFT, "nothing learnt": PALE}
 
 
 def ablations_page(summary: Mapping[str, Any]) -> str:
@@ -63,7 +63,7 @@ def _picture(comparisons: list[Mapping[str, Any]]) -> Figure | None:
     ends = [abs(comparison[end]) for comparison in shown for end in ("low", "high")]
     reach = max(1.1 * max(ends), 1e-3)
     axes.set_xlim(-reach, reach)
-    axes.set_xlabel("difference of the mean error of µ;  left of 0: better")
+    axes.set_xlabel("difference of the mean error of µ;  negative: better")
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
     return figure

@@ -1,4 +1,4 @@
-"""One question, one seed: its variants trained one after another, then asked about the test videos.
+"""One question, one seed: its variants trained one after another, then tested.
 
 A variant whose training is finished is not trained again: a file beside its model says what it was
 trained on, with which settings and code. Killed within a training, it goes on from its checkpoint.
@@ -113,7 +113,7 @@ def answer(
         If the dataset cannot answer a question that the configuration names.
     """
     if question not in QUESTIONS:
-        raise BadInput(f"no question {question!r}; there are: {', '.join(QUESTIONS)}")
+        raise BadInput(f"unknown question {question!r}; known: {', '.join(QUESTIONS)}")
     rows, digest = read_manifest(dataset)
     viewpoints = config.view_order
     empty: dict[str, Any] = {"question": question, "seed": seed, "asks": None, "left_out": None}
@@ -266,7 +266,7 @@ class _Runs:
                 SPLIT,
                 self.seed,
                 folder,
-                viewpoint=self.plan.viewpoints[0],
+                viewpoints=self.plan.viewpoints[:1],
                 frames=self.config.sample.frames,
                 uses=lambda row: row["video"] in variant.videos,
                 threads=self.threads,
@@ -347,7 +347,7 @@ def _at_chance(found: dict[str, Any], margin: float | None) -> bool:
 
 
 def _finished(marker: Path) -> dict[str, Any]:
-    """What was noted of a finished training whose model still is there; else nothing."""
+    """The record of a finished training whose model still exists; else nothing."""
     try:
         noted = json.loads(marker.read_text(encoding="utf-8"))
     except (OSError, ValueError):

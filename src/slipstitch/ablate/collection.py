@@ -1,4 +1,4 @@
-"""Reading the answers of all questions and seeds, writing their summary and its page."""
+"""Reading the results of all questions and seeds, writing their summary and its page."""
 
 import json
 import os
@@ -50,13 +50,13 @@ def write_summary(
 
 
 def _answer(path: Path) -> dict[str, Any]:
-    """One answer; BadInput if it is not what its place says."""
+    """One answer; BadInput if it is does not match its path."""
     content = read_json(path)
     if not isinstance(content, dict) or not set(content) >= KEYS:
-        raise BadInput(f"{path}: no answer of `slipstitch ablate`")
+        raise BadInput(f"{path}: not a result of `slipstitch ablate`")
     if (content["question"], f"seed{content['seed']}") != (path.parent.name, path.stem):
         raise BadInput(
             f"{path}: answers {content['question']} with seed {content['seed']}: "
-            "not what its place says"
+            "does not match its path"
         )
     return content

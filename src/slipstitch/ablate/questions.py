@@ -1,4 +1,4 @@
-"""The questions, their variants, and which videos train and test them.
+"""The questions, their variants, and their training and test videos.
 
 Every variant of a question is trained with as many passes of videos as the others, on the split by
 simulation, and tested on the same videos of held-out simulations. Those for validation count among
@@ -73,7 +73,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Candidates:
-    """What of a manifest may train and test, from some viewpoints."""
+    """The videos of a manifest available for training and testing, from some viewpoints."""
 
     training: list[Row]
     held_out: list[Row]
@@ -98,7 +98,7 @@ def plan(
     settings: AblateSettings,
     seed: int,
 ) -> Plan:
-    """How a dataset answers a question.
+    """The plan for answering a question with a dataset.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def plan(
     )
     for part, name in ((videos.training, "training"), (videos.held_out, "held-out")):
         if not part:
-            raise BadInput(f"{question}: a {name} simulation seen from {views[0]} is needed")
+            raise BadInput(f"{question}: a {name} simulation seen from {views[0]} is required")
     generator = np.random.default_rng([seed, 5])
     return _PLANS[question](videos, views, settings, generator)
 
@@ -140,8 +140,8 @@ def diversity(videos: Candidates, views: list[str], settings: AblateSettings, ge
     count = min(len(videos.textures), min(map(len, pairs.values())))
     if count < 2:
         raise BadInput(
-            "diversity: 2 training replicates of every pair and 2 training textures are needed, "
-            f"not {min(map(len, pairs.values()))} and {len(videos.textures)}"
+            "diversity: 2 training replicates of every pair and 2 training textures are "
+            f"required, not {min(map(len, pairs.values()))} and {len(videos.textures)}"
         )
     textures = videos.textures[:count]
     drawn = {
@@ -155,7 +155,7 @@ def diversity(videos: Candidates, views: list[str], settings: AblateSettings, ge
     }
     first_only = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
     return Plan(
-        asks="What is a further video worth: a new replicate, or a new texture of the same one?",
+        asks="Which additional video helps more: a new replicate, or a new texture of an old one?",
         viewpoints=views,
         variants=[
             Variant(
@@ -174,15 +174,15 @@ def conditioning(videos: Candidates, views: list[str], settings: AblateSettings,
     """Nothing, the predicted or the true material told to the friction network."""
     materials = {row["material_id"] for row in videos.training}
     if len(materials) < 2:
-        raise BadInput(f"conditioning: 2 training materials are needed, not {len(materials)}")
+        raise BadInput(f"conditioning: 2 training materials are required, not {len(materials)}")
     chosen = _dealt(videos, settings, generator)
     phrases = {
-        "none": "no word of the material",
-        "predicted": "the predicted material",
-        "true": "the true material",
+        "none": "without material input",
+        "predicted": "with the predicted material",
+        "true": "with the true material",
     }
     return Plan(
-        asks="Does it help the friction network to be told the material?",
+        asks="Does material input help the friction network?",
         viewpoints=views,
         variants=[
             Variant(name, phrase, chosen, condition=name)  # type: ignore[arg-type]
@@ -196,10 +196,10 @@ def conditioning(videos: Candidates, views: list[str], settings: AblateSettings,
 def schedule(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
     """One viewpoint more each cycle, against all from the first epoch."""
     if len(views) < 2:
-        raise BadInput(f"schedule: 2 training viewpoints are needed, not {len(views)}")
+        raise BadInput(f"schedule: 2 training viewpoints are required, not {len(views)}")
     chosen = _dealt(videos, settings, generator)
     return Plan(
-        asks="Does it help to learn one viewpoint after another?",
+        asks="Does it help to add viewpoints one after another?",
         viewpoints=views,
         variants=[
             Variant("progressive", "adding a viewpoint each cycle", chosen),
@@ -216,7 +216,7 @@ def schedule(videos: Candidates, views: list[str], settings: AblateSettings, gen
 def initialisation(
     videos: Candidates, views: list[str], settings: AblateSettings, generator
 ) -> Plan:
-    """How the weights are drawn."""
+    """Initialisation of the weights."""
     chosen = _dealt(videos, settings, generator)
     phrases = {
         "he": "He's initialisation",
@@ -224,7 +224,7 @@ def initialisation(
         "pytorch": "PyTorch's own initialisation",
     }
     return Plan(
-        asks="How should the weights be drawn?",
+        asks="How should the weights be initialised?",
         viewpoints=views,
         variants=[
             Variant(name, phrase, chosen, changes={"initialisation": name})
@@ -240,7 +240,7 @@ def floors(videos: Candidates, views: list[str], settings: AblateSettings, gener
 
     Each exchanged simulation makes room for one with the same friction coefficient, and the same
     material where there is one, so that both variants have as many of every coefficient.
-    Coefficients with fewer than two matte or no mirroring training simulations are left out, in
+    Coefficients with fewer than two matte or no reflective training simulations are left out, in
     the tests too.
     """
     matte: dict[str, list[Row]] = defaultdict(list)
@@ -252,10 +252,11 @@ def floors(videos: Candidates, views: list[str], settings: AblateSettings, gener
     held = {_mirrors(row) for row in videos.held_out if row["friction_id"] in frictions}
     if len(frictions) < 2 or held != {True, False}:
         raise BadInput(
-            "floors: 2 friction coefficients with 2 matte and 1 mirroring training simulation "
-            "each, and held-out ones on either floor, are needed (render.floors): there are "
+            "floors: 2 friction coefficients with 2 matte training simulations and 1 reflective "
+            "one each, and held-out ones on both kinds of floor, are required (render.floors); "
+            "found: "
             f"{len(frictions)} such coefficients, {sum(map(len, matte.values()))} matte and "
-            f"{sum(map(len, mirrors.values()))} mirroring training simulations"
+            f"{sum(map(len, mirrors.values()))} reflective training simulations"
         )
     only, mixed = [], []
     for friction in frictions:
@@ -275,13 +276,13 @@ def floors(videos: Candidates, views: list[str], settings: AblateSettings, gener
         return row["friction_id"] in frictions and _mirrors(row) == mirroring
 
     return Plan(
-        asks="Must floors that mirror be in training?",
+        asks="Are reflective floors needed in training?",
         viewpoints=views,
         variants=[
             Variant("matte", "training on matte floors only", _ids_of(videos, only, dealt)),
             Variant(
                 "mixed",
-                f"training with {exchanged} mirroring floors of {len(mixed)}",
+                f"training with {exchanged} reflective floors out of {len(mixed)}",
                 _ids_of(videos, mixed, dealt),
             ),
         ],
@@ -309,7 +310,7 @@ def _mirrors(row: Row) -> bool:
 def _lrcn(question: str, settings: AblateSettings) -> list[str]:
     """The one network that has what is asked after; BadInput if it is not to be trained."""
     if "lrcn" not in settings.networks:
-        raise BadInput(f"{question}: asks after the network lrcn, which ablate.networks leaves out")
+        raise BadInput(f"{question}: requires the network lrcn, which is not in ablate.networks")
     return ["lrcn"]
 
 

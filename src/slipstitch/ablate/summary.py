@@ -1,4 +1,4 @@
-"""From the answers of all seeds to rows, differences with their intervals, and sentences.
+"""From the results of all seeds to table rows, differences with intervals, and conclusions.
 
 The videos of one simulation are right or wrong together, and so are those that one training
 answers: a difference between two variants is averaged over the videos of a simulation, and its
@@ -90,10 +90,10 @@ def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
     Raises
     ------
     BadInput
-        If the answers are of different datasets.
+        If the results are from different datasets.
     """
     if len({answer["dataset_digest"] for answer in answers}) > 1:
-        raise BadInput("the answers are of different datasets: run all questions anew")
+        raise BadInput("the results are from different datasets; rerun all questions")
     questions: dict[str, Any] = {}
     for name in dict.fromkeys(answer["question"] for answer in answers):
         of_question = sorted(
@@ -139,7 +139,7 @@ def _predictions(answer: dict[str, Any], network: str, variant: str, tested_on: 
 
 
 def _rows(answers: Sequence[dict[str, Any]], step: float) -> list[Row]:
-    """A row a network, test set and variant."""
+    """One row per network, test set and variant."""
     first = answers[0]
     rows = []
     for network in dict.fromkeys(variant["network"] for variant in first["variants"]):
@@ -252,14 +252,14 @@ def _by_simulation(predictions: list[Row]) -> dict[str, float]:
 
 
 def verdict(found: Row, reference: Row, row: Row) -> str:
-    """What the interval allows to say of the variant: better, worse, not told apart, or nothing."""
+    """Conclusion from the interval: better, worse, no significant difference, or none."""
     if found["low"] is None:
         return "not compared"
     if all(variant["stayed_at_chance"] == variant["seeds"] for variant in (reference, row)):
         return "nothing learnt"
     if found["high"] < 0:
         return "better"
-    return "worse" if found["low"] > 0 else "not told apart"
+    return "worse" if found["low"] > 0 else "no significant difference"
 
 
 def sentence(found: Row, reference: Row, row: Row) -> str:
@@ -275,15 +275,16 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
     many = f"{found['simulations']} simulations and {_count(found['seeds'], 'seed')}"
     if found["verdict"] == "not compared":
         conclusion = f"{new} cannot be compared with {old}: " + (
-            "one test simulation says nothing of others"
+            "one test simulation does not generalise to others"
             if found["seeds"]
-            else "no seed trained both without diverging"
+            else "in no seed did both train without diverging"
         )
     elif found["verdict"] == "nothing learnt":
-        conclusion = f"nothing can be said of {new} and {old}: both stayed at chance at this budget"
-    elif found["verdict"] == "not told apart":
+        conclusion = f"{new} and {old} cannot be compared: both stayed at chance at this budget"
+    elif found["verdict"] == "no significant difference":
         conclusion = (
-            f"{new} and {old} cannot be told apart by {many}: difference of the mean error {amount}"
+            f"no significant difference between {new} and {old} with {many}: difference of the "
+            f"mean error {amount}"
         )
     elif found["verdict"] == "better":
         conclusion = f"{new} is better than {old}: mean error smaller by {amount}, {many}"
@@ -300,7 +301,7 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
         if variant[key] and not (key == "stayed_at_chance" and found["verdict"] == "nothing learnt")
     ]
     if found["seeds"] == 1:
-        notes.append("of other seeds the interval says nothing")
+        notes.append("the interval does not cover other seeds")
     return start + "; ".join([conclusion, *notes]) + "."
 
 

@@ -1,1 +1,1 @@
-"""Audit: is a release what it says, where does each clip come from, would it be the same today."""
+"""Audit: verify a release, trace each clip to its origin, compare it with the current code."""

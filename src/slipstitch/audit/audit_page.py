@@ -1,4 +1,4 @@
-"""The outcome of an audit for people: text for a terminal, a page for a browser."""
+"""The findings of an audit as text for a terminal and as an HTML page."""
 
 from pathlib import Path
 
@@ -11,9 +11,9 @@ _TEMPLATE = Path(__file__).with_name("audit.html.j2")
 
 _MOST_LINES = 12
 VERDICTS = {
-    "intact": "intact: every file, image, label and record is what the release says",
-    "stale": "intact, but stale: today's code or configuration would make something else",
-    "damaged": "DAMAGED: see below which clips are touched",
+    "intact": "intact: every file, image, label and record matches the release",
+    "stale": "intact, but stale: the current code or configuration would give different results",
+    "damaged": "DAMAGED: the affected clips are listed below",
 }
 
 
@@ -23,7 +23,7 @@ def as_text(audit: Audit) -> str:
     lines = [
         f"{audit.release}: {VERDICTS[audit.verdict]}",
         f"{numbers['files']} files, {size(numbers['bytes'])}, {numbers['images']} images of "
-        f"{numbers['clips']} clips looked at in {numbers['wall_s']:.1f} s; "
+        f"{numbers['clips']} clips checked in {numbers['wall_s']:.1f} s; "
         f"{len(audit.damaged_clips())} clips damaged",
         f"SHA-256 of SHA256SUMS: {audit.sums_sha256}",
     ]
@@ -35,10 +35,15 @@ def as_text(audit: Audit) -> str:
             clips = in_words(finding.clips, len(audit.clips))
             lines.append(f"  {finding.where}: {finding.what}" + (f" [{clips}]" if clips else ""))
         if len(found) > _MOST_LINES:
-            lines.append(f"  ... and {len(found) - _MOST_LINES} more (--json or --page has all)")
+            lines.append(f"  ... and {len(found) - _MOST_LINES} more (all are in --json or --page)")
     if audit.notes:
         lines += ["", *(f"note: {note}" for note in audit.notes)]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
+
+
+def printable(line: str) -> str:
+    """A line without what would move a terminal's cursor: names in a release are anybody's."""
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in line)
 
 
 def write_page(audit: Audit, path: Path) -> None:

@@ -1,20 +1,27 @@
-"""The whole audit of one release."""
+"""The complete audit of a release."""
 
 import time
 from pathlib import Path
 
+from slipstitch.audit.admission import limited_memory
 from slipstitch.audit.contents import read_contents
+from slipstitch.audit.derived import check_derived
 from slipstitch.audit.files import check_files
 from slipstitch.audit.findings import Audit, Finding, Kind, sorted_findings
 from slipstitch.audit.lineage_check import check_lineage
 from slipstitch.audit.staleness import check_commits, check_staleness
 from slipstitch.config import Config
 from slipstitch.provenance import start_clock
-from slipstitch.release.checksums import SUMS
+from slipstitch.release.checksums import SIGNATURE, SUMS
+from slipstitch.release.signature import verify
 
 
 def audit_release(
-    folder: Path, config: Config | None = None, expected: str | None = None, jobs: int = 2
+    folder: Path,
+    config: Config | None = None,
+    expected: str | None = None,
+    jobs: int = 2,
+    signers: Path | None = None,
 ) -> Audit:
     """Audit a release.
 
@@ -27,35 +34,58 @@ def audit_release(
         SHA-256 that ``SHA256SUMS`` must have, as the publisher states it elsewhere.
     jobs : int
         Threads.
+    signers : path, optional
+        Who may have signed it; see `slipstitch.release.signature.verify`.
 
     Raises
     ------
     BadInput
-        If the folder is no release.
+        If the folder is no release, or cannot be read without harm.
     """
+    with limited_memory():
+        return _audit(folder, config, expected, jobs, signers)
+
+
+def _audit(
+    folder: Path, config: Config | None, expected: str | None, jobs: int, signers: Path | None
+) -> Audit:
     wall, _ = start_clock()
     cpu = time.process_time()
     contents = read_contents(folder)
-    findings = list(contents.findings)
+    every = tuple(contents.clips)
+    findings, notes = list(contents.findings), []
     if expected is not None and contents.sums_sha256 != expected.lower():
         what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
-        findings.append(Finding(Kind.ALTERED, SUMS, what, tuple(contents.clips)))
+        findings.append(Finding(Kind.ALTERED, SUMS, what, every))
+    if signers is not None:
+        signer, problem = verify(folder, signers)
+        if problem is not None:
+            findings.append(Finding(Kind.ALTERED, SIGNATURE, problem, every))
+        else:
+            notes.append(f"signed by {signer}")
+    elif expected is None:
+        how = "--verify" if (folder / SIGNATURE).is_file() else "--expect"
+        notes.append(f"not compared with any external reference ({how}): see docs/release.md")
     of_files, numbers, shards = check_files(contents, jobs)
-    of_lineage, notes = check_lineage(contents, shards)
-    of_commits, more = check_commits(contents, Path(__file__).resolve().parents[3])
-    findings += [*of_files, *of_lineage, *of_commits, *check_staleness(contents, config)]
+    parts = [
+        check_lineage(contents, shards),
+        check_derived(contents),
+        check_commits(contents, Path(__file__).resolve().parents[3]),
+    ]
+    findings += [*of_files, *check_staleness(contents, config)]
+    for found, noted in parts:
+        findings += found
+        notes += noted
     cost = {
         "clips": len(contents.clips),
         "wall_s": round(time.perf_counter() - wall, 2),
         "cpu_s": round(time.process_time() - cpu, 2),
     }
-    if expected is None:
-        notes.append("no digest of SHA256SUMS from elsewhere was given (--expect)")
     return Audit(
         release=contents.name,
         sums_sha256=contents.sums_sha256,
         numbers=numbers | cost,
         findings=sorted_findings(findings),
-        notes=notes + more,
+        notes=notes,
         clips=contents.clips,
     )

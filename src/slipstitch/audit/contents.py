@@ -1,8 +1,9 @@
-"""What lies in a release, read as far as it can be read."""
+"""The contents of a release, read as far as possible."""
 
 import contextlib
 import hashlib
 import json
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,22 +12,33 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slipstitch.audit.admission import (
+    Harmful,
+    check_entries,
+    check_nesting,
+    check_parquet,
+    short_texts,
+    text_columns,
+)
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.config import Config, load_config
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_metadata
-from slipstitch.release.assembly import CONFIG, RELEASE_RECORD
+from slipstitch.provenance import file_digest, read_metadata
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.currency import calibrated_by
 from slipstitch.release.manifest import MANIFEST
 from slipstitch.release.records import (
+    CONFIG,
     RECORD_SUFFIX,
     RECORDS,
+    RELEASE_RECORD,
     Artefact,
     carried_file,
     read_record,
     record_file,
 )
+
+FRAMES_MAX = 1_000_000
 
 
 @dataclass
@@ -39,6 +51,7 @@ class Contents:
     notes: dict[str, Any] = field(default_factory=dict)
     artefacts: dict[str, Artefact] = field(default_factory=dict)
     release: dict[str, Any] = field(default_factory=dict)
+    schema: pa.Schema | None = None
     config: Config | None = None
     findings: list[Finding] = field(default_factory=list)
 
@@ -60,6 +73,10 @@ class Contents:
             with contextlib.suppress(BadInput):
                 settings |= calibrated_by([path], lambda name: self.folder / carried_file(name))
         return settings
+
+    def as_listed(self, name: str) -> bool:
+        """Whether a file has the digest that ``SHA256SUMS`` names: then nobody damaged it."""
+        return file_digest(self.folder / name) == self.sums.get(name)
 
     @property
     def name(self) -> str:
@@ -93,10 +110,14 @@ def read_contents(folder: Path) -> Contents:
     Raises
     ------
     BadInput
-        If the folder is not there or no release: a foreign folder, or one half written.
+        If the folder is not there or no release: a foreign folder, one half written, or one that
+        cannot be read without harm.
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
+    if os.path.lexists(folder / SUMS):
+        check_entries(folder)
+        check_nesting(folder)
     contents = Contents(folder, dict(read_sums(folder)))
     for name in (MANIFEST, RELEASE_RECORD, CONFIG):
         if name not in contents.sums:
@@ -117,31 +138,43 @@ def _read(contents: Contents, name: str, read) -> None:
     try:
         read(contents, contents.folder / name)
     except BadInput as error:
+        if isinstance(error, Harmful) and contents.as_listed(name):
+            raise
         what = str(error).removeprefix(f"{contents.folder}/")
         contents.findings.append(Finding(Kind.BROKEN, name, what))
+    except RecursionError:
+        raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         contents.findings.append(Finding(Kind.BROKEN, name, f"cannot be read: {what}"))
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:
+    odd = check_parquet(path, images=False)
+    if odd:
+        contents.findings.append(Finding(Kind.BROKEN, MANIFEST, odd))
     schema = pq.read_schema(path)
     for column, kind in NEEDED_COLUMNS.items():
         if column not in schema.names or schema.field(column).type != kind:
             raise ValueError(f"no column {column!r} of type {kind}")
+    contents.schema = schema
     contents.notes = read_metadata(schema)
-    rows = pq.read_table(path).to_pylist()
+    table = pq.read_table(path, read_dictionary=text_columns(path))
+    short_texts(table, path)
+    rows = table.to_pylist()
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
-        raise ValueError("a value is missing")
+        raise ValueError("missing value")
+    if any(not 0 < row["frames"] <= FRAMES_MAX for row in rows):
+        raise ValueError(f"a video without images, or with more than {FRAMES_MAX}")
     if len({row["video"] for row in rows}) != len(rows):
-        raise ValueError("a video is in it twice")
+        raise ValueError("duplicate video")
     contents.rows = rows
 
 
 def _read_release(contents: Contents, path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     if not all(isinstance(content[key], dict) for key in ("facts", "files", "provenance")):
-        raise ValueError("facts, files or provenance is no mapping")
+        raise ValueError("facts, files or provenance is not a mapping")
     contents.release = content
 
 

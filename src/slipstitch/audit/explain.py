@@ -1,14 +1,15 @@
-"""One clip's whole story, from the records that the release carries."""
+"""The history of a clip, from the records in the release."""
 
 import json
 from collections.abc import Mapping
+from pathlib import PurePosixPath
 from typing import Any
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import read_shard
 from slipstitch.audit.lineage import Lineage
 from slipstitch.errors import BadInput
-from slipstitch.release.currency import current_digest
+from slipstitch.release.currency import CALIBRATION, current_digest
 from slipstitch.release.records import Artefact, carried_file, is_carried, is_ours, record_file
 from slipstitch.release.splits import PREFIX
 
@@ -17,7 +18,7 @@ def find_clip(contents: Contents, clip: str) -> dict[str, Any]:
     """The clip's row of the manifest; BadInput if the release has no such clip."""
     row = contents.row_of.get(clip)
     if row is None:
-        some = f"; ids are like {contents.clips[0]}" if contents.clips else ""
+        some = f"; ids look like {contents.clips[0]}" if contents.clips else ""
         raise BadInput(f"{contents.folder}: no clip {clip!r}{some}")
     return row
 
@@ -49,11 +50,12 @@ def explain(contents: Contents, clip: str) -> str:
 def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     shard = contents.folder / row["shard"]
     if not shard.is_file():
-        pixels = "the shard is not there"
+        pixels = "the shard is missing"
     else:
         found = read_shard(shard).pixels.get(row["video"])
         same = found == row["pixels_sha256"]
-        pixels = "as decoded just now" if same else f"NOT as decoded just now ({found})"
+        pixels = "equal to the decoded pixels" if same else "NOT equal to the decoded pixels "
+        f"({found})"
     known = {"video", "pixels_sha256", "shard", "first_row", "frames", "pixels"}
     labels = [
         f"{name} {value}"
@@ -85,11 +87,11 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
     if is_carried(artefact):
         lines.append(f"  carried  {carried_file(artefact.path)}")
     if record is None or not is_ours(artefact.path):
-        return [*lines, "  from outside: no stage made it"]
+        return [*lines, "  external input: not made by a stage"]
     now = current_digest(artefact.stage)
-    code = "as the code of today" if now == record["code_digest"] else "NOT the code of today"
-    commit = record.get("git_commit") or "no commit known"
-    changed = ", with changes that are in no commit" if record.get("git_dirty") else ""
+    code = "the current code" if now == record["code_digest"] else "NOT the current code"
+    commit = record.get("git_commit") or "unknown commit"
+    changed = ", with uncommitted changes" if record.get("git_dirty") else ""
     lines += [
         f"  made by  slipstitch {artefact.stage}, code {record['code_digest'][:16]} ({code}), "
         f"commit {commit[:12]}{changed}",
@@ -105,22 +107,20 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
         link = "NO RECORD"
         if behind is not None:
             link = (
-                "the next"
-                if behind.sha256 == artefact.inputs[name]
-                else "ANOTHER FILE than the next"
+                "the next" if behind.sha256 == artefact.inputs[name] else "DIFFERENT from the next"
             )
         lines.append(f"  from     {name} ({link})")
     return lines
 
 
 def _says(contents: Contents, artefact: Artefact) -> list[str]:
-    """What an artefact tells of itself, in a few lines."""
+    """Description of an artefact in a few lines."""
     lines = [
         f"{name}: {_short(value)}"
         for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
-    if artefact.stage == "calibrate":
+    if PurePosixPath(artefact.path).name == CALIBRATION:  # not the sweeps that it was chosen from
         lines += _checks(contents, artefact)
     return lines
 
@@ -131,7 +131,7 @@ def _checks(contents: Contents, artefact: Artefact) -> list[str]:
         checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
         worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
     except (OSError, ValueError, KeyError, TypeError):
-        return ["checks: cannot be read"]
+        return ["checks: unreadable"]
     return [
         f"{sum(check['met'] for check in checks)} of {len(checks)} checks against theory met; "
         f"the closest to its limit: {worst['name']}, error {worst['error']:.2e} of "
@@ -153,9 +153,9 @@ def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     try:
         then = json.loads(there.read_text(encoding="utf-8"))["fabrics"][name]
     except (OSError, ValueError, KeyError, TypeError):
-        return [f"fabric {name}: not in the release's own sources"]
+        return [f"fabric {name}: not in the release's sources"]
     now = json.loads(CATALOGUE.read_text(encoding="utf-8"))["fabrics"].get(name)
-    same = "as today" if now == then else "NOT as today"
+    same = "same as the current one" if now == then else "DIFFERENT from the current one"
     return [
         f"fabric {name} ({same})",
         f"  areal density {then['areal_density_kg_m2']} kg/m2; stretching and bending tables in "

@@ -1,4 +1,4 @@
-"""What an audit finds, and the verdict that follows."""
+"""The findings of an audit and its verdict."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -17,11 +17,11 @@ class Kind(StrEnum):
 
 
 MEANING = {
-    Kind.ALTERED: "a file or its images are not what the release says",
-    Kind.MISSING: "a file of the release is not there",
-    Kind.UNEXPLAINED: "a file that the release does not know",
-    Kind.BROKEN: "a clip cannot be followed to its origin, or its record contradicts itself",
-    Kind.STALE: "intact, but the code or configuration of today would make something else",
+    Kind.ALTERED: "a file or its images do not match the release",
+    Kind.MISSING: "a file of the release is missing",
+    Kind.UNEXPLAINED: "a file that is not part of the release",
+    Kind.BROKEN: "a clip cannot be traced to its origin, or its record is inconsistent",
+    Kind.STALE: "intact, but the current code or configuration would give different results",
 }
 
 
@@ -118,7 +118,7 @@ def sorted_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def in_words(clips: Sequence[str], all_clips: int) -> str:
-    """Which clips, in a few words."""
+    """A short list of the clips."""
     if not clips:
         return ""
     if len(clips) == all_clips:

@@ -1,4 +1,4 @@
-"""From a clip to everything behind it, and from anything behind to the clips."""
+"""The lineage from a clip to its sources, and from a source to its clips."""
 
 from collections import defaultdict
 from collections.abc import Mapping
@@ -69,7 +69,7 @@ class Lineage:
 
     @cached_property
     def _carried(self) -> dict[str, str]:
-        """Where a release keeps an artefact -> the artefact."""
+        """Path of an artefact in a release -> the artefact."""
         known = {*self.artefacts, *self.clips_after}
         return {carried_file(path): path for path in known}
 

@@ -1,12 +1,13 @@
-"""Every clip followed to its origin: rendering, simulation, calibration, fabric, configuration.
+"""Tracing every clip to its origin: rendering, simulation, calibration, fabric, configuration.
 
 Two sorts of evidence. Records are compared with each other: what a file was made from must be the
 file that the next record is about. And what follows from configuration and seed alone (labels,
-seeds, perturbations, stage positions, splits) is computed anew; no edit of the release can make
+seeds, perturbations, stage positions, splits) is recomputed; no edit of the release can make
 that agree, short of editing the configuration and every record with it.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
+from slipstitch.audit.recorded import check_recorded
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import StagePath
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
-from slipstitch.config.grid import Simulation, simulations
-from slipstitch.config.simulation import SimulationSettings
+from slipstitch.config.grid import films, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import file_digest
-from slipstitch.release.assembly import RELEASE_RECORD
 from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import (
     catalogue_changes,
@@ -31,8 +33,9 @@ from slipstitch.release.currency import (
     current_digest,
     recorded_entries,
 )
-from slipstitch.release.manifest import MANIFEST, sampled_rows
+from slipstitch.release.manifest import MANIFEST, SAMPLED, sampled_rows
 from slipstitch.release.records import (
+    RELEASE_RECORD,
     VERIFICATION,
     Artefact,
     carried_file,
@@ -66,7 +69,7 @@ def check_lineage(
         Comparisons that could not be made, and why.
     """
     if not contents.rows:
-        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be followed without it")], []
+        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be traced without it")], []
     lineage = Lineage(contents)
     findings = [
         *_links(lineage),
@@ -76,13 +79,17 @@ def check_lineage(
     ]
     notes = []
     if contents.config is not None:
+        from slipstitch.audit.judged import check_judged  # and with it the theory: SciPy
+
         stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
         if stale:
             notes.append(
-                "seeds, perturbations, stage positions, labels and splits were computed with code "
+                "seeds, perturbations, stage positions, labels and splits are checked with code "
                 f"that has changed since ({', '.join(stale)})"
             )
         findings += _recomputed(lineage, contents.config, shards, stale)
+        findings += check_recorded(lineage, contents.config, set(stale))
+        findings += check_judged(contents, contents.config, shards, set(stale))
     return findings, notes
 
 
@@ -96,7 +103,8 @@ def _ours(lineage: Lineage) -> Iterator[Artefact]:
 
 def _is_stale(artefact: Artefact) -> bool:
     made_by = artefact.record.get("code_digest")
-    return made_by != current_digest(artefact.stage) or bool(catalogue_changes(artefact))
+    now = current_digest(artefact.stage, None, artefact.record.get("versions"))
+    return made_by != now or bool(catalogue_changes(artefact))
 
 
 def _links(lineage: Lineage) -> Iterator[Finding]:
@@ -108,19 +116,19 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
         artefact = lineage.artefacts.get(path)
         where, clips = record_file(path), lineage.clips(path)
         if artefact is None:
-            yield Finding(Kind.BROKEN, where, f"there is no readable record of {path}", clips)
+            yield Finding(Kind.BROKEN, where, f"no readable record of {path}", clips)
             continue
         if is_ours(path) and artefact.provenance is None:
-            yield Finding(Kind.BROKEN, where, "does not say what made it", clips)
+            yield Finding(Kind.BROKEN, where, "does not state its origin", clips)
         if is_carried(artefact):
             carried = folder / carried_file(path)
             if carried.is_file() and file_digest(carried) != artefact.sha256:
-                what = f"not the file that {record_file(path)} is about"
+                what = f"not the file described by {record_file(path)}"
                 yield Finding(Kind.BROKEN, carried_file(path), what, clips)
         for name, digest in artefact.inputs.items():
             behind = lineage.artefacts.get(name)
             if behind is not None and behind.sha256 != digest:
-                what = f"was made from another {name} than {record_file(name)} is about"
+                what = f"was made from a {name} other than the one described by {record_file(name)}"
                 touched = clips if len(clips) < len(lineage.clips(name)) else lineage.clips(name)
                 yield Finding(Kind.BROKEN, where, what, touched)
     listed = (
@@ -131,7 +139,9 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
             what = f"the manifest was not made from {row['sampled_file']}"
             yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
     for path in sorted(set(lineage.artefacts) - starts):
-        yield Finding(Kind.BROKEN, record_file(path), "no clip comes from what it is about")
+        yield Finding(
+            Kind.BROKEN, record_file(path), "no clip depends on the file that it describes"
+        )
 
 
 def _configuration(lineage: Lineage) -> Iterator[Finding]:
@@ -146,15 +156,16 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
             else []
         )
         if changes:
-            what = f"made with another configuration than records/config.json: {changes[0]}"
+            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
             yield Finding(Kind.BROKEN, where, what, clips)
         digest = artefact.record.get("code_digest")
-        if sources.is_dir() and digest != current_digest(artefact.stage, sources):
-            what = f"its code digest is not that of {artefact.stage} in code/src"
+        versions = artefact.record.get("versions", {})
+        if sources.is_dir() and digest != current_digest(artefact.stage, sources, versions):
+            what = f"its code digest is not that of {artefact.stage} in code/src at its versions"
             yield Finding(Kind.BROKEN, where, what, clips)
         for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
             if sources.is_dir() and digest != _carried_fabric(sources, name):
-                what = f"was made with another fabric {name} than code/src holds"
+                what = f"was made with a fabric {name} that differs from code/src"
                 yield Finding(Kind.BROKEN, where, what, clips)
 
 
@@ -175,10 +186,10 @@ def _sampled(lineage: Lineage) -> Iterator[Finding]:
     except (KeyError, TypeError):
         digest = None
     if record is not None and digest != record.metadata.get("dataset_digest"):
-        what = "labels, splits or pixel digests are not those that were sampled"
+        what = "labels, splits or pixel digests differ from those of the sampling stage"
         yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
     if dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
-        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not have the digest noted in it")
+        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not match their digest")
 
 
 def _release_record(contents: Contents) -> Iterator[Finding]:
@@ -188,92 +199,91 @@ def _release_record(contents: Contents) -> Iterator[Finding]:
         digest = contents.release["provenance"].get("code_digest")
         sources = contents.folder / SOURCES
         if sources.is_dir() and digest != current_digest("release", sources):
-            what = "its code digest is not that of release in code/src"
+            what = "its code digest differs from that of release in code/src"
             yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
         for name in sorted(set(stated) - set(contents.sums)):
-            yield Finding(Kind.BROKEN, name, "records/release.json names it, SHA256SUMS does not")
+            yield Finding(
+                Kind.BROKEN, name, "listed in records/release.json, but not in SHA256SUMS"
+            )
         for name in sorted(set(contents.sums) - set(stated) - {RELEASE_RECORD}):
-            yield Finding(Kind.BROKEN, name, "SHA256SUMS names it, records/release.json does not")
+            yield Finding(
+                Kind.BROKEN, name, "listed in SHA256SUMS, but not in records/release.json"
+            )
 
 
 def _recomputed(
     lineage: Lineage, config: Config, shards: Mapping[str, Shard], stale: Collection[str]
 ) -> Iterator[Finding]:
-    """What follows from configuration and seed, computed anew by code that has not changed."""
+    """Everything determined by configuration and seed, recomputed by unchanged code."""
     contents = lineage.contents
-    grid = {simulation.id: simulation for simulation in simulations(config)}
+    expected = _labels(config)
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     times_s = frames / config.simulation.frame_rate_hz
-    stage_x: dict[str, np.ndarray | None] = {}
+    x_m, _ = StagePath(**dict(config.simulation.stage)).position_m(times_s)
     for row in contents.rows:
-        video, name = row["video"], row["simulation"]
-        simulation = grid.get(name)
-        if simulation is None:
-            yield Finding(Kind.BROKEN, MANIFEST, f"{name}: not of the configured grid", (video,))
+        video = row["video"]
+        if video not in expected:
+            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: not in the configured grid", (video,))
             continue
-        problem = _row_problem(row, simulation)
-        if problem:
-            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {problem}", (video,))
-        if name not in stage_x:
-            stage_x[name] = None
-            for record in lineage.of_stage(row, "simulate"):
-                yield from _simulation(lineage, config.simulation, record, simulation)
-                stage_x[name] = _stage_x_m(record, times_s)
+        for name, value in expected[video].items():
+            if row.get(name) != value:
+                what = f"{name} is {row.get(name)!r}, the configuration gives {value!r}"
+                yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {what}", (video,))
         shard = shards.get(row["shard"])
         columns = shard.columns.get(video) if shard else None
-        problem = _times(columns, frames, times_s, stage_x[name]) if columns else None
+        problem = _times(columns, frames, times_s, x_m) if columns else None
         if problem:
             yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
-        yield from _rendering(lineage, row)
+        if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
+            what = f"{video}: its rendering or simulation is missing"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
+        for record in lineage.of_stage(row, "render"):
+            pose = record.metadata.get("pose")
+            if pose != {n[5:]: value for n, value in row.items() if n.startswith("pose_")}:
+                what = f"{video}: its pose is not the one its images were rendered from"
+                yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
         if "render" not in stale:
-            yield from _drawn(lineage, config, row)
-    missing = sorted(set(grid) - {row["simulation"] for row in contents.rows})
+            yield from _drawn(config, row)
+    missing = sorted(set(expected) - set(contents.clips))
     if missing:
-        yield Finding(Kind.BROKEN, MANIFEST, f"the grid's simulation {missing[0]} is not in it")
+        what = f"the clip {missing[0]} of the grid is missing ({len(missing)} are missing)"
+        yield Finding(Kind.BROKEN, MANIFEST, what)
     if "sample" not in stale:
         yield from _sides(contents, config)
 
 
-def _row_problem(row: Mapping[str, Any], simulation: Simulation) -> str | None:
-    for name in ("material", "friction", "material_id", "friction_id", "replicate_id"):
-        if name in row and row[name] != getattr(simulation, name):
-            return f"{name} is {row[name]!r}, the configuration says {getattr(simulation, name)!r}"
-    return None
+def _labels(config: Config) -> dict[str, dict[str, Any]]:
+    """Video -> its labels, as far as the grid gives them."""
+    calibrated = VIEWPOINTS["calibrated"].azimuth_deg
+    shown = films(config)
+    return {
+        f"{simulation.id}_{texture['id']}_{view['id']}": {
+            "simulation": simulation.id,
+            **{
+                key: value for key, value in asdict(simulation).items() if key not in ("id", "seed")
+            },
+            **{f"texture{part}": texture[key] for part, key in _PARTS.items()},
+            **{f"viewpoint{part}": view[key] for part, key in _PARTS.items()},
+            "floor_role": view["floor_role"],
+            "viewpoint_turn_deg": VIEWPOINTS[view["name"]].azimuth_deg - calibrated,
+            "frames": config.sample.frames_kept,
+            "pixels": config.render.pixels,
+            f"{SAMPLED}file": f"{simulation.id}.parquet",
+        }
+        for simulation in simulations(config)
+        for texture in textures(config)
+        for view in viewpoints(config)
+        if texture["id"] in shown.get((simulation.id, view["id"]), ())
+    }
 
 
-def _simulation(
-    lineage: Lineage, settings: SimulationSettings, record: Artefact, simulation: Simulation
-) -> Iterator[Finding]:
-    """What the record of a simulation says against what the grid makes of its id."""
-    from slipstitch.simulate.drop_and_drag import draw_perturbation
-
-    where, clips = record_file(record.path), lineage.clips(record.path)
-    for name in ("material", "friction", "seed"):
-        if record.metadata.get(name) != getattr(simulation, name):
-            what = (
-                f"{name} is {record.metadata.get(name)!r}, the configuration gives "
-                f"{getattr(simulation, name)!r}"
-            )
-            yield Finding(Kind.BROKEN, where, what, clips)
-    drawn = vars(draw_perturbation(settings, simulation.seed))
-    if record.metadata.get("perturbation") != drawn:
-        yield Finding(Kind.BROKEN, where, "its perturbation is not the one its seed draws", clips)
-
-
-def _stage_x_m(record: Artefact, times_s: np.ndarray) -> np.ndarray | None:
-    """Stage positions at the sampled times; None if the record does not tell the path."""
-    from slipstitch.bench.stage_path import StagePath
-
-    try:
-        return StagePath(**record.metadata["stage_path"]).position_m(times_s)[0]
-    except (KeyError, TypeError):
-        return None
+_PARTS = {"": "name", "_id": "id", "_role": "role"}
 
 
 def _times(
     columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray | None
 ) -> str | None:
-    """What is wrong with frame numbers, times and stage positions of a clip."""
+    """Errors in frame numbers, times and stage positions of a clip."""
     if columns.get("frame") != frames.tolist():
         return "its frames are not the sampled ones"
     for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):
@@ -281,34 +291,15 @@ def _times(
         if expected is None or found is None:
             continue
         if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
-            return f"{name} is not what the protocol gives"
+            return f"{name} differs from the protocol"
     return None
 
 
-def _rendering(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
-    """The record of the rendering against the clip's labels."""
-    for record in lineage.of_stage(row, "render"):
-        view = record.metadata.get("viewpoint")
-        if view != {"id": row["viewpoint_id"], "name": row["viewpoint"]}:
-            what = f"shows viewpoint {view!r}, not {row['viewpoint']!r}"
-            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
-        textures = record.metadata.get("textures")
-        texture = textures.get(row["texture_id"]) if isinstance(textures, dict) else None
-        if texture != row["texture"]:
-            what = f"{row['texture_id']} is {texture!r} there, {row['texture']!r} in the manifest"
-            yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
-    if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
-        what = f"{row['video']}: no rendering or no simulation stands behind it"
-        yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-
-
-def _drawn(lineage: Lineage, config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
-    """Floor, lamp and camera of a clip against what the seed draws."""
-    from slipstitch.render.augmentation import draw_augmentation
+def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """The labels of a clip's floor against what the seed draws."""
     from slipstitch.render.surroundings import draw_surroundings
 
-    settings, seed = config.render, config.seed
-    drawn = draw_surroundings(settings, seed, row["simulation"])
+    drawn = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint_id"])
     labels = {
         "floor": drawn.floor,
         "floor_reflectance": drawn.reflectance,
@@ -318,27 +309,14 @@ def _drawn(lineage: Lineage, config: Config, row: Mapping[str, Any]) -> Iterator
         if row.get(name) != value:
             what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-    words = (row["simulation"], row["texture"], row["viewpoint"])
-    camera = draw_augmentation(settings.augmentation, seed, *words).record()
-    bench = drawn.record() | {"lamp_position_m": list(drawn.lamp_position_m)}
-    for record in lineage.of_stage(row, "render"):
-        recorded = record.metadata.get("augmentation") or {}
-        found = {
-            "floor or lamp": (record.metadata.get("surroundings"), bench),
-            f"camera of {row['texture_id']}": (recorded.get(row["texture_id"]), camera),
-        }
-        for what, (stated, expected) in found.items():
-            if stated != expected:
-                what = f"the {what} is not what the seed draws"
-                yield Finding(Kind.BROKEN, record_file(record.path), what, (row["video"],))
 
 
 def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
-    """Splits, drawn anew."""
+    """Splits, redrawn."""
     try:
         expected = manifest_sides(config)
     except BadInput as error:
-        yield Finding(Kind.BROKEN, "records/config.json", f"no split can be drawn: {error}")
+        yield Finding(Kind.BROKEN, "records/config.json", f"the splits cannot be drawn: {error}")
         return
     try:
         sampled = sampled_rows(contents.rows, contents.notes.get("sampled_columns") or [])
@@ -347,7 +325,7 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
     for row in sampled:
         found = row.get("split_by_video"), row.get("split_by_simulation")
         if row["video"] in expected and found != expected[row["video"]]:
-            what = f"{row['video']}: its sides are {found}, drawn anew {expected[row['video']]}"
+            what = f"{row['video']}: its sides are {found}, redrawn {expected[row['video']]}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
     splits = split_columns(sampled, config.release.unseen_share, config.seed)
     for name, sides in splits.items():
@@ -358,5 +336,5 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
 def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:
     for row, value in zip(rows, expected, strict=True):
         if row.get(column) != value:
-            what = f"{row['video']}: {column} is {row.get(column)!r}, drawn anew {value!r}"
+            what = f"{row['video']}: {column} is {row.get(column)!r}, redrawn {value!r}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))

@@ -1,10 +1,10 @@
-"""One clip simulated, rendered and compared anew, from its record."""
+"""A clip simulated and rendered again from its record, and compared."""
 
 import json
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,12 @@ from slipstitch.audit.explain import find_clip
 from slipstitch.audit.lineage import Lineage
 from slipstitch.config import Config, write_config
 from slipstitch.errors import BadInput, SlipstitchError
-from slipstitch.release.records import carried_file, is_ours, rows_digest
+from slipstitch.provenance import read_metadata
+from slipstitch.release.records import Artefact, carried_file, is_ours, rows_digest
 from slipstitch.sample.shards import decode, read_shard
+
+# How and beside what it ran; the trajectory's digest is of its times too.
+_OF_THE_RUN = frozenset({"device", "simulated_at_once", "trajectory_sha256"})
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,8 @@ class Rebuilt:
         Of a channel of a pixel, 0 ... 255.
     psnr_db : float or None
         None if equal.
+    differing : tuple of str
+        What the records of the simulation and of the rendering tell otherwise.
     """
 
     clip: str
@@ -45,6 +51,12 @@ class Rebuilt:
     images: int
     largest_difference: int
     psnr_db: float | None
+    differing: tuple[str, ...] = ()
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return self.same_pixels and self.same_motion and not self.differing
 
 
 def _run(*words: str) -> None:
@@ -101,7 +113,8 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     lineage = Lineage(contents)
     simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
     calibrated = lineage.of_stage(row, "calibrate")
-    if contents.config is None or not (simulated and rendered and calibrated):
+    of_view = [one for one in rendered if Path(one.path).stem.endswith(row["viewpoint_id"])]
+    if contents.config is None or not (simulated and of_view and calibrated):
         raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -122,9 +135,21 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         videos = read_shard(shard, frames)
         key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
         if key not in videos:
-            raise BadInput(f"{clip}: rendered anew, it is not among {len(videos)} videos")
+            raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
         again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
-    return compare(clip, _released(contents, row), again, same_motion)
+        differing = (*_differing(simulated[0], trajectory), *_differing(of_view[0], shard))
+    done = compare(clip, _released(contents, row), again, same_motion)
+    return replace(done, differing=differing)
+
+
+def _differing(recorded: Artefact, made: Path) -> list[str]:
+    """Entries of a record's metadata that a file made again has otherwise."""
+    now = read_metadata(made)
+    return [
+        f"{name} of {recorded.path}"
+        for name, value in recorded.metadata.items()
+        if name not in _OF_THE_RUN and now.get(name) != value
+    ]
 
 
 def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:
@@ -150,12 +175,15 @@ def compare(clip: str, released: np.ndarray, again: np.ndarray, same_motion: boo
 def in_words(done: Rebuilt) -> str:
     """The comparison as a line."""
     motion = "the same motion, bit by bit" if done.same_motion else "ANOTHER MOTION"
+    told = f"; its records TELL OTHERWISE: {', '.join(done.differing)}" if done.differing else ""
     if done.same_pixels:
-        return f"{done.clip}: made again, {motion}; all {done.images} images have equal pixels"
-    return (
-        f"{done.clip}: made again, {motion}; {done.images_differing} of {done.images} images "
-        f"DIFFER, by up to {done.largest_difference} of 255, {done.psnr_db} dB"
-    )
+        pixels = f"all {done.images} images have equal pixels"
+    else:
+        pixels = (
+            f"{done.images_differing} of {done.images} images DIFFER, "
+            f"by up to {done.largest_difference} of 255, {done.psnr_db} dB"
+        )
+    return f"{done.clip}: made again, {motion}; {pixels}{told}"
 
 
 def as_json(done: Rebuilt) -> str:

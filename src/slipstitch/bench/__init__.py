@@ -1,1 +1,1 @@
-"""The bench that every stage shares: path of the stage, gravity, sampled frames, departures."""
+"""The bench, common to all stages: path of the stage, gravity, sampled frames, departures."""

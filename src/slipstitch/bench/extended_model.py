@@ -1,4 +1,4 @@
-"""The extended model of a verdict, as the simulations read it."""
+"""The extended model of a verdict, as read by the simulations."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     laws = data.get("friction_law") if isinstance(data, dict) else None
     if not isinstance(laws, dict) or "face" not in laws:
         raise BadInput(
-            f"{source}: friction_law.face: missing; "
-            "a file of slipstitch criticise --model is needed"
+            f"{source}: friction_law.face: missing; must be a file written by slipstitch "
+            "criticise --model"
         )
     given = data.get("bench") or {}
     try:

@@ -1,4 +1,4 @@
-"""Which frames of a video the networks see."""
+"""The frames of a video used by the networks."""
 
 import numpy as np
 
@@ -31,6 +31,6 @@ def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
     if not 1 <= frames_sampled <= frames_total:
         raise BadInput(
             f"{frames_sampled} frames cannot be sampled of {frames_total}: "
-            "at least 1 and at most as many as there are"
+            "must be at least 1 and at most the number of frames"
         )
     return np.arange(frames_sampled, dtype=np.int64) * frames_total // frames_sampled

@@ -1,4 +1,4 @@
-"""Choosing settings by the strip, checking them against theory, writing what was verified."""
+"""Choosing settings with the strip, checking them against theory, writing the verified ones."""
 
 import json
 import os
@@ -19,8 +19,15 @@ from slipstitch.calibrate.choice import (
     may_be_chosen,
 )
 from slipstitch.calibrate.experiments import Check, experiments
-from slipstitch.calibrate.sweep import run_settings, sweep, variations
+from slipstitch.calibrate.sweep import (
+    run_settings,
+    sweep,
+    sweep_inputs,
+    variations,
+    verified_settings,
+)
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
@@ -30,43 +37,21 @@ from slipstitch.provenance import (
     start_clock,
     write_json,
 )
+from slipstitch.simulate.convergence import CONVERGED, read_study, studied_settings_that_differ
 
-# What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
-NOT_NUMERICAL = frozenset(
-    {
-        "vertices_per_side",
-        "frames",
-        "frame_rate_hz",
-        "stage",
-        "pins",
-        "settle_s",
-        "yaw_sd_deg",
-        "height_sd_m",
-        "fabric_sd_rel",
-        "natural_curl_per_m",
-        "self_contact",
-        "thickness_m",
-        "layer_friction",
-    }
-)
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
-    "mesh: the strip is a cylinder along mesh lines, right even at a spacing of 15 mm; the "
+    "mesh: the strip is a cylinder along mesh lines, accurate even at a spacing of 15 mm; the "
     "cloth folds and wrinkles in two directions: the mesh of drop-and-drag is not chosen here",
-    "time step: the strip is pushed slowly and evenly; how the cloth rolls over at a reversal, and "
-    "to which side it buckles, is not asked: no step larger than simulation.time_step_s",
-    "tolerance: a strip slips once, at its foot, which bears all the load; a cloth rests on many "
-    "vertices that bear little: no tolerance larger than simulation.friction_tolerance",
-    "damping: the push is too slow for it to matter: none larger than simulation.damping_s",
-    "contact of the cloth with itself, anisotropy and strain-dependent stiffness: not in the strip",
+    "time step: the strip is pushed slowly and evenly; it does not test how the cloth rolls over "
+    "at a reversal, or to which side it buckles: no step larger than simulation.time_step_s",
+    "tolerance: a strip slips once, at its foot, which carries the whole load; a cloth rests on "
+    "many vertices with little load each: no tolerance larger than simulation.friction_tolerance",
+    "damping: negligible in the slow push: none larger than simulation.damping_s",
+    "self-contact, anisotropy and strain-dependent stiffness: not tested by the strip",
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
-
-
-def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
-    """The numerical settings that the experiments exercise, as JSON can hold them."""
-    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
 
 
 def calibrate(
@@ -77,7 +62,7 @@ def calibrate(
     Parameters
     ----------
     settings : CalibrateSettings
-        Which experiments, and the demands.
+        Experiments and tolerances.
     simulation : SimulationSettings
         Settings to verify.
     run_protocol : callable
@@ -113,7 +98,7 @@ def calibrate(
         )
         print(
             f"{experiment.describe()}: "
-            f"{'as theory says' if all(check.met for check in judged) else 'NOT MET'}, "
+            f"{'agrees with theory' if all(check.met for check in judged) else 'NOT MET'}, "
             f"{runs[-1]['wall_s']:.1f} s",
             file=sys.stderr,
             flush=True,
@@ -130,7 +115,7 @@ def calibrate(
 
 
 def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, record) -> None:
-    """Write a calibration that met its demands, with its provenance beside it.
+    """Write a calibration that met its requirements, with its provenance record.
 
     Parameters
     ----------
@@ -144,7 +129,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
     Raises
     ------
     DemandNotMet
-        If a demand is not met: one line naming the check; nothing is written, and the whole
+        If a requirement is not met: one line naming the check; nothing is written, and the whole
         report goes to stderr.
     """
     failed = [check for check in calibration["checks"] if not check["met"]]
@@ -187,7 +172,7 @@ def strip_calibration(
     Raises
     ------
     DemandNotMet
-        If no settings that may be chosen meet the demand; ``trials`` is its second argument.
+        If no eligible settings meet the requirements; ``trials`` is its second argument.
     """
     judged = [judge(trial, settings) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
@@ -232,7 +217,8 @@ def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, An
     trials = sweep(key, config.calibrate, config.simulation, run_protocol)
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate", config=sections, started=started)
-    write_json(out, trials, record, indent=None)
+    inputs = sweep_inputs(key, config.calibrate, config.simulation)
+    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
     return trials
 
 
@@ -241,6 +227,8 @@ def calibrate_to_file(
     out: str | os.PathLike,
     pictures: Mapping[str, str | os.PathLike],
     sweeps: list[str | os.PathLike] | None = None,
+    *,
+    only_failures: bool = False,
 ) -> dict:
     """Calibrate with a whole configuration and write JSON and pictures.
 
@@ -252,9 +240,11 @@ def calibrate_to_file(
         The JSON file.
     pictures : mapping
         PNG or SVG files by name (``checks``, ``strip``, ``settings``); those that can be drawn
-        are drawn also if a demand is not met, then with ``.failed`` before the suffix.
+        are drawn even if a requirement is not met, then with ``.failed`` before the suffix.
     sweeps : list of path, optional
         What `sweep_to_file` wrote, of all keys; made now if not given.
+    only_failures : bool
+        Leave the drawing to `draw_again` where the demands are met.
 
     Returns
     -------
@@ -265,8 +255,7 @@ def calibrate_to_file(
     ------
     BadInput
         If a sweep's file cannot be read or belongs to another configuration.
-    DemandNotMet
-        If a demand is not met.
+    DemandNotMet        If a requirement is not met.
     """
     from slipstitch.protocol.registry import run_protocol
 
@@ -291,9 +280,53 @@ def calibrate_to_file(
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
-    _draw(pictures, calibration, record, failed=not calibration["met"])
+    calibration["convergence"] = _known_convergence(chosen_simulation(simulation, strip))
+    if not (calibration["met"] and only_failures):
+        _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
     return calibration
+
+
+def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike]) -> None:
+    """Draw the pictures of a calibration from its file.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read.
+    """
+    started = start_clock()
+    calibrated_settings(path)  # says what is wrong with it
+    record = provenance_record("calibrate", inputs=[path], started=started)
+    _draw(pictures, read_json(path), record, failed=False)
+
+
+def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] | None:
+    """What the convergence study says of each fabric and coefficient at the chosen settings.
+
+    Not converged, or not known, is said aloud but is no error: the mesh is not chosen here, and no
+    known answer tells how short a step a fabric needs.
+    """
+    study = read_study()
+    if study is None:
+        print("convergence: no study came with the package", file=sys.stderr, flush=True)
+        return None
+    differ = studied_settings_that_differ(study["studied"], simulation)
+    found = [
+        {key: case[key] for key in ("material", "friction")}
+        | {"verdict": None if differ else case["verdict"]}
+        for case in study["cases"]
+    ]
+    if differ:
+        words = f"nothing is known: studied with other {', '.join(differ)}"
+    else:
+        words = "; ".join(
+            f"{one['material']} at {one['friction']:g} {one['verdict'] or 'not known'}"
+            for one in found
+            if one["verdict"] != CONVERGED
+        )
+    print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
+    return found
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
@@ -302,7 +335,8 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     Raises
     ------
     BadInput
-        If a file cannot be read, or the settings tried are not those of the configuration.
+        If a file cannot be read, or what was tried, or with what other settings, is not as in the
+        configuration.
     """
     trials = []
     for path in paths:
@@ -319,11 +353,23 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     ]
     tried = [trial["settings"] for trial in trials]
     missing = [setting for setting in expected if setting not in tried]
+    again = "regenerate them with: snakemake --cores 2 calibrate"
     if missing or len(tried) != len(expected):
         raise BadInput(
-            f"{paths[0]} and others: {len(tried)} settings tried, not the {len(expected)} of the "
-            "configuration; make them anew with: snakemake --cores 2 calibrate"
+            f"{paths[0]} and others: {len(tried)} settings tried, but the configuration has "
+            f"{len(expected)}; {again}"
         )
+    for trial in trials:
+        inputs = json.loads(
+            json.dumps(sweep_inputs(trial["key"], config.calibrate, config.simulation))
+        )
+        made_with = trial.pop("inputs", {})
+        other = sorted(key for key in inputs if made_with.get(key) != inputs[key])
+        if other:
+            raise BadInput(
+                f"{paths[0]} and others: {trial['key']}: pushed with other {', '.join(other)} than "
+                f"the configuration's; {again}"
+            )
     return trials
 
 

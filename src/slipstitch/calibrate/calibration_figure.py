@@ -108,7 +108,7 @@ def draw_strip_drag(axes: Axes, calibration: Mapping[str, Any], quantity: str) -
     )  # fmt: skip
     names = {
         "pull_over_w_m": ("Strip drag: pull", "pull / weight per length, mm"),
-        "holder_ahead_of_tail_m": ("Strip drag: tail", "tail's end to holder, mm"),
+        "holder_ahead_of_tail_m": ("Strip drag: tail", "end of tail to holder, mm"),
     }
     title, label = names[quantity]
     axes.set(title=title, xlabel="friction coefficient µ", ylabel=label)

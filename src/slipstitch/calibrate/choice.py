@@ -1,4 +1,4 @@
-"""Which of the settings that were tried are used."""
+"""Choice among the settings tried."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ Trial = dict[str, Any]
 
 
 class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the other errors do
-    """The simulator does not agree with theory as closely as demanded; exit code 1."""
+    """The simulator deviates from theory by more than the tolerances; exit code 1."""
 
 
 def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
@@ -28,16 +28,15 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
     ----------
     trial : mapping
         What `slipstitch.calibrate.sweep.run_settings` returns, with its ``key``.
-    settings : CalibrateSettings
-        The demands.
+    settings : CalibrateSettings        The requirements.
 
     Returns
     -------
     dict
         The trial, with ``strain_error`` and ``friction_error`` (the largest of the runs that slip;
         None if none could be compared), ``wrong_regimes`` (count; a run that was not solved is
-        wrong), ``meets``, ``distance`` (largest error over demand, infinite with a wrong regime),
-        ``newton_iterations`` x vertices as ``work``, and ``cpu_s``.
+        wrong), ``meets``, ``distance`` (largest error over its limit, infinite with a wrong
+        regime), ``newton_iterations`` x vertices as ``work``, and ``cpu_s``.
     """
     runs = trial["runs"]
     right = [run for run in runs if run["regime"] == run["theory_regime"]]
@@ -64,20 +63,19 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
 def choose(
     trials: Sequence[Trial], settings: CalibrateSettings, run: Callable[[Mapping[str, Any]], Trial]
 ) -> Trial:
-    """The configured settings if they meet the demand, else the cheapest that do.
+    """The configured settings if they meet the requirements, else the cheapest that do.
 
     What may be chosen instead of the configured settings is tighter, so that the grid costs more
     with it, whatever a single push costs: it is taken only where the configured settings fail. Then
-    of every key the cheapest value that meets the demand on its own, all taken together if that
-    meets it too; else the cheapest single change. Cost is counted in Newton iterations times
+    of every key the cheapest value that meets the requirements on its own, all combined if that
+    meets them too; else the cheapest single change. Cost is counted in Newton iterations times
     vertices, which is the same on every machine and every time.
 
     Parameters
     ----------
     trials : sequence of dict
         What `judge` returns, for the configured settings and for each change.
-    settings : CalibrateSettings
-        The demands.
+    settings : CalibrateSettings        The requirements.
     run : callable
         Settings to a judged trial; called at most once, for a combination.
 
@@ -89,7 +87,7 @@ def choose(
     Raises
     ------
     DemandNotMet
-        If nothing that may be chosen meets the demand; names what came closest.
+        If no eligible settings meet the requirements; names the closest.
     """
     base = next(trial for trial in trials if trial["key"] == BASE)
     if base["meets"]:
@@ -133,13 +131,14 @@ def _closest(allowed: Sequence[Trial], settings: CalibrateSettings) -> str:
             f"{best['friction_error']:.2g}"
         )
     return (
-        f"no settings meet the demand ({demand}, right regimes); closest: {shown} with {came}, "
+        f"no settings meet the requirements ({demand}, correct regimes); closest: {shown} with "
+        f"{came}, "
         f"{best['wrong_regimes']} of {len(best['runs'])} regimes wrong"
     )
 
 
 def describe(trial: Mapping[str, Any]) -> str:
-    """What distinguishes a trial's settings."""
+    """The distinguishing settings of a trial."""
     if trial["key"] == BASE:
         return "the configured settings"
     if trial["key"] not in trial["settings"]:

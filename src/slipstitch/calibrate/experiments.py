@@ -1,4 +1,4 @@
-"""The known-answer experiments of the calibration and what they demand."""
+"""The known-answer experiments of the calibration and their tolerances."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -30,11 +30,11 @@ class Check:
     demand : float
         The largest error allowed.
     relative : bool
-        Whether error and demand are relative.
+        Whether error and limit are relative.
     unit : str
         Unit of the numbers; empty if they have none.
     met : bool
-        Whether the error is within the demand. An error that is no number never is.
+        Whether the error is within the limit; never if it is not a number.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Check:
     met: bool
 
     def describe(self) -> str:
-        """One line: what, where, measured, theory, demand."""
+        """One line: check, options, measured, theory, limit."""
         where = ", ".join(f"{key} {value:.6g}" for key, value in self.options.items())
         unit = f" {self.unit}" if self.unit else ""
         demand = f"{100 * self.demand:g} %" if self.relative else f"{self.demand:g}{unit}"
@@ -161,7 +161,7 @@ class Experiment:
         try:
             return self.judge(result), result
         except KeyError as error:
-            raise SlipstitchError(f"{self.describe()}: its result has no {error}") from error
+            raise SlipstitchError(f"{self.describe()}: no {error} in its result") from error
 
 
 def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:
@@ -261,7 +261,7 @@ def experiments(settings: CalibrateSettings) -> list[Experiment]:
     Parameters
     ----------
     settings : CalibrateSettings
-        Friction coefficients and demands.
+        Friction coefficients and tolerances.
     """
     inclines = [
         item for friction in settings.incline_frictions for item in _incline(friction, settings)

@@ -1,4 +1,4 @@
-"""The pushed strip: slip strain and shapes, and what goes wrong with which setting.
+"""The pushed strip: slip strain and shapes, and errors by numerical setting.
 
 The first is the paper's Figure 3 for this simulator, the second its warning. Theory is black.
 """
@@ -145,7 +145,7 @@ def _shapes(axes: Axes, runs: Sequence[Mapping[str, Any]], moduli: Sequence[floa
 
 
 def settings_figure(calibration: Mapping[str, Any]) -> Figure:
-    """One column a setting: slip strain with each value, and the largest error against the value.
+    """One column per setting: slip strain with each value, and the largest error against the value.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def settings_figure(calibration: Mapping[str, Any]) -> Figure:
         _slip_strains(panels[0, column], key, tried, base)
         _largest_errors(panels[1, column], key, tried, base, demand)
     panels[0, 0].set_ylabel("vertical strain ε at slip")
-    panels[1, 0].set_ylabel("largest error of ε (dotted: demand)")
+    panels[1, 0].set_ylabel("largest error of ε (dotted: limit)")
     for axes in panels[0, len(keys) :]:
         axes.set_axis_off()
     return figure

@@ -16,6 +16,28 @@ from slipstitch.errors import NotConverged
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
 
+# What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
+NOT_NUMERICAL = frozenset(
+    {
+        "vertices_per_side",
+        "frames",
+        "frame_rate_hz",
+        "stage",
+        "pins",
+        "warp",
+        "settle_s",
+        "yaw_sd_deg",
+        "height_sd_m",
+        "fabric_sd_rel",
+        "natural_curl_per_m",
+        "curl_side",
+        "bending_stiffness_at_end",
+        "self_contact",
+        "thickness_m",
+        "layer_friction",
+    }
+)
+
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
 
 
@@ -23,6 +45,11 @@ def gamma_of(young_modulus_Pa: float) -> float:
     """Γ = ρ g L³ / B of the strip, B = E t³/12."""
     density, thickness, length = DENSITY_THICKNESS_LENGTH
     return 12 * density * GRAVITY_M_S2 * length**3 / (young_modulus_Pa * thickness**3)
+
+
+def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
+    """The numerical settings that the experiments exercise, as JSON can hold them."""
+    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
 
 
 def base_settings(settings: CalibrateSettings, simulation: SimulationSettings) -> dict[str, Any]:
@@ -56,12 +83,12 @@ def variations(
 def sweep_inputs(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings
 ) -> dict[str, Any]:
-    """What the runs of one key depend on: they are made again when it changes."""
+    """The settings that the runs of one key depend on: they are rerun when one changes."""
     return {
         "tried": variations(key, settings, simulation),
         "frictions": settings.strip_frictions,
         "young_moduli_Pa": settings.strip_young_moduli_Pa,
-        "halvings_max": simulation.halvings_max,
+        "simulation": verified_settings(simulation),
     }
 
 

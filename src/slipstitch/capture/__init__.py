@@ -1,1 +1,1 @@
-"""Capture: what is measured on a real bench, brought into the project's terms."""
+"""Capture: measurements on a real bench, converted to the project's formats."""

@@ -1,4 +1,4 @@
-"""CSV tables that people fill in: every cell checked, one clear line for what is wrong."""
+"""CSV tables filled in by users: every cell is checked, errors are reported in one line."""
 
 import csv
 import difflib
@@ -42,7 +42,7 @@ class TableColumn:
 def name(cell: str) -> str:
     """A name: printable, not long."""
     if len(cell) > _LONGEST_NAME or not cell.isprintable():
-        raise ValueError(f"a printable name of at most {_LONGEST_NAME} characters is allowed")
+        raise ValueError(f"must be a printable name of at most {_LONGEST_NAME} characters")
     return cell
 
 
@@ -51,10 +51,10 @@ def number(
 ) -> Callable[[str], float]:
     """Reader of numbers between two bounds, which belong to the range unless `open_ends`."""
     if math.isfinite(high):
-        allowed = f"a number {'above' if open_ends else 'from'} {low:g} "
-        allowed += f"{'and below' if open_ends else 'to'} {high:g} is allowed"
+        allowed = f"must be a number {'above' if open_ends else 'from'} {low:g} "
+        allowed += f"{'and below' if open_ends else 'to'} {high:g}"
     else:
-        allowed = f"a number {'above' if open_ends else 'of at least'} {low:g} is allowed"
+        allowed = f"must be a number {'above' if open_ends else 'of at least'} {low:g}"
 
     def read(cell: str) -> float:
         try:
@@ -74,7 +74,7 @@ def whole_number(low: int, high: int) -> Callable[[str], int]:
 
     def read(cell: str) -> int:
         if not (cell.isascii() and cell.isdigit() and len(cell) < 10 and low <= int(cell) <= high):
-            raise ValueError(f"a whole number from {low} to {high} is allowed")
+            raise ValueError(f"must be a whole number from {low} to {high}")
         return int(cell)
 
     return read
@@ -83,7 +83,7 @@ def whole_number(low: int, high: int) -> Callable[[str], int]:
 def yes_or_no(cell: str) -> bool:
     """yes or no."""
     if cell.lower() not in ("yes", "no"):
-        raise ValueError("yes or no is allowed")
+        raise ValueError("must be yes or no")
     return cell.lower() == "yes"
 
 
@@ -93,12 +93,12 @@ def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
     def read(cell: str) -> Path:
         path = Path(cell)
         if path.is_absolute() or ".." in path.parts or not cell.isprintable():
-            raise ValueError(f"a path below {folder} is allowed, without ..")
+            raise ValueError(f"must be a path below {folder}, without ..")
         whole = Path(folder) / path
         if not whole.is_file():
             raise ValueError(f"no such file below {folder}")
         if not whole.resolve().is_relative_to(Path(folder).resolve()):
-            raise ValueError(f"a link that leads out of {folder} is not allowed")
+            raise ValueError(f"must not be a link to outside {folder}")
         return whole
 
     return read
@@ -130,15 +130,15 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
     for cell in header:
         if cell not in known:
             close = difflib.get_close_matches(cell, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are: {', '.join(known)}"
+            hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
             raise BadInput(f"{path}: unknown column {cell[:40]!r}; {hint}")
         if header.count(cell) > 1:
-            raise BadInput(f"{path}: column {cell!r} is there twice")
+            raise BadInput(f"{path}: column {cell!r} is duplicated")
     for column in columns:
         if column.needed and column.name not in header:
             raise BadInput(
-                f"{path}: no column {column.name!r}; "
-                f"needed: {', '.join(known.name for known in columns if known.needed)}"
+                f"{path}: no column {column.name!r}; required: "
+                f"{', '.join(known.name for known in columns if known.needed)}"
             )
     read = []
     for line, cells in rows:
@@ -149,7 +149,7 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
             row[title] = _value(known[title], cell.strip(" "), f"{path} line {line}, {title}")
         read.append({"line": line, **row})
     if not read:
-        raise BadInput(f"{path}: no row in it")
+        raise BadInput(f"{path}: contains no rows")
     return read
 
 
@@ -157,7 +157,7 @@ def _cells(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str
     """The header and the rows that are not empty, with their line numbers."""
     try:
         if Path(path).stat().st_size > _LARGEST_BYTES:
-            raise BadInput(f"{path}: larger than {_LARGEST_BYTES / 1e6:g} MB: not such a table")
+            raise BadInput(f"{path}: larger than {_LARGEST_BYTES / 1e6:g} MB")
         text = Path(path).read_text(encoding="utf-8-sig")
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
@@ -172,7 +172,7 @@ def _cells(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str
     except csv.Error as error:
         raise BadInput(f"{path} line {reader.line_num}: not CSV: {error}") from None
     if not rows:
-        raise BadInput(f"{path}: empty; a line of column names is needed")
+        raise BadInput(f"{path}: empty; must begin with a line of column names")
     return [cell.strip() for cell in rows[0][1]], rows[1:]
 
 
@@ -183,7 +183,7 @@ def _value(column: TableColumn, cell: str, where: str) -> Any:
         raise BadInput(f"{where}: empty")
     shown = cell if len(cell) <= 60 else cell[:57] + "..."
     if cell.startswith(_FORMULA):
-        raise BadInput(f"{where}: {shown!r} begins like a formula; write the value itself")
+        raise BadInput(f"{where}: {shown!r} looks like a formula; must be a plain value")
     try:
         return column.read(cell)
     except ValueError as problem:

@@ -1,4 +1,4 @@
-"""Reading a video frame by frame: its own times, nothing that its header claims."""
+"""Reading a video frame by frame, with its timestamps and without trusting its header."""
 
 import math
 import os
@@ -69,7 +69,7 @@ class Recording:
         good, image = video.read()
         video.release()
         if not good:
-            raise BadInput(f"{path}: not a video that OpenCV can read (damaged or cut off?)")
+            raise BadInput(f"{path}: not a video that OpenCV can read (damaged or truncated?)")
         self.size_px: tuple[int, int] = (image.shape[1], image.shape[0])
 
     def _open(self) -> cv2.VideoCapture:
@@ -104,7 +104,8 @@ class Recording:
                     yield Moment(video, number, time_s - first, self.size_px)
                 elif number == 25 and last <= first:
                     raise BadInput(
-                        f"{self.path}: its frames have no times; state the camera's frame rate"
+                        f"{self.path}: its frames have no timestamps; give the frame rate of the "
+                        "camera"
                     )
                 number += 1
         finally:

@@ -1,4 +1,4 @@
-"""Which moments of the protocol a network sees, and through which crop."""
+"""The times of the protocol that a network sees, and the crop at each."""
 
 from dataclasses import dataclass, field
 
@@ -64,7 +64,7 @@ class Schedule:
 
     @property
     def time_s(self) -> np.ndarray:
-        """When the frames are, from the start of the stage's motion."""
+        """Times of the frames from the start of the stage's motion."""
         return self.frame / self.frame_rate_hz
 
     @property

@@ -1,4 +1,4 @@
-"""When the stage starts, found in the frames: the clamps sink as the protocol says.
+"""Start of the stage, found in the frames: the clamps descend as in the protocol.
 
 In the upright plane through the clamps the strip of cloth under them moves down by the travelled
 distance, which is known over time. Each frame is matched with one from before; where the cloth has
@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.recording import Moment
-from slipstitch.capture.rectification import stage_plane
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import stage_plane
 
 # The strip that is followed: this much around the clamps, in the upright plane.
 _HALF_WIDTH_M = 0.10
@@ -119,7 +119,7 @@ class _Strip:
 def find_start(
     moments: Iterable[Moment], lens: LensCamera, crop: Camera, path: StagePath
 ) -> StageStart | None:
-    """When the stage starts to sink, None if it never does.
+    """Time at which the stage starts to descend; None if it never does.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Whether a film's clock is right: the stage's known motion, followed over the whole film.
+"""Verification of a video's clock: the stage's known motion, tracked over the whole video.
 
 A film whose frame rate is stated wrong, or whose stage runs at another speed, shows every moment of
 the protocol too early or too late, and friction is then read off the wrong moments. The upper edge
 of the cloth moves with the clamps. It is looked for along the track in a frame a second, and the
-speed of the stage in the film's time is fitted to all places found.
+speed of the stage in the video's time is fitted to all positions found.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.capture.rectification import stage_plane
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0
@@ -43,12 +43,12 @@ _FEWEST_PLACES = 12
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The clock of a film, told by the stage.
+    """The clock of a video relative to the stage.
 
     Attributes
     ----------
     rate : float
-        Speed of the stage in the film's time, in units of the protocol's.
+        Speed of the stage in the video's time, relative to the protocol's.
     rate_sd : float
         Standard deviation of `rate`.
     time_s, offset_m : ndarray (n,)
@@ -62,7 +62,7 @@ class TimeBase:
     offset_m: np.ndarray
 
     def worst_offset_m(self) -> float:
-        """The largest median offset over 10 s (a film that was cut jumps)."""
+        """The largest median offset over 10 s (a cut in the video is a jump)."""
         return max(
             (abs(float(np.median(self.offset_m[block]))) for block in _blocks(self.time_s)),
             default=0.0,
@@ -131,7 +131,7 @@ class StageFollower:
         return _REACH_M + _REACH_RATE * self._path.speed_m_s * time_s
 
     def _maps(self, x_m: np.ndarray) -> np.ndarray:
-        """Where in the image the followed part is found if the stage stands at `x_m` (n,)."""
+        """Image position of the tracked part with the stage at `x_m` (n,)."""
         position = (x_m - self._knots_m[0]) / _KNOT_M
         below = np.clip(position.astype(int), 0, len(self._knots) - 2)
         share = (position - below).astype(np.float32)[:, None, None, None]
@@ -232,7 +232,7 @@ def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) 
 
 
 def _offsets_m(parameters, time_s, place_m, back, path: StagePath) -> np.ndarray:
-    """What rate, delay (s) and the leans ahead and back (m) leave of the places (m)."""
+    """Residuals of the positions (m) for rate, delay (s) and the leans ahead and back (m)."""
     rate, late_s, ahead_m, behind_m = parameters
     expected_m, _ = path.position_m(rate * (time_s - late_s))
     return place_m - expected_m - np.where(back, behind_m, ahead_m)

@@ -1,4 +1,4 @@
-"""From a video of the bench to the frames that a network sees."""
+"""From a video of the bench to the input frames of a network."""
 
 import os
 from dataclasses import dataclass, field
@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipstitch.capture.recording import Recording
-from slipstitch.capture.rectification import rectify, stage_plane
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.stage_start import StageStart, find_start
 from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.errors import BadInput
+from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.rectification import rectify, stage_plane
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -42,11 +43,13 @@ class StageVideo:
     stage_x_m : ndarray (n,)
     start : StageStart
     time_base : TimeBase or None
-        The film's clock as the stage tells it; None where too little of the drag was recognised.
+        The video's clock relative to the stage; None if too little of the drag was detected.
     frame_interval_s, longest_gap_s : float
         Median and largest time between frames of the file, while the protocol ran.
     view_angle_deg : float
         Between the directions in which the real camera and the calibrated viewpoint stand.
+    pose : dict
+        Pose of the camera relative to that viewpoint, see `slipstitch.render.bench_camera`.
     inside : ndarray (n,)
         Share of each image that the real camera saw.
     notes : list of str
@@ -61,6 +64,7 @@ class StageVideo:
     frame_interval_s: float
     longest_gap_s: float
     view_angle_deg: float
+    pose: dict[str, float]
     inside: np.ndarray
     notes: list[str] = field(default_factory=list)
 
@@ -132,6 +136,7 @@ def read_stage_video(
         frame_interval_s=float(np.median(intervals)),
         longest_gap_s=float(np.max(intervals)),
         view_angle_deg=_view_angle_deg(lens, schedule),
+        pose=relative_pose(*lens.pose, schedule.pose),
         inside=np.array(inside),
     )
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
@@ -144,7 +149,7 @@ def _check_size(recording: Recording, lens: LensCamera) -> None:
         return
     turned = recording.size_px == needed[::-1]
     shape = "portrait" if recording.size_px[1] > recording.size_px[0] else "landscape"
-    hint = f" ({shape}: the camera was calibrated the other way round)" if turned else ""
+    hint = f" ({shape}: the camera was calibrated in the other orientation)" if turned else ""
     raise BadInput(
         f"{recording.path}: {recording.size_px[0]}x{recording.size_px[1]} pixels{hint}; "
         f"the camera file is for {needed[0]}x{needed[1]}"
@@ -155,33 +160,33 @@ def _checked_start(path, start: StageStart | None) -> StageStart:
     if start is None:
         raise BadInput(
             f"{path}: no start of the stage's motion found: the cloth must hang still for 2 s, "
-            "then sink as the protocol says; state the start (start_s) if it is there"
+            "then descend as in the protocol; if it does, give the start (start_s)"
         )
     if not start.speed_is_right:
         raise BadInput(
-            f"{path}: the stage sinks {start.speed:.2f} times as fast as the protocol says; is the "
-            "frame rate wrong? State it (frame_rate_hz)"
+            f"{path}: the stage descends {start.speed:.2f} times as fast as in the protocol; if "
+            "the frame rate is wrong, give the correct one (frame_rate_hz)"
         )
     return start
 
 
 def _checked_rate(path, time_base: TimeBase | None) -> float:
-    """The stage's speed in the film's time that frames are chosen by; BadInput if it is wrong."""
+    """The stage's speed in the video's time, to select frames by; BadInput if it is wrong."""
     if time_base is None:
         return 1.0
     off = time_base.rate - 1
     if abs(off) > _REFUSED_RATE:
         raise BadInput(
-            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast "
-            f"as the protocol says, at most {100 * _REFUSED_RATE:g} % off is allowed; is the frame "
-            "rate wrong? State it (--frame-rate-hz)"
+            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as "
+            f"fast as in the protocol; at most {100 * _REFUSED_RATE:g} % deviation is allowed; "
+            "if the frame rate is wrong, give the correct one (--frame-rate-hz)"
         )
     worst_m = time_base.worst_offset_m()
     if worst_m > _REFUSED_OFFSET_M:
         raise BadInput(
-            f"{path}: for 10 s the stage stands {1e3 * worst_m:.0f} mm from where the protocol has "
-            f"it, at most {1e3 * _REFUSED_OFFSET_M:g} mm are allowed: was the film cut, or the "
-            "stage stopped?"
+            f"{path}: for 10 s the stage is {1e3 * worst_m:.0f} mm from its path in the "
+            f"protocol; at most {1e3 * _REFUSED_OFFSET_M:g} mm are allowed: was the video cut, "
+            "or did the stage stop?"
         )
     certain = abs(off) > max(_CERTAIN * time_base.rate_sd, _CORRECTED_RATE)
     return time_base.rate if certain else 1.0
@@ -252,8 +257,8 @@ def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
     off_s = np.abs(video.time_s - schedule.time_s)
     if off_s.max() > _NEAR_S:
         notes.append(
-            f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s away from the "
-            "wanted moment, because frames are missing"
+            f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s from the "
+            "required time, because frames are missing"
         )
     notes += _clock_notes(video.time_base, schedule, corrected)
     if video.inside.min() < 0.999:
@@ -262,8 +267,7 @@ def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
         )
     if video.view_angle_deg > _FAR_VIEW_DEG:
         notes.append(
-            f"the camera stands {video.view_angle_deg:.0f} degrees away from the viewpoint that "
-            "was trained for"
+            f"the camera is {video.view_angle_deg:.0f} degrees from the training viewpoint"
         )
     return notes
 
@@ -273,20 +277,19 @@ def _clock_notes(time_base: TimeBase | None, schedule: Schedule, corrected: bool
         if schedule.time_s[-1] < schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
             return []
         return [
-            "the film's clock could not be verified: the cloth's upper edge was recognised in too "
-            "few frames; friction is wrong if the frame rate is"
+            "the clock of the video could not be verified: the cloth's upper edge was detected "
+            "in too few frames; a wrong frame rate makes the friction wrong"
         ]
     notes = []
     # As far off as it may well be.
     if abs(time_base.rate - 1) + time_base.rate_sd >= _NOTED_RATE:
         notes.append(
-            f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as the "
-            f"protocol says; the moments were {'' if corrected else 'not '}corrected for it: check "
+            f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as in "
+            f"the protocol; the frame times were {'' if corrected else 'not '}corrected for it: "
+            "check "
             "the frame rate"
         )
     worst_m = time_base.worst_offset_m()
     if worst_m > _NOTED_OFFSET_M:
-        notes.append(
-            f"for 10 s the stage stands {1e3 * worst_m:.1f} mm from where the protocol has it"
-        )
+        notes.append(f"for 10 s the stage is {1e3 * worst_m:.1f} mm from its path in the protocol")
     return notes

@@ -1,1 +1,1 @@
-"""The command line: one file a verb; what they compute lives in the packages below."""
+"""The command line: one file per verb; the computations are in the packages below."""

@@ -1,10 +1,10 @@
-"""slipstitch ablate: one question with one seed, or the summary of all."""
+"""slipstitch ablate: one question with one seed, or the summary of all results."""
 
 import argparse
 
 from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
 
-SUMMARY = "change one thing in the training at a time, at an equal budget: what it is worth"
+SUMMARY = "ablations: change one training choice at a time, at an equal budget"
 EXAMPLE = (
     "slipstitch ablate --config results/config.json --dataset results/sample "
     "--question diversity --seed 0 --out results/ablate/diversity/seed0.json\n  "
@@ -19,22 +19,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     add_config(parser)
     parser.add_argument(
-        "--out", type=output_file, required=True, help="the answer, or the summary (JSON)"
+        "--out", type=output_file, required=True, help="the result, or the summary (JSON)"
     )
     single = parser.add_argument_group("one question, one seed")
-    single.add_argument("--dataset", help="folder that `slipstitch sample` wrote")
+    single.add_argument("--dataset", help="folder written by `slipstitch sample`")
     single.add_argument("--question", choices=QUESTIONS)
     single.add_argument("--seed", type=int)
     add_threads(single)
-    every = parser.add_argument_group("all of them")
+    every = parser.add_argument_group("summary of all results")
     every.add_argument(
-        "--summary", metavar="FOLDER", help="of the answers: {question}/seed{seed}.json"
+        "--summary", metavar="FOLDER", help="folder of the results: {question}/seed{seed}.json"
     )
-    every.add_argument("--page", type=output_file, help="sentences, pictures, tables (HTML)")
+    every.add_argument("--page", type=output_file, help="conclusions, plots and tables (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Answer a question, or sum the answers up; say what came out."""
+    """Answer one question or summarise all results; print the outcome."""
     from slipstitch.config import load_config
     from slipstitch.errors import BadInput
 
@@ -43,12 +43,13 @@ def run(arguments: argparse.Namespace) -> None:
     config = load_config(*arguments.config)
     if arguments.summary:
         if any(option is not None for option in given):
-            raise BadInput("--summary goes without --dataset, --question and --seed")
+            raise BadInput("--summary cannot be combined with --dataset, --question and --seed")
         _summary(config, arguments)
         return
     if any(option is None for option in given) or arguments.page:
         raise BadInput(
-            "--dataset, --question and --seed are needed, or --summary (to which --page belongs)"
+            "--dataset, --question and --seed are required, or --summary (--page requires "
+            "--summary)"
         )
     from slipstitch.ablate.answering import write_answer
 

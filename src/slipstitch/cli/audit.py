@@ -1,12 +1,13 @@
-"""slipstitch audit: what is a release worth, and where does a clip of it come from?"""
+"""slipstitch audit: verify a release, trace or regenerate one of its clips."""
 
 import argparse
 import os
+import re
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_file
+from slipstitch.cli.options import add_config, output_json, output_page
 
-SUMMARY = "check a release to the last pixel, tell a clip's story, make a clip again"
+SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 
 
@@ -15,14 +16,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("release", type=Path, metavar="RELEASE_DIR", help="folder of a release")
     add_config(
         parser,
-        "today's configuration, to say what it would make otherwise",
+        "current configuration, to report what it would change",
         required=False,
         one_each=True,
     )
     parser.add_argument(
-        "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS that the publisher states"
+        "--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS as stated by the publisher"
     )
-    parser.add_argument("--explain", metavar="CLIP", help="instead: the whole story of one clip")
+    parser.add_argument(
+        "--explain", metavar="CLIP", help="instead: trace one clip back to its origin"
+    )
+    parser.add_argument(
+        "--verify",
+        type=Path,
+        metavar="ALLOWED_SIGNERS",
+        help="allowed signers: a file with lines NAME PUBLIC_KEY, as for ssh-keygen -Y",
+    )
     parser.add_argument(
         "--rebuild",
         metavar="CLIP",
@@ -31,13 +40,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-stale",
         action="store_true",
-        help="exit with 0 if nothing but code or configuration has changed since",
+        help="exit with 0 if only code or configuration has changed since",
     )
     parser.add_argument(
-        "--json", type=output_file, metavar="FILE", help="write the outcome as JSON; - for stdout"
+        "--json", type=output_json, metavar="FILE", help="write the findings as JSON; - for stdout"
     )
     parser.add_argument(
-        "--page", type=output_file, metavar="FILE", help="write the outcome as an HTML page"
+        "--page", type=output_page, metavar="FILE", help="write the findings as an HTML page"
     )
     parser.add_argument(
         "--jobs",
@@ -48,21 +57,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 for an intact release or an equal clip, 1 for anything else that was found."""
+    """Return 0 for an intact release or an identical clip, else 1."""
     from slipstitch.audit.contents import read_contents
     from slipstitch.errors import BadInput
 
     if arguments.explain and arguments.rebuild:
-        raise BadInput("either --explain or --rebuild")
+        raise BadInput("--explain and --rebuild exclude each other")
     if arguments.jobs < 1:
         raise BadInput(f"--jobs {arguments.jobs}: must be at least 1")
     for path in (arguments.json, arguments.page):
         if path not in (None, "-") and _inside(Path(path), arguments.release):
-            raise BadInput(f"{path}: inside the release, where it would be an unexplained file")
+            raise BadInput(
+                f"{path}: is inside the release, where it would be an unknown file; "
+                "choose another folder"
+            )
+    if arguments.expect and not re.fullmatch(r"[0-9a-fA-F]{64}", arguments.expect):
+        raise BadInput(f"--expect {arguments.expect}: must be a SHA-256, 64 hexadecimal digits")
     if arguments.explain:
+        from slipstitch.audit.audit_page import printable
         from slipstitch.audit.explain import explain
 
-        print(explain(read_contents(arguments.release), arguments.explain))
+        story = explain(read_contents(arguments.release), arguments.explain)
+        print("\n".join(map(printable, story.split("\n"))))
         return 0
     if arguments.rebuild:
         return _rebuild(arguments)
@@ -90,7 +106,7 @@ def _rebuild(arguments: argparse.Namespace) -> int:
     _write(as_json(done), arguments.json)
     if arguments.json != "-":
         print(in_words(done))
-    return 0 if done.same_pixels and done.same_motion else 1
+    return 0 if done.same else 1
 
 
 def _audit(arguments: argparse.Namespace) -> int:
@@ -101,7 +117,9 @@ def _audit(arguments: argparse.Namespace) -> int:
     from slipstitch.config import load_config
 
     config = load_config(*arguments.config) if arguments.config else None
-    audit = audit_release(arguments.release, config, arguments.expect, arguments.jobs)
+    audit = audit_release(
+        arguments.release, config, arguments.expect, arguments.jobs, arguments.verify
+    )
     _write(json.dumps(audit.as_json(), indent=1), arguments.json)
     if arguments.page:
         write_page(audit, Path(arguments.page))

@@ -1,10 +1,10 @@
-"""slipstitch calibrate: the simulator against theory, before anything is simulated."""
+"""slipstitch calibrate: compare the simulator with theory before any simulation."""
 
 import argparse
 
 from slipstitch.cli.options import add_config, check_picture, output_file
 
-SUMMARY = "choose numerical settings by the pushed strip, and check them against theory"
+SUMMARY = "choose numerical settings with a pushed strip, and check them against theory"
 EXAMPLE = (
     "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
     "--picture results/calibrate/calibration.png"
@@ -13,48 +13,60 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_config(parser)
+    add_config(parser, required=False)
     parser.add_argument(
         "--out",
         type=output_file,
-        required=True,
-        help="JSON file of settings and checks (with --sweep: of its runs)",
+        help="JSON file with settings and checks (with --sweep: its runs)",
+    )
+    parser.add_argument(
+        "--draw", metavar="FILE", help="instead: only draw the plots of this calibration"
     )
     parser.add_argument(
         "--sweep",
         metavar="KEY",
-        help="only try the settings of one key: base, time_step_s, vertices, "
+        help="only sweep one key: base, time_step_s, vertices, "
         "friction_tolerance, newton_iterations_max or damping_s",
     )
-    parser.add_argument("--sweeps", nargs="+", help="files that --sweep wrote; else made now")
+    parser.add_argument("--sweeps", nargs="+", help="files written by --sweep; run now if omitted")
     parser.add_argument(
-        "--picture", type=output_file, help="PNG or SVG: the checks, measured against theory"
+        "--picture", type=output_file, help="PNG or SVG: the checks, measurements against theory"
     )
     parser.add_argument(
         "--strip-picture", type=output_file, help="PNG or SVG: slip strain, and shapes of the strip"
     )
     parser.add_argument(
-        "--settings-picture",
-        type=output_file,
-        help="PNG or SVG: what goes wrong with which setting",
+        "--settings-picture", type=output_file, help="PNG or SVG: errors by numerical setting"
+    )
+    parser.add_argument(
+        "--only-failures",
+        action="store_true",
+        help="draw only if a requirement is not met, as NAME.failed.png",
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Sweep, choose and check; print one line a setting and a check."""
-    from slipstitch.calibrate.calibration import calibrate_to_file, sweep_to_file
+    """Sweep, choose and check; print one line per setting and per check."""
+    from slipstitch.calibrate.calibration import calibrate_to_file, draw_again, sweep_to_file
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.errors import BadInput
 
+    pictures = _pictures(arguments)
+    if arguments.draw:
+        draw_again(arguments.draw, pictures)
+        return
+    if not arguments.config or not arguments.out:
+        raise BadInput("--config and --out are required, or --draw")
     config = load_config(*arguments.config)
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):
             raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
-    pictures = _pictures(arguments)
-    calibration = calibrate_to_file(config, arguments.out, pictures, arguments.sweeps)
+    calibration = calibrate_to_file(
+        config, arguments.out, pictures, arguments.sweeps, only_failures=arguments.only_failures
+    )
     for trial in calibration["strip"]["trials"]:
         print(_trial_line(trial, calibration["strip"]["chosen"]))
     for check in calibration["checks"]:
@@ -82,10 +94,10 @@ def _trial_line(trial: dict, chosen: dict) -> str:
     from slipstitch.calibrate.choice import describe
 
     error = trial["strain_error"]
-    strain = "no slip compared" if error is None else f"slip strain within {error:.2e}"
-    verdict = "meets the demand" if trial["meets"] else "does not meet the demand"
+    strain = "no slip to compare" if error is None else f"slip strain within {error:.2e}"
+    verdict = "meets the requirements" if trial["meets"] else "does not meet the requirements"
     if trial["meets"] and not trial["may_be_chosen"]:
-        verdict += ", may not be chosen"
+        verdict += ", excluded from the choice"
     if trial["settings"] == chosen["settings"]:
         verdict += ", CHOSEN"
     return (

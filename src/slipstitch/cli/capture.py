@@ -3,14 +3,14 @@
 import argparse
 import importlib
 
-SUMMARY = "bring in what is measured on a real bench: camera, films, reference friction"
+SUMMARY = "process measurements from a real bench: camera, videos, reference friction"
 EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
     "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"
 )
 
 
-KINDS = ("camera", "ingest", "reference", "surrogate")
+KINDS = ("camera", "check", "ingest", "reference", "surrogate")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +28,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         module.configure(verb)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Run the one that was asked for."""
-    _module(arguments.kind).run(arguments)
+def run(arguments: argparse.Namespace) -> int | None:
+    """Run the one that was asked for; its exit code."""
+    return _module(arguments.kind).run(arguments)
 
 
 def _module(kind: str):

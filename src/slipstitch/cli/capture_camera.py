@@ -5,7 +5,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import check_picture, output_path
 
-SUMMARY = "calibrate a camera from pictures or a video of a checkerboard or ChArUco board"
+SUMMARY = "calibrate a camera from images or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
     "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"
@@ -22,19 +22,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--squares",
         required=True,
         metavar="MxN",
-        help="squares of the board along its width and its height",
+        help="number of squares along the board's width and height",
     )
-    parser.add_argument("--square-mm", required=True, type=float, help="side of a square")
-    parser.add_argument("--marker-mm", type=float, help="ChArUco: side of a marker")
+    parser.add_argument("--square-mm", required=True, type=float, help="side length of a square")
+    parser.add_argument("--marker-mm", type=float, help="ChArUco: side length of a marker")
     parser.add_argument(
-        "--dictionary", default="DICT_5X5_100", help="ChArUco: OpenCV's name of its markers"
+        "--dictionary",
+        default="DICT_5X5_100",
+        help="ChArUco: OpenCV's name of the marker dictionary",
     )
     parser.add_argument(
         "--stage-view",
         type=Path,
         metavar="IMAGE",
-        help="the board flat on the floor, seen by the camera in its place on the bench; without "
-        "it the file says nothing about where the camera stands and cannot be rendered from",
+        help="image of the board flat on the floor, from the camera's position on the bench; "
+        "without it the file lacks the camera's position and cannot be used for rendering",
     )
     parser.add_argument(
         "--place-mm",
@@ -42,13 +44,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=(0.0, 0.0),
         metavar=("X", "Y"),
-        help="where the board's first corner lies then, in the stage's coordinates",
+        help="position of the board's first corner in that image, in the stage's coordinates",
     )
     parser.add_argument(
         "--angle-deg",
         type=float,
         default=0.0,
-        help="from the stage's direction to the board's width, counter-clockwise from above",
+        help="angle from the stage's direction to the board's width, counter-clockwise from above",
     )
     parser.add_argument(
         "--thickness-mm", type=float, default=0.0, help="height of the board's face above the floor"

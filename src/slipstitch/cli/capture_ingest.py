@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_folder_path
 
-SUMMARY = "bring videos of a bench into the form of the dataset: synchronised, rectified, cropped"
+SUMMARY = "convert videos of a bench to the format of the dataset: synchronised, rectified, cropped"
 EXAMPLE = (
     "slipstitch capture ingest bench/captures.csv --config results/config.json "
     "--reference bench/reference.csv --out-dir results/captures/dataset"
@@ -23,17 +23,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="columns video, material, substrate, repeat, mu_ref, mu_ref_error, reflective (yes or "
         "no), camera; optional: start_s, frame_rate_hz; paths are relative to its folder",
     )
-    add_config(
-        parser, "configuration of the dataset that the networks were trained on", one_each=True
-    )
+    add_config(parser, "configuration of the dataset the networks were trained on", one_each=True)
     parser.add_argument(
         "--reference",
         type=Path,
         metavar="FILE",
-        help="what slipstitch capture reference wrote, for rows whose mu_ref is empty",
+        help="file written by slipstitch capture reference, for rows with an empty mu_ref",
     )
     parser.add_argument(
-        "--out-dir", required=True, type=output_folder_path, help="folder of the dataset"
+        "--out-dir", required=True, type=output_folder_path, help="folder for the dataset"
     )
 
 

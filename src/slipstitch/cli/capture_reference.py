@@ -5,7 +5,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import check_picture, output_path
 
-SUMMARY = "friction of each fabric and substrate from slip angles on an inclined plane"
+SUMMARY = "compute the friction of each fabric and substrate from slip angles on an inclined plane"
 EXAMPLE = (
     "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
     "--json bench/reference.json --picture bench/reference.svg"
@@ -22,16 +22,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "bench_error_deg (the largest error of the bench's angle)",
     )
     parser.add_argument(
-        "--out", required=True, type=output_path, metavar="FILE", help="CSV, a row a pair"
+        "--out", required=True, type=output_path, metavar="FILE", help="CSV, one row per pair"
     )
-    parser.add_argument(
-        "--json", type=output_path, metavar="FILE", help="the same with all details"
-    )
+    parser.add_argument("--json", type=output_path, metavar="FILE", help="JSON with all details")
     parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Estimate, write, print one line a pair."""
+    """Estimate, write, print one line per pair."""
     from slipstitch.capture.reference.reference_files import reference_to_files
 
     check_picture(arguments.picture)
@@ -48,9 +46,9 @@ def _line(pair) -> str:
         ("orientations", pair.by_orientation, pair.orientation_p),
     ):
         if p is None:
-            parts.append(f"{kind}: one only" if len(means) == 1 else f"{kind}: not comparable")
+            parts.append(f"{kind}: one only" if len(means) == 1 else f"{kind}: cannot be compared")
         else:
-            differ = "differ" if p < 0.05 else "do not differ"
+            differ = "differ" if p < 0.05 else "do not differ significantly"
             values = ", ".join(f"{name} {mean:.3f}" for name, (mean, _) in means.items())
             parts.append(f"{len(means)} {kind} {differ} (p = {p:.2g}: {values})")
     return "; ".join(parts)

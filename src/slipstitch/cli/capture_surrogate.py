@@ -1,4 +1,4 @@
-"""slipstitch capture surrogate: films of a bench that does not exist."""
+"""slipstitch capture surrogate: simulated videos of a bench."""
 
 import argparse
 from functools import partial
@@ -6,9 +6,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_path
 
-SUMMARY = (
-    "make surrogate captures: films of simulations unlike the training data, never called real"
-)
+SUMMARY = "generate surrogate captures: simulated videos, labelled as surrogates"
 EXAMPLE = (
     "slipstitch capture surrogate --config results/config.json --film c00_r01 "
     "--out results/captures/bench/c00_r01.mp4"
@@ -23,9 +21,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--bench",
         type=Path,
         metavar="DIR",
-        help="write camera.json, slip_angles.csv and captures.csv there",
+        help="folder for camera.json, slip_angles.csv and captures.csv",
     )
-    what.add_argument("--film", metavar="ID", help="simulate and film one capture: c00_r01 ...")
+    what.add_argument("--film", metavar="ID", help="simulate and render one video: c00_r01 ...")
     parser.add_argument(
         "--out", type=output_path, metavar="FILE", help="with --film: the video (MP4)"
     )
@@ -39,7 +37,7 @@ def run(arguments: argparse.Namespace) -> None:
     config = load_config(*arguments.config)
     if arguments.bench:
         if arguments.out:
-            raise BadInput("--out goes with --film")
+            raise BadInput("--out requires --film")
         from slipstitch.capture.surrogate.bench import write_bench
 
         write_bench(config, arguments.bench)
@@ -50,7 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.progress import progress
 
     if not arguments.out or arguments.out.suffix != ".mp4":
-        raise BadInput("--film needs --out FILE.mp4")
+        raise BadInput("--film requires --out FILE.mp4")
     film = find_film(config, arguments.film)
     count = make_film(config, film, arguments.out, partial(progress, unit="frame"))
     print(

@@ -1,7 +1,7 @@
 """slipstitch convergence: the study of time step and mesh, ``run | compare | publish``.
 
-``run`` simulates one case, ``compare`` compares them all, ``publish`` puts a finished study where
-it is kept, and its summary where simulations look it up for their own record.
+``run`` simulates one case, ``compare`` compares them all, ``publish`` copies a finished study
+to the published results, and its summary to the file that simulations read for their metadata.
 """
 
 import argparse
@@ -9,15 +9,15 @@ import sys
 
 from slipstitch.cli.options import add_calibration, add_config, output_file, output_folder
 
-SUMMARY = "simulate cases of the convergence study, compare them, publish the comparison"
+SUMMARY = "simulate the cases of the convergence study, compare them, publish the results"
 EXAMPLE = (
-    "slipstitch convergence run --config config.yaml --case m05_f01_n41_h1 "
-    "--out results/convergence/runs/m05_f01_n41_h1.parquet"
+    "slipstitch convergence run --config config.yaml --case m05_f01_n41_h2 "
+    "--out results/convergence/runs/m05_f01_n41_h2.parquet"
 )
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare what can be done, each with its own options."""
+    """Declare the subcommands and their options."""
     verbs = parser.add_subparsers(metavar="WHAT", required=True)
     run, compare = verbs.add_parser("run"), verbs.add_parser("compare")
     for verb, action in ((run, _run), (compare, _compare)):
@@ -30,9 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=output_folder, default="results/published/convergence", help="folder"
     )
     publish.set_defaults(action=_publish)
-    run.add_argument("--case", required=True, help="id of the case, e.g. m05_f01_n41_h1")
-    run.add_argument("--out", type=output_file, required=True, help="Parquet file, one row a frame")
-    compare.add_argument("--runs", required=True, help="folder of the cases' files")
+    run.add_argument("--case", required=True, help="id of the case, e.g. m05_f01_n41_h2")
+    run.add_argument(
+        "--out", type=output_file, required=True, help="Parquet file, one row per frame"
+    )
+    compare.add_argument("--runs", required=True, help="folder with the files of the cases")
     compare.add_argument("--out", type=output_file, required=True, help="JSON file")
     compare.add_argument("--picture", type=output_file, help="PNG file")
 
@@ -58,17 +60,17 @@ def _compare(arguments: argparse.Namespace) -> None:
     config = load_config(*arguments.config, calibration=arguments.calibration)
     study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
     if study["missing"]:
-        print(f"not run, and not compared: {', '.join(study['missing'])}", file=sys.stderr)
+        print(f"not run, so not compared: {', '.join(study['missing'])}", file=sys.stderr)
     for row in study["summary"]:
         for kind in ("time_step", "mesh"):
             if row[kind] is not None:
                 print(
                     f"{row['material']:<20} friction {row['friction']:<4g} {kind:<10} "
                     f"mean {1e3 * row[kind]['mean_m']:7.3f} mm, "
-                    f"at the worst moment {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
+                    f"at the worst time {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
                     f"worst vertex {1e3 * row[kind]['worst_m']:7.2f} mm, "
                     f"shifted mean {1e3 * row[kind]['shifted_mean_m']:7.3f} mm, "
-                    f"events up to {row[kind]['event_shift_s']:.2f} s apart"
+                    f"events up to {row[kind]['event_shift_s']:.2f} s apart: {row[kind]['verdict']}"
                 )
 
 

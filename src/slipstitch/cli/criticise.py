@@ -1,12 +1,12 @@
-"""slipstitch criticise: what the model gets wrong in measured data, and why."""
+"""slipstitch criticise: find what the model gets wrong in measured data, and why."""
 
 import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import check_at_least, output_json, output_named
 
-SUMMARY = "say what the model gets wrong in a measured case, and why"
+SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
 
 
@@ -16,20 +16,43 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help="verdict as JSON"
+        "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"
     )
     parser.add_argument(
-        "--report", type=output_file, metavar="FILE", help="the verdict as an HTML page"
+        "--report",
+        type=output_named(".html", ".md"),
+        metavar="FILE",
+        help="the verdict as an HTML page, or as Markdown without pictures",
     )
     parser.add_argument(
-        "--model", type=output_file, metavar="FILE", help="the extended model as YAML"
+        "--picture",
+        type=output_named(".svg"),
+        metavar="FILE",
+        help="what is left over, drawn, as SVG",
+    )
+    parser.add_argument(
+        "--model",
+        type=output_named(".yaml", ".yml"),
+        metavar="FILE",
+        help="the extended model as YAML",
     )
     parser.add_argument(
         "--resimulate",
-        type=output_file,
+        type=output_json,
         metavar="FILE",
-        help="simulate the drop-and-drag runs again with null and extended law in the cloth "
-        "simulator (about a second a run); errors and gain as JSON, and on the page",
+        help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
+        "simulator (about a second per run), each with models found without its specimen; errors "
+        "and gain as JSON, and on the page",
+    )
+    parser.add_argument(
+        "--validate",
+        metavar="NEW_CASE",
+        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest), then "
+        "score it by what was measured (OUT.validation.json); a prediction that was locked "
+        "before is kept, and a case without measured values is only predicted",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
     )
     parser.add_argument(
         "--power",
@@ -37,12 +60,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="say what the design could show, before it is measured: run tables only are read, "
         "and --out has the smallest detectable effect of every mechanism",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated maxima (default 1)")
     parser.add_argument(
         "--replicates",
         type=int,
         default=300,
-        help="simulated data sets behind each family-wise p (default 300)",
+        help="simulated data sets for each family-wise p (default 300)",
     )
 
 
@@ -50,10 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
-    from slipstitch.errors import BadInput
 
-    if arguments.replicates < 50:
-        raise BadInput(f"--replicates: {arguments.replicates}; at least 50 are needed")
+    check_at_least(arguments, seed=0, replicates=50)
     if arguments.power:
         from slipstitch.criticise.criticism_files import power_to_file
 
@@ -62,15 +82,39 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     case = read_case(arguments.case)
     for name in case.ignored_files:
-        print(f"{Path(arguments.case) / name}: no table of any protocol, not read", file=sys.stderr)
+        print(
+            f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr
+        )
     line = criticise_to_files(
         case,
         arguments.seed,
         arguments.replicates,
         verdict_path=arguments.out,
         page_path=arguments.report,
+        picture_path=arguments.picture,
         model_path=arguments.model,
         resimulation_path=arguments.resimulate,
     )
     print(line)
+    if arguments.validate:
+        _validate(Path(arguments.out), Path(arguments.validate))
     return 0
+
+
+def _validate(out: Path, case: Path) -> None:
+    from slipstitch.criticise.case import has_measurements
+    from slipstitch.errors import BadInput
+    from slipstitch.predict.predictive import read_verdict
+    from slipstitch.predict.validation import lock, score, score_words
+    from slipstitch.provenance import write_json
+
+    if str(out) == "-":
+        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
+    prediction = out.with_suffix(".prediction.csv")
+    record = lock(read_verdict(out), case, prediction)
+    print(f"{prediction}: locked, sha256 {record['prediction_sha256']}", file=sys.stderr)
+    if not has_measurements(case):
+        return
+    found = score(case, prediction, record)
+    write_json(out.with_suffix(".validation.json"), found)
+    print(score_words(found))

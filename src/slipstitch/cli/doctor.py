@@ -1,10 +1,10 @@
-"""slipstitch doctor: on the standard library alone, as packages may be missing."""
+"""slipstitch doctor: uses only the standard library, as packages may be missing."""
 
 import argparse
 
 from slipstitch.doctor.checks import Standing, examine
 
-SUMMARY = "what is installed, what is missing and how to get it; what a scale costs"
+SUMMARY = "check the installation and how to complete it; estimate the cost of a configuration"
 EXAMPLE = "slipstitch doctor --estimate config.yaml config/paper.yaml"
 
 
@@ -14,13 +14,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--estimate",
         nargs="+",
         metavar="FILE",
-        help="instead of looking at the machine, print jobs, CPU time and disk of the whole chain "
-        "for configuration files merged in this order",
+        help="instead of checking the machine, print jobs, CPU time and disk space of the whole "
+        "chain for configuration files merged in this order",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the findings; 1 if something needed is missing."""
+    """Print the findings; return 1 if a requirement is missing."""
     if arguments.estimate:
         from slipstitch.config import load_config
         from slipstitch.doctor.cost import estimate_table
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     missing = [finding.name for finding in findings if finding.state is Standing.MISSING]
     print()
     if missing:
-        print(f"Slipstitch cannot run everything: {', '.join(missing)} (see above).")
+        print(f"Slipstitch cannot run everything; missing: {', '.join(missing)} (see above).")
     else:
-        print("Everything that Slipstitch needs is here.")
+        print("All requirements of Slipstitch are met.")
     return 1 if missing else 0

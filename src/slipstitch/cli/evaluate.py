@@ -1,10 +1,10 @@
-"""slipstitch evaluate: the tables."""
+"""slipstitch evaluate: metrics and predictions of the trained networks."""
 
 import argparse
 
 from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
 
-SUMMARY = "test the trained networks: metrics, confusion, predictions"
+SUMMARY = "evaluate the trained networks: metrics, confusion, predictions"
 EXAMPLE = (
     "slipstitch evaluate --config results/config.json --dataset results/sample "
     "--models results/train --out results/evaluate/metrics.json "
@@ -15,7 +15,7 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser)
-    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
+    parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
     parser.add_argument("--out", type=output_file, required=True, help="metrics.json")
@@ -25,14 +25,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--details",
         type=output_file,
-        help="chance, seeds, viewpoints, confusion; details.json beside --out",
+        help="chance level, seeds, viewpoints, confusion (default: details.json beside --out)",
     )
     add_threads(parser)
-    captures = parser.add_argument_group("on captures, real or surrogate")
+    captures = parser.add_argument_group("evaluation on captures, real or surrogate")
     captures.add_argument(
         "--captures",
         action="store_true",
-        help="the dataset is what `slipstitch capture ingest` wrote",
+        help="the dataset was written by `slipstitch capture ingest`",
     )
     captures.add_argument("--page", type=output_file, help="tables and plots (HTML)")
 
@@ -52,9 +52,9 @@ def run(arguments: argparse.Namespace) -> None:
         _captures(config, arguments)
         return
     if not arguments.models:
-        raise BadInput("--models: needed, unless --captures comes with --instruments")
+        raise BadInput("--models is required, except for --captures with --instruments")
     if arguments.page:
-        raise BadInput("--page goes with --captures")
+        raise BadInput("--page requires --captures")
     metrics = write_evaluation(
         config.evaluate,
         arguments.dataset,
@@ -73,13 +73,13 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _captures(config, arguments: argparse.Namespace) -> None:
-    """Evaluate on captures; print a line a model and subset."""
+    """Evaluate on captures; print one line per model and subset."""
     from slipstitch.errors import BadInput
     from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
     from slipstitch.evaluate.text_table import capture_lines
 
     if not (arguments.models or arguments.instruments):
-        raise BadInput("--captures needs --models or --instruments, or both")
+        raise BadInput("--captures requires --models, --instruments or both")
     metrics = write_captures_evaluation(
         config.evaluate,
         arguments.dataset,

@@ -4,7 +4,7 @@ import argparse
 
 from slipstitch.cli.options import add_training, check_at_least
 
-SUMMARY = "train the instrument that measures friction, calibrate its error bars and its alarm"
+SUMMARY = "train the measuring instrument for friction; calibrate its error bars and its alarm"
 EXAMPLE = (
     "slipstitch instrument --config results/config.json --dataset results/sample "
     "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0"
@@ -13,11 +13,11 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_training(parser, "folder of the instrument")
+    add_training(parser, "folder for the instrument")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, calibrate, write, say how it went."""
+    """Train, calibrate, write, print a summary."""
     from slipstitch.config import load_config
     from slipstitch.instrument.training import train_instrument
 
@@ -30,12 +30,12 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        viewpoint=config.calibrated_view,
+        viewpoints=config.instrument_views,
         threads=arguments.threads,
     )
     bars = card["error_bars"]
     if bars is None:
-        error_bars = "not calibrated: no simulation was left for it"
+        error_bars = "not calibrated: no simulations available"
     elif bars["factor"] is None:
         error_bars = (
             f"calibrated on {card['calibration_simulations']} simulations, too few for an interval"

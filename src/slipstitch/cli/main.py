@@ -1,7 +1,7 @@
-"""The command line: ``slipstitch VERB ...``; each verb is a module beside this one.
+"""The command line: ``slipstitch VERB ...``; each verb is a module in this package.
 
 A verb's module is imported only when that verb runs: ``slipstitch --help`` stays fast and works
-although bpy or torch may be missing. The summaries are read from the sources, not by importing.
+even without bpy or torch. The summaries are read from the sources, not by importing.
 A verb has ``SUMMARY``, ``EXAMPLE``, ``configure(parser)`` and ``run(arguments)``, which may return
 an exit code.
 """
@@ -20,9 +20,10 @@ from slipstitch import __version__
 from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
 from slipstitch.threads import use_one_thread
 
-# In the order in which they are shown: that of the chain.
+# In the order of the chain.
 VERBS = (
     "doctor",
+    "init",
     "calibrate",
     "simulate",
     "render",
@@ -33,6 +34,7 @@ VERBS = (
     "ablate",
     "report",
     "status",
+    "publish",
     "release",
     "audit",
     "capture",
@@ -41,15 +43,15 @@ VERBS = (
     "predict",
     "protocol",
 )
-# What only the workflow and the Makefile call; not shown.
+# Only called by the workflow and the Makefile; hidden.
 WORKFLOW_VERBS = ("grid", "convergence", "schema")
 
-# Bytes; libraries of Blender, Warp and PyTorch take most of it, used or not.
+# Bytes; mostly for the libraries of Blender, Warp and PyTorch, even if unused.
 LEAST_ADDRESS_SPACE = 2 * 2**30
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that answers bad usage with one line instead of the whole usage."""
+    """A parser that reports bad usage in one line instead of the whole usage."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
@@ -73,7 +75,7 @@ def _overview() -> str:
         [
             "usage: slipstitch VERB [options]",
             "",
-            "Read the friction coefficient of cloth off video.",
+            "Measure the friction coefficient of cloth from video.",
             "",
             "verbs:",
             *lines,
@@ -97,21 +99,21 @@ def _parser(verb: str, module) -> argparse.ArgumentParser:
 
 
 def _one_line(error: BaseException) -> str:
-    """What an error says, as one line that a terminal shows as it is."""
+    """The message of an error as one printable line."""
     words = " ".join(str(error).split()) or type(error).__name__
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
 
 
 def _refuse_tight_memory() -> None:
-    """Refuse to work in less address space than the libraries ask for.
+    """Refuse to work in less address space than the libraries require.
 
-    Not left to chance: OpenBLAS tries for ever to get memory that it is not given.
+    Otherwise OpenBLAS would retry a failed allocation for ever.
     """
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
         raise SlipstitchError(
-            f"not enough memory: it is limited to {limit // 2**20} MiB (ulimit -v), at least "
-            f"{LEAST_ADDRESS_SPACE // 2**20} are needed"
+            f"not enough memory: the limit is {limit // 2**20} MiB (ulimit -v), at least "
+            f"{LEAST_ADDRESS_SPACE // 2**20} MiB are required"
         )
 
 
@@ -126,11 +128,11 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0 success, 2 bad input, 1 anything else. Exceptions that are not the user's doing are
-        raised: their traceback is the report of a fault in the program. What the machine
-        refuses (disk, memory, permission) is one line, too.
+        0 success, 2 bad input, 1 anything else. Unexpected exceptions are
+        raised: their traceback reports a bug. Errors of the machine (disk, memory,
+        permission) are reported in one line, too.
     """
-    for stream in (sys.stdout, sys.stderr):  # a file's name need not be text
+    for stream in (sys.stdout, sys.stderr):  # file names may not be valid text
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
@@ -144,7 +146,7 @@ def main(arguments: list[str] | None = None) -> int:
     if verb not in VERBS + WORKFLOW_VERBS:
         close = difflib.get_close_matches(verb, VERBS, n=1)
         hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(VERBS)}"
-        print(f"slipstitch: error: there is no verb {verb!r}; {hint}", file=sys.stderr)
+        print(f"slipstitch: error: unknown verb {verb!r}; {hint}", file=sys.stderr)
         return 2
     use_one_thread()
     try:
@@ -173,7 +175,7 @@ def main(arguments: list[str] | None = None) -> int:
         if refused is None:
             raise
         reason = _one_line(SlipstitchError(refused))
-        print(f"slipstitch {verb}: failed: {reason}; nothing half-written is left", file=sys.stderr)
+        print(f"slipstitch {verb}: failed: {reason}; no partial output is left", file=sys.stderr)
         return 1
 
 

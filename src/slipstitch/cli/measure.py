@@ -1,11 +1,17 @@
-"""slipstitch measure: a video in, friction with its error bar out."""
+"""slipstitch measure: friction with its error bar from videos of one pair."""
 
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_threads, check_at_least, output_path
+from slipstitch.cli.options import (
+    add_threads,
+    check_at_least,
+    output_json,
+    output_page,
+    output_table,
+)
 
-SUMMARY = "read the friction coefficient off a video, with its error bar, the fabric and an alarm"
+SUMMARY = "measure the friction coefficient in a video, with an error bar, the fabric and an alarm"
 EXAMPLE = (
     "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json "
     "--model results/instrument/by_simulation/seed0 --out glass_1.html"
@@ -14,13 +20,21 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("video", type=Path, metavar="VIDEO", help="the whole protocol, filmed")
+    parser.add_argument(
+        "videos",
+        nargs="+",
+        type=Path,
+        metavar="VIDEO",
+        help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
+        "measured individually and together",
+    )
     parser.add_argument(
         "--camera",
         required=True,
         type=Path,
         metavar="FILE",
-        help="camera file of slipstitch capture camera, with the camera's place at the stage",
+        help="camera file written by slipstitch capture camera, with the camera's position at "
+        "the stage",
     )
     parser.add_argument(
         "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
@@ -29,53 +43,80 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help="configuration that the instrument was trained with (default: config.json in the "
+        help="configuration the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )
-    parser.add_argument("--out", type=output_path, metavar="FILE", help="page (HTML) to write")
-    parser.add_argument("--json", type=output_path, metavar="FILE", help="all numbers, to write")
+    parser.add_argument(
+        "--out", type=output_page, metavar="FILE", help="write the result as an HTML page"
+    )
+    parser.add_argument(
+        "--json", type=output_json, metavar="FILE", help="write all numbers as JSON"
+    )
+    parser.add_argument(
+        "--csv", type=output_table, metavar="FILE", help="write a table, one row per video"
+    )
     parser.add_argument(
         "--start-s",
         type=float,
         metavar="S",
-        help="time in the video at which the stage starts (default: found in the frames)",
+        help="start of the stage's motion in the video (default: found in the frames)",
     )
     parser.add_argument(
         "--frame-rate-hz",
         type=float,
         metavar="HZ",
-        help="of the camera, if the file's own times are wrong",
+        help="frame rate of the camera, if the file's timestamps are wrong",
+    )
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="measure even if the pose of the camera is outside the training range",
     )
     add_threads(parser, default=2)
 
 
-# An alarm is an answer, but no program should take it for a measurement.
+# A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
+BAD_INPUT_EXIT_CODE = 2
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, write the page, print the result; exit code 3 if the instrument raised its alarm."""
+    """Measure, write the page, print the result.
+
+    Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
+    """
     import math
 
     from slipstitch.errors import BadInput
     from slipstitch.measure.measurement_files import measure_to_files
+    from slipstitch.measure.measuring import measuring_bench
 
     check_at_least(arguments, threads=1)
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
             raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
-    result = measure_to_files(
-        arguments.video,
+    if arguments.start_s is not None and len(arguments.videos) > 1:
+        raise BadInput("--start-s: only allowed for a single video")
+    bench = measuring_bench(
         arguments.camera,
         arguments.model,
         arguments.config,
-        page_path=arguments.out,
-        numbers_path=arguments.json,
+        threads=arguments.threads,
+        force=arguments.force,
+    )
+    pair = measure_to_files(
+        arguments.videos,
+        bench,
+        arguments.camera,
+        page_path=arguments.out and Path(arguments.out),
+        numbers_path=arguments.json and Path(arguments.json),
+        table_path=arguments.csv and Path(arguments.csv),
         start_s=arguments.start_s,
         frame_rate_hz=arguments.frame_rate_hz,
-        threads=arguments.threads,
     )
-    for line in result.lines():
+    for line in pair.videos[0].lines() if len(arguments.videos) == 1 else pair.lines():
         print(line)
-    return ALARM_EXIT_CODE if result.measurement.alarm else 0
+    if pair.refused:
+        return BAD_INPUT_EXIT_CODE
+    return ALARM_EXIT_CODE if any(v.measurement.alarm for v in pair.videos) else 0

@@ -1,6 +1,7 @@
-"""Options that several verbs have, declared once, and what they all refuse."""
+"""Options shared by several verbs, and checks common to all."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from slipstitch.errors import BadInput
@@ -9,24 +10,41 @@ PICTURES = (".png", ".svg")
 
 
 def _refuse_target(text: str, folder: bool) -> None:
-    """Refuse what cannot be written before any work is done for it."""
+    """Refuse an output path that cannot be written, before any work is done."""
     path = Path(text)
     if folder and path.exists() and not path.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: a file; a folder is to be written")
+        raise argparse.ArgumentTypeError(f"{text}: is a file; must be a folder")
     if not folder and path.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: a folder; name a file in it")
+        raise argparse.ArgumentTypeError(f"{text}: is a folder; must be a file")
     if not folder and path.exists() and not path.is_file():
-        raise argparse.ArgumentTypeError(f"{text}: a device or a pipe; name a file")
+        raise argparse.ArgumentTypeError(f"{text}: is a device or a pipe; must be a file")
     above = next((parent for parent in path.absolute().parents if parent.exists()), path)
     if not above.is_dir():
         raise argparse.ArgumentTypeError(f"{text}: {above} is a file, not a folder")
 
 
 def output_file(text: str) -> str:
-    """The type of an option that names a file to write; ``-`` stands for the terminal."""
+    """The type of an option that names a file to write; ``-`` means the terminal."""
     if text != "-":
         _refuse_target(text, folder=False)
     return text
+
+
+def output_named(*endings: str) -> Callable[[str], str]:
+    """As `output_file`, of a format: another ending of the name is refused."""
+
+    def check(text: str) -> str:
+        output_file(text)
+        if text != "-" and Path(text).suffix.lower() not in endings:
+            raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
+        return text
+
+    return check
+
+
+output_page = output_named(".html", ".htm")
+output_json = output_named(".json")
+output_table = output_named(".csv")
 
 
 def output_path(text: str) -> Path:
@@ -52,7 +70,7 @@ def add_config(
     required: bool = True,
     one_each: bool = False,
 ) -> None:
-    """``--config FILE ...``: ``arguments.config`` lists the files, none if it may be left out.
+    """``--config FILE ...``: ``arguments.config`` lists the files, empty if optional and not given.
 
     Parameters
     ----------
@@ -67,28 +85,30 @@ def add_config(
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
     """``--calibration FILE``."""
-    parser.add_argument("--calibration", help="take the numerical settings that were verified")
+    parser.add_argument("--calibration", help="use the numerical settings of this calibration file")
 
 
 def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
     """``--threads COUNT``; `parser` may be a group."""
-    parser.add_argument("--threads", type=int, default=default, help="threads of the computation")
+    parser.add_argument(
+        "--threads", type=int, default=default, help="number of threads (default: %(default)s)"
+    )
 
 
 def add_training(parser: argparse.ArgumentParser, out: str) -> None:
     """Dataset, split, seed and folder of one training."""
-    from slipstitch.config.train import SPLITS
+    from slipstitch.config.train import TRAINED_ON
 
     add_config(parser)
-    parser.add_argument("--dataset", required=True, help="folder that `slipstitch sample` wrote")
-    parser.add_argument("--split", required=True, choices=SPLITS)
+    parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
+    parser.add_argument("--split", required=True, choices=TRAINED_ON)
     parser.add_argument("--seed", required=True, type=int)
     parser.add_argument("--out-dir", type=output_folder, required=True, help=out)
     add_threads(parser)
 
 
 def check_at_least(arguments: argparse.Namespace, **smallest: int) -> None:
-    """Refuse options, by their names in `arguments`, that are less than they may be."""
+    """Refuse options, by their names in `arguments`, that are below their minimum."""
     for name, least in smallest.items():
         value = getattr(arguments, name)
         if value is not None and value < least:
@@ -96,6 +116,6 @@ def check_at_least(arguments: argparse.Namespace, **smallest: int) -> None:
 
 
 def check_picture(path: str | Path | None) -> None:
-    """Refuse a picture's name that says no format."""
+    """Refuse a picture's name without a known format."""
     if path and Path(path).suffix not in PICTURES:
-        raise BadInput(f"{path}: a picture's name must end in {' or '.join(PICTURES)}")
+        raise BadInput(f"{path}: the name of a picture must end in {' or '.join(PICTURES)}")

@@ -1,12 +1,12 @@
-"""slipstitch predict: what the null and the extended model expect of a new case."""
+"""slipstitch predict: predictions of the null and the extended model for a new case."""
 
 from __future__ import annotations
 
 import argparse
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import output_table
 
-SUMMARY = "predict a new case with a verdict's null and extended models"
+SUMMARY = "predict a new case with the null and the extended model of a verdict"
 EXAMPLE = "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv"
 
 
@@ -14,17 +14,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("verdict", metavar="VERDICT", help="JSON written by slipstitch criticise")
     parser.add_argument(
-        "case",
-        metavar="CASE_DIR",
-        help="folder of the new case; measured values in it are not looked at",
+        "case", metavar="CASE_DIR", help="folder of the new case; its measured values are ignored"
     )
     parser.add_argument(
-        "--out", type=output_file, required=True, metavar="FILE", help="predictions as CSV"
+        "--out", type=output_table, required=True, metavar="FILE", help="predictions as CSV"
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write one line a run and quantity."""
+    """Write one line per run and quantity."""
     from pathlib import Path
 
     from slipstitch.criticise.case import read_case

@@ -1,14 +1,28 @@
-"""slipstitch protocol: one known-answer experiment in the simulator, beside theory."""
+"""slipstitch protocol: one known-answer experiment in the simulator, compared with theory."""
 
 import argparse
+import re
+import sys
 
-from slipstitch.cli.options import output_file
+from slipstitch.cli.options import output_json
 
 SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
 EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
+NAMES = (
+    "incline",
+    "tilt",
+    "flat-drag",
+    "strip-drag",
+    "strip",
+    "landed-strip",
+    "cantilever",
+    "lateral-buckling",
+    "capstan",
+)
 OPTIONS = (
     "friction",
     "slope_deg",
+    "static_kinetic",
     "gravity_length_m",
     "gamma",
     "strain",
@@ -20,14 +34,20 @@ OPTIONS = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     parser.add_argument(
-        "name", metavar="NAME", help="incline, flat-drag, strip-drag, strip, capstan"
-    )
-    parser.add_argument(
-        "--out", type=output_file, required=True, help="JSON file of measured and theory's values"
+        "--out",
+        type=output_json,
+        required=True,
+        help="JSON file with measured and theoretical values",
     )
     parser.add_argument("--friction", type=float, help="friction coefficient")
     parser.add_argument("--slope-deg", type=float, help="incline: slope in degrees")
+    parser.add_argument(
+        "--static-kinetic",
+        type=float,
+        help="tilt: static coefficient over the kinetic, less 1 (default 0)",
+    )
     parser.add_argument(
         "--gravity-length-m",
         type=float,
@@ -39,17 +59,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B"
     )
-    parser.add_argument("--strain", type=float, help="strip: how far it is pushed, over its length")
-    parser.add_argument("--width-over-length", type=float, help="lateral-buckling: of the strip")
-    parser.add_argument("--wrap-deg", type=float, help="capstan: angle of contact in degrees")
+    parser.add_argument(
+        "--strain", type=float, help="strip: displacement of the push, relative to its length"
+    )
+    parser.add_argument(
+        "--width-over-length",
+        type=float,
+        help="lateral-buckling: width of the strip over its length",
+    )
+    parser.add_argument("--wrap-deg", type=float, help="capstan: contact angle in degrees")
     parser.add_argument("--time-step", type=float, metavar="S", help="time step in s")
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Run it, write the result, print it."""
+def run(arguments: argparse.Namespace) -> int:
+    """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
     import json
 
     from slipstitch.config.load import resolve_config
+    from slipstitch.errors import BadInput
     from slipstitch.protocol.registry import run_protocol_to_file
 
     options = {name: getattr(arguments, name) for name in OPTIONS}
@@ -59,7 +86,28 @@ def run(arguments: argparse.Namespace) -> None:
         given["vertices_per_side"] = options.pop("vertices", None)
     overrides = {key: value for key, value in given.items() if value is not None}
     settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
-    result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
+    try:
+        result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
+    except BadInput as error:
+        raise BadInput(_with_flags(str(error))) from None
     # Curves and histories are in the file only.
     numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
     print(json.dumps(numbers, indent=1))
+    for key, demand in result["demands"].items():
+        print(_line(key, demand), file=sys.stderr)
+    return 0 if result["passed"] else 1
+
+
+def _with_flags(message: str) -> str:
+    """A message with the options called as on the command line."""
+    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: f"--{m[0].replace('_', '-')}", message)
+
+
+def _line(key: str, demand: dict) -> str:
+    shown = "passed" if demand["met"] else "FAILED"
+    if demand["error"] is None:
+        return f"{shown}: {key} is not theory's"
+    scale, unit = (100.0, " %") if demand["relative"] else (1.0, "")
+    off, allowed = scale * demand["error"], scale * demand["allowed"]
+    difference = f"differs from theory by {off:.2g}{unit}, allowed {allowed:g}{unit}"
+    return f"{shown}: {key} {difference}"

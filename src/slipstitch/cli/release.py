@@ -1,11 +1,11 @@
-"""slipstitch release: the dataset as a folder to hand out."""
+"""slipstitch release: the dataset as a folder to distribute."""
 
 import argparse
-from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_folder
+from slipstitch.project import project_folder
 
-SUMMARY = "write the dataset as a folder to hand out: shards, splits, card, metadata, records"
+SUMMARY = "write the dataset as a folder to distribute: shards, splits, card, metadata, records"
 EXAMPLE = (
     "slipstitch release --config results/config.json --results results --out-dir results/release"
 )
@@ -13,28 +13,38 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_config(parser, "YAML or JSON configuration that the results were made with")
-    parser.add_argument("--results", default="results", help="folder of the results")
+    add_config(parser, "YAML or JSON configuration of the results")
+    parser.add_argument("--results", default="results", help="results folder")
     parser.add_argument(
-        "--out-dir", type=output_folder, required=True, help="the release; must not exist yet"
+        "--out-dir",
+        type=output_folder,
+        required=True,
+        help="folder for the release; must not exist yet",
     )
     parser.add_argument(
         "--project",
-        default=Path(__file__).resolve().parents[3],
-        help="checkout of Slipstitch (default: the one that runs)",
+        default=project_folder(),
+        help="folder of the workflow that was run (default: the one of the package)",
+    )
+    parser.add_argument(
+        "--sign", metavar="KEY", help="SSH key for a signature; slipstitch audit --verify checks it"
     )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the release and say what it holds and what its digest is."""
+    """Write the release; print its content and digest."""
     from slipstitch.config import load_config
     from slipstitch.release.assembly import write_release
 
     done = write_release(
-        load_config(*arguments.config), arguments.results, arguments.out_dir, arguments.project
+        load_config(*arguments.config),
+        arguments.results,
+        arguments.out_dir,
+        arguments.project,
+        arguments.sign,
     )
     print(
         f"{arguments.out_dir}: {done.videos} videos, {done.images} images, {done.files} files, "
         f"{done.size_bytes / 1e6:.1f} MB"
     )
-    print(f"SHA-256 of SHA256SUMS, to publish elsewhere: {done.sums_sha256}")
+    print(f"SHA-256 of SHA256SUMS, to be published separately: {done.sums_sha256}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_folder_path, output_path
 
-SUMMARY = "render a simulation from one viewpoint with every texture; verify; make previews"
+SUMMARY = "render a simulation from one viewpoint with every texture; verify images; write previews"
 EXAMPLE = (
     "slipstitch render --config config.yaml --trajectory results/simulate/m05_f01_r00.parquet "
     "--viewpoint v00 --out results/render/m05_f01_r00_v00.parquet"
@@ -22,7 +22,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         required=False,
         one_each=True,
     )
-    parser.add_argument("--trajectory", type=Path, metavar="FILE", help="what simulate wrote")
+    parser.add_argument(
+        "--trajectory", type=Path, metavar="FILE", help="trajectory written by simulate"
+    )
     parser.add_argument(
         "--viewpoint",
         metavar="ID",
@@ -32,29 +34,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=output_path,
         metavar="FILE",
-        help="image shard to write (Parquet); with --verify the comparisons (JSON)",
+        help="image shard to write (Parquet); with --verify: comparisons (JSON)",
     )
-    halves = parser.add_argument_group("in two steps: the light in Blender, textures without it")
+    halves = parser.add_argument_group("in two steps: shading in Blender, then textures without it")
     halves.add_argument(
-        "--shading",
-        type=output_path,
-        metavar="FILE",
-        help="shading pack to write, instead of images",
+        "--shading", type=output_path, metavar="FILE", help="write a shading pack instead of images"
     )
     halves.add_argument(
         "--from-shading",
         type=Path,
         nargs="+",
         metavar="FILE",
-        help="take the light from these packs of the trajectory, without Blender",
+        help="use the shading of these packs of the trajectory, without Blender",
     )
     halves.add_argument(
         "--out-dir",
         type=output_folder_path,
         metavar="DIR",
-        help="folder of their image shards, named as they",
+        help="folder for the image shards, named like the packs",
     )
-    verification = parser.add_argument_group("verification, of finished shards")
+    verification = parser.add_argument_group("verification of finished shards")
     verification.add_argument(
         "--verify",
         action="store_true",
@@ -66,8 +65,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     verification.add_argument(
         "--packs", type=Path, metavar="DIR", help="folder of the shading packs"
     )
-    previews = parser.add_argument_group("previews, from finished shards and without Blender")
-    previews.add_argument("--preview", action="store_true", help="make previews of SHARDS")
+    previews = parser.add_argument_group("previews of finished shards, without Blender")
+    previews.add_argument("--preview", action="store_true", help="write previews of SHARDS")
     previews.add_argument(
         "--out-sheet", type=output_path, metavar="FILE", help="contact sheet (PNG)"
     )
@@ -93,7 +92,7 @@ def _needed(arguments: argparse.Namespace, names: list[str], mode: str) -> None:
     for name in names:
         if not getattr(arguments, name):
             what = "at least one shard" if name == "shards" else f"--{name.replace('_', '-')}"
-            raise BadInput(f"{mode} needs {what}")
+            raise BadInput(f"{mode} requires {what}")
 
 
 def _preview(arguments: argparse.Namespace) -> None:
@@ -101,9 +100,9 @@ def _preview(arguments: argparse.Namespace) -> None:
     from slipstitch.render.preview import preview
 
     if not arguments.shards:
-        raise BadInput("--preview needs at least one shard")
+        raise BadInput("--preview requires at least one shard")
     if not (arguments.out_sheet or arguments.out_video):
-        raise BadInput("--preview needs --out-sheet or --out-video")
+        raise BadInput("--preview requires --out-sheet or --out-video")
     _refused(arguments, ["trajectory", "viewpoint", "out", "shading", "from_shading"], "--preview")
     preview(arguments.shards, arguments.out_sheet, arguments.out_video)
     for path in (arguments.out_sheet, arguments.out_video):
@@ -116,7 +115,7 @@ def _refused(arguments: argparse.Namespace, names: list[str], mode: str) -> None
 
     for name in names:
         if getattr(arguments, name):
-            raise BadInput(f"--{name.replace('_', '-')} does not go with {mode}")
+            raise BadInput(f"--{name.replace('_', '-')} cannot be combined with {mode}")
 
 
 def _verify(arguments: argparse.Namespace) -> None:
@@ -158,18 +157,21 @@ def _render(arguments: argparse.Namespace) -> None:
 
     _needed(arguments, ["trajectory", "viewpoint"], "rendering")
     if arguments.shards or arguments.out_sheet or arguments.out_video:
-        raise BadInput("shards, --out-sheet and --out-video go with --preview only")
+        raise BadInput("shards, --out-sheet and --out-video require --preview")
     if not arguments.shading:
         _needed(arguments, ["out"], "rendering")
     elif arguments.out:
-        raise BadInput("--out and --shading: one of them; images from a pack: --from-shading")
+        raise BadInput(
+            "--out and --shading exclude each other; to compose images from a pack "
+            "use --from-shading"
+        )
     config = load_config(*arguments.config)
     bar = partial(progress, unit="frame")
     job = Job.of(config, arguments.trajectory, arguments.viewpoint)
     if arguments.shading:
         pack = write_pack(job, arguments.shading, bar)
         _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
-        print(f"{arguments.shading}: light of {len(pack.shots)} frames, {job.viewpoint}")
+        print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {job.viewpoint}")
         return
     from slipstitch.render.shards import render_shard
 
@@ -181,7 +183,7 @@ def _render(arguments: argparse.Namespace) -> None:
 def _warn(path: Path, share_inside: float) -> None:
     if share_inside < 1:
         print(
-            f"{path}: part of the cloth lies outside an image: at least {share_inside:.1%} of its "
+            f"{path}: part of the cloth is outside an image: at least {share_inside:.1%} of its "
             "vertices are inside",
             file=sys.stderr,
         )

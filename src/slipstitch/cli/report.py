@@ -1,10 +1,10 @@
-"""slipstitch report: one page that a person reads."""
+"""slipstitch report: write the report."""
 
 import argparse
 
-from slipstitch.cli.options import add_config, output_file
+from slipstitch.cli.options import add_config, output_page
 
-SUMMARY = "write one self-contained page about everything in a results folder"
+SUMMARY = "write a self-contained HTML report on a results folder"
 EXAMPLE = (
     "slipstitch report --config results/config.json --results results "
     "--out results/report/index.html"
@@ -15,11 +15,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser)
     parser.add_argument("--results", required=True, help="results folder; may be incomplete")
-    parser.add_argument("--out", type=output_file, required=True, help="HTML file")
+    parser.add_argument("--out", type=output_page, required=True, help="HTML file")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the page and say where it is and what it lacks."""
+    """Write the page; print its path and the missing stages."""
     from pathlib import Path
 
     from slipstitch.config import load_config
@@ -35,6 +35,8 @@ def run(arguments: argparse.Namespace) -> None:
             "sample": context["dataset"],
             "train": context["networks"],
             "evaluate": context["test_sets"],
+            "criticise": context["criticism"],
+            "release": context["release"],
         }.items()
         if not there
     ]

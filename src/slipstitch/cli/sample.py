@@ -1,11 +1,11 @@
-"""slipstitch sample: images in, dataset out."""
+"""slipstitch sample: from rendered images to the dataset."""
 
 import argparse
 from collections import Counter
 
 from slipstitch.cli.options import add_config, output_folder
 
-SUMMARY = "choose frames of the rendered videos, split them, write the dataset"
+SUMMARY = "select frames of the rendered videos, draw the splits, write the dataset"
 EXAMPLE = (
     "slipstitch sample --config results/config.json --out-dir results/sample "
     "results/render/*_v*.parquet"
@@ -16,13 +16,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser, one_each=True)
     parser.add_argument(
-        "--out-dir", type=output_folder, required=True, help="folder of the dataset"
+        "--out-dir", type=output_folder, required=True, help="folder for the dataset"
     )
-    parser.add_argument("shards", nargs="+", metavar="SHARD", help="image shards, all of the grid")
+    parser.add_argument("shards", nargs="+", metavar="SHARD", help="all image shards of the grid")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the dataset and say what it holds."""
+    """Write the dataset; print its content."""
     from slipstitch.config import load_config
     from slipstitch.sample.dataset import write_dataset
 

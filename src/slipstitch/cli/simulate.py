@@ -1,8 +1,8 @@
-"""slipstitch simulate: a drop-and-drag run by hand, or simulations of the grid."""
+"""slipstitch simulate: a single drop-and-drag run, or simulations of the grid."""
 
 import argparse
 
-from slipstitch.cli.options import add_calibration, add_config, output_file
+from slipstitch.cli.options import add_calibration, add_config, output_named
 
 SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
 EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
@@ -12,10 +12,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--out",
-        type=output_file,
+        type=output_named(".parquet"),
         required=True,
         nargs="+",
-        help="Parquet file, one row a frame; one a simulation",
+        help="Parquet file, one row per frame; one file per simulation",
     )
     add_config(parser, required=False)
     add_calibration(parser)
@@ -23,18 +23,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--simulation",
         nargs="+",
         metavar="ID",
-        help="in the configured grid, e.g. m05_f01_r00; several are simulated at once",
+        help="id in the configured grid, e.g. m05_f01_r00; several are simulated as one batch",
     )
     parser.add_argument(
         "--device",
-        help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; "
-        "if not given, compute.device of the configuration",
+        help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ... (default: "
+        "compute.device of the configuration)",
     )
     parser.add_argument("--material", help="a fabric of the catalogue")
-    parser.add_argument("--friction", type=float, help="friction coefficient of cloth and floor")
-    parser.add_argument("--seed", type=int, default=0, help="of the bench's perturbation")
     parser.add_argument(
-        "--model", metavar="FILE", help="extended model that slipstitch criticise --model wrote"
+        "--friction", type=float, help="friction coefficient between cloth and floor"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the perturbation of the bench")
+    parser.add_argument(
+        "--model", metavar="FILE", help="extended model written by slipstitch criticise --model"
     )
     parser.add_argument(
         "--set",
@@ -47,14 +49,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Simulate and write; prints one line on each result."""
+    """Simulate and write; print one line per result."""
     from slipstitch.errors import BadInput
     from slipstitch.simulate.drop_and_drag import DropAndDrag
     from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
 
     by_hand = arguments.material is not None and arguments.friction is not None
     if by_hand == (arguments.simulation is not None):
-        raise BadInput("either --material and --friction, or --simulation with --config")
+        raise BadInput("give either --material and --friction, or --simulation with --config")
     config = _configuration(arguments, by_hand)
     if by_hand:
         if arguments.seed < 0:
@@ -63,9 +65,11 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.config:
         runs = runs_of_the_grid(config, arguments.simulation)
     else:
-        raise BadInput("--simulation needs --config")
+        raise BadInput("--simulation requires --config")
     if len(runs) != len(arguments.out):
-        raise BadInput(f"{len(arguments.out)} files --out for {len(runs)} simulations: one each")
+        raise BadInput(
+            f"{len(arguments.out)} files in --out for {len(runs)} simulations: must be one each"
+        )
     count = len(runs)
     for simulated in simulate_to_files(
         config, runs, arguments.out, device=arguments.device, calibration=arguments.calibration
@@ -94,10 +98,10 @@ def _configuration(arguments: argparse.Namespace, by_hand: bool):
         try:
             changes[key.strip()] = load_yaml(value, f"--set {text}")
         except BadInput:
-            raise BadInput(f"--set {text}: the value cannot be read") from None
+            raise BadInput(f"--set {text}: invalid value") from None
     if arguments.model:
         changes["model"] = arguments.model
-    # By hand nothing is sampled from it: the least that is allowed.
+    # A single run is not sampled: use the smallest number allowed.
     overrides = {"sample": {"sample": {"frames": 2}}} if by_hand else {}
     overrides["--set"] = {"simulation": changes}
     return load_config(

@@ -1,10 +1,10 @@
-"""slipstitch status: where the run of the workflow stands."""
+"""slipstitch status: the state of a workflow run."""
 
 import argparse
 
 from slipstitch.cli.options import add_config
 
-SUMMARY = "what a run has done, is doing, what failed, what it cost, how long yet, disk"
+SUMMARY = "show the state of a run: jobs done, running and failed, cost, time remaining, disk use"
 EXAMPLE = "slipstitch status --results results"
 
 
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print; 1 if the last run failed or was broken off, else 0."""
+    """Print; return 1 if the last run failed or was interrupted, else 0."""
     from pathlib import Path
 
     from slipstitch.config import load_config
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     folder = Path(arguments.results)
     if not folder.is_dir():
-        raise BadInput(f"{folder}: no such folder; results are where snakemake was run")
+        raise BadInput(f"{folder}: no such folder; give the results folder of the snakemake run")
     if arguments.lines < 0:
         raise BadInput(f"--lines {arguments.lines}: must be at least 0")
     resolved = folder / "config.json"

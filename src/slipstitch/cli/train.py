@@ -4,7 +4,7 @@ import argparse
 
 from slipstitch.cli.options import add_training, check_at_least
 
-SUMMARY = "train a network that reads material or friction off the sampled frames"
+SUMMARY = "train a network that predicts material or friction from the sampled frames"
 EXAMPLE = (
     "slipstitch train --config results/config.json --dataset results/sample "
     "--network friction_baseline --split by_video --seed 0 "
@@ -16,7 +16,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     from slipstitch.config.train import NETWORKS
 
-    add_training(parser, "folder of the trained model")
+    add_training(parser, "folder for the trained model")
     parser.add_argument("--network", required=True, choices=NETWORKS)
     parser.add_argument(
         "--material-model",
@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, write the model, say how it went."""
+    """Train, write the model, print a summary."""
     from slipstitch.config import load_config
     from slipstitch.train.training import train_network
 

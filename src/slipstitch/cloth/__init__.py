@@ -3,9 +3,9 @@
 Knows nothing of files, Snakemake or Blender.
 """
 
-import warp
+from slipstitch.warp_start import start_warp
 
-warp.config.log_level = warp.LOG_WARNING  # standard output belongs to results
+start_warp()
 
 from slipstitch.cloth.floor_friction import ContactConditions  # noqa: E402
 from slipstitch.cloth.mesh import ClothMesh, rectangle  # noqa: E402

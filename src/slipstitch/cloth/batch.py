@@ -18,7 +18,7 @@ from slipstitch.errors import NotConverged
 
 
 class Work(Enum):
-    """What a sheet may ask for."""
+    """The requests of a sheet."""
 
     FORCES = auto()  # out-of-balance forces at the placed positions
     STIFFNESS = auto()  # entries of the tangent there
@@ -82,7 +82,7 @@ class _Turn:
 
 
 class Meeting:
-    """Where the tasks of sheets wait for one another.
+    """Synchronisation point of the tasks of sheets.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ import warp as wp
 
 from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.tangent import Entries, add_entry
-from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, FOLD_DIRECTIONS
+from slipstitch.material.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +24,7 @@ mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
+HALF = wp.constant(wp.float64(0.5))
 LAST_NODE = wp.constant(wp.float64(FOLD_CURVATURES - 1))
 
 OF_END = wp.constant(0)
@@ -63,18 +64,29 @@ def rest_angles(mesh: ClothMesh, curvature_per_m: float) -> np.ndarray:
     return curvature_per_m * height * across**2
 
 
+def hinge_stiffness(mesh: ClothMesh, bending_N_m: np.ndarray) -> np.ndarray:
+    """Stiffness ke of each hinge at the table's curvatures, in N m, shape (H, columns).
+
+    Linear in direction between the rows of ``bending_N_m``, shape (3, columns).
+    """
+    direction = hinge_geometry(mesh)[2]
+    row = np.minimum(direction.astype(int), len(bending_N_m) - 2)
+    part = (direction - row)[:, None]
+    return np.maximum(bending_N_m[row] * (1 - part) + bending_N_m[row + 1] * part, 0.0)
+
+
 @wp.struct
 class Hinges:
     """The hinges of all sheets, and the bending law of each sheet."""
 
     members: wp.array(dtype=wp.int32)  # the sheet of each hinge
     nodes: wp.array(dtype=wp.int32, ndim=2)
-    length_m: wp.array(dtype=wp.float64)
-    area_m2: wp.array(dtype=wp.float64)  # of both faces
-    direction: wp.array(dtype=wp.float64)  # position in the table's rows of a sheet
+    per_angle: wp.array(dtype=wp.float64)  # curvature parameter over angle, in 1/m
+    shape: wp.array(dtype=wp.float64)  # moment per angle over ke: l^2 / (4 (a0 + a1))
     rest_angle: wp.array(dtype=wp.float64)
     angle_before: wp.array(dtype=wp.float64)  # at the beginning of the step
-    table: wp.array(dtype=wp.float64, ndim=2)  # ke (N m), one sheet's rows after another's
+    stiffness_before: wp.array(dtype=wp.float64)  # ke there, in N m
+    table: wp.array(dtype=wp.float64, ndim=2)  # ke (N m) at the curvatures of the table
     stiffness_rule: wp.array(dtype=wp.int32)  # by sheet: which curvature in a step ke follows
     damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
 
@@ -85,17 +97,8 @@ def dihedral_angle(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> wp
     e = x1 - x0
     n0 = wp.cross(e, x2 - x0)
     n1 = wp.cross(x3 - x0, e)
-    return wp.atan2(wp.dot(wp.cross(n0, n1), wp.normalize(e)), wp.dot(n0, n1))
-
-
-@wp.func
-def nodal_stiffness(hinges: Hinges, h: int, column: int) -> wp.float64:
-    """Of a hinge at one of the table's curvatures: ke, interpolated over directions."""
-    row = wp.min(int(hinges.direction[h]), 1)
-    part = hinges.direction[h] - wp.float64(row)
-    row += FOLD_DIRECTIONS * hinges.members[h]
-    ke = hinges.table[row, column] * (ONE - part) + hinges.table[row + 1, column] * part
-    return wp.max(ke, ZERO)
+    # (n0 x n1) . e = -|e|^2 n0 . (x3 - x0)
+    return wp.atan2(-wp.length(e) * wp.dot(n0, x3 - x0), wp.dot(n0, n1))
 
 
 @wp.func
@@ -104,12 +107,18 @@ def stiffness_at(hinges: Hinges, h: int, curvature: wp.float64) -> wp.vec2d:
     position = wp.min(curvature * PER_CURVATURE, LAST_NODE)
     column = wp.min(int(position), int(LAST_NODE) - 1)
     part = position - wp.float64(column)
-    low = nodal_stiffness(hinges, h, column)
-    high = nodal_stiffness(hinges, h, column + 1)
+    low = hinges.table[h, column]
+    high = hinges.table[h, column + 1]
     slope = ZERO
     if position < LAST_NODE:
         slope = (high - low) * PER_CURVATURE
     return wp.vec2d(low * (ONE - part) + high * part, slope)
+
+
+@wp.func
+def is_between(one: wp.float64, value: wp.float64, other: wp.float64) -> bool:
+    """Strictly; whichever of the two is larger."""
+    return (value - one) * (other - value) > ZERO
 
 
 @wp.func
@@ -121,26 +130,38 @@ def stiffness_in_step(
     Taken at the start of the step, a stiffness that grows faster than in proportion to curvature
     never settles: under a given moment M the curvature M / ke(curvature before) jumps to and fro.
     Taken at the end, one that falls faster leaves the step without a stable solution nearby. The
-    third rule takes neither: its moment always grows with curvature.
+    third rule is that of the end as long as the moment grows with curvature, and holds the moment
+    where it would fall.
     """
     rule = hinges.stiffness_rule[hinges.members[h]]
     if rule == OF_END:
         return stiffness_at(hinges, h, curvature)
-    start = stiffness_at(hinges, h, before)
-    passed = wp.vec2d(start[0], ZERO)
+    start = hinges.stiffness_before[h]
     if rule == OF_START:
-        return passed
-    # The largest on the way up, the smallest on the way down.
+        return wp.vec2d(start, ZERO)
+    # The moment's largest value on the way up, its smallest on the way down.
     end = stiffness_at(hinges, h, curvature)
-    for column in range(FOLD_CURVATURES):
-        node = wp.float64(column) / PER_CURVATURE
-        if before < node and node < curvature:
-            passed[0] = wp.max(passed[0], stiffness_at(hinges, h, node)[0])
-        if curvature < node and node < before:
-            passed[0] = wp.min(passed[0], stiffness_at(hinges, h, node)[0])
-    if (end[0] - passed[0]) * (curvature - before) > ZERO:
-        return end
-    return passed
+    way = wp.sign(curvature - before)
+    held = way * start * before
+    first = int(wp.min(before, curvature) * PER_CURVATURE)
+    last = int(wp.min(wp.max(before, curvature) * PER_CURVATURE, LAST_NODE))
+    for column in range(first, last + 1):
+        node, ke = wp.float64(column) / PER_CURVATURE, hinges.table[h, column]
+        if is_between(before, node, curvature):
+            held = wp.max(held, way * ke * node)
+        # Behind a node stiffness is a straight line, the moment a parabola.
+        slope = ZERO
+        if column < int(LAST_NODE):
+            slope = (hinges.table[h, column + 1] - ke) * PER_CURVATURE
+        if slope != ZERO:
+            top = (node - ke / slope) * HALF
+            next_node = node + ONE / PER_CURVATURE
+            if is_between(before, top, curvature) and is_between(node, top, next_node):
+                held = wp.max(held, way * (ke + slope * (top - node)) * top)
+    if held > way * end[0] * curvature and curvature > ZERO:
+        stiffness = way * held / curvature
+        return wp.vec2d(stiffness, -stiffness / curvature)
+    return end
 
 
 @wp.func
@@ -153,12 +174,14 @@ def corners_of(x: wp.array(dtype=wp.vec3d), hinges: Hinges, h: int) -> mat43d:
 
 @wp.kernel
 def dihedral_angles(active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), hinges: Hinges):
-    """Note the dihedral angle of each hinge, in radians."""
+    """Note the dihedral angle of each hinge, in radians, and the stiffness there."""
     h = wp.tid()
     if active[hinges.members[h]] == 0:
         return
     p = corners_of(x, hinges, h)
-    hinges.angle_before[h] = dihedral_angle(p[0], p[1], p[2], p[3])
+    theta = dihedral_angle(p[0], p[1], p[2], p[3])
+    hinges.angle_before[h] = theta
+    hinges.stiffness_before[h] = stiffness_at(hinges, h, wp.abs(theta) * hinges.per_angle[h])[0]
 
 
 @wp.func
@@ -193,10 +216,9 @@ def bending_force(
     p = corners_of(x, hinges, h)
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
     before = hinges.angle_before[h]
-    length = hinges.length_m[h]
-    per_angle = length / (wp.float64(2.0) * hinges.area_m2[h])
+    per_angle = hinges.per_angle[h]
     ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
-    c = ke[0] * length * length / (wp.float64(4.0) * hinges.area_m2[h])
+    c = ke[0] * hinges.shape[h]
     viscous = hinges.damping_ratio[member] * (theta - before)
     moment = c * (theta - hinges.rest_angle[h] + viscous)
     d = angle_gradient(p[0], p[1], p[2], p[3])
@@ -214,8 +236,7 @@ def bending_stiffness(
     if active[member] == 0:
         return
     p = corners_of(x, hinges, h)
-    length = hinges.length_m[h]
-    per_angle = length / (wp.float64(2.0) * hinges.area_m2[h])
+    per_angle = hinges.per_angle[h]
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
     before = hinges.angle_before[h]
     ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
@@ -223,7 +244,7 @@ def bending_stiffness(
     angle = theta - hinges.rest_angle[h] + hinges.damping_ratio[member] * (theta - before)
     tangent = ke[0] * viscous + ke[1] * per_angle * wp.sign(theta) * angle
     tangent = wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)
-    c = tangent * length * length / (wp.float64(4.0) * hinges.area_m2[h])
+    c = tangent * hinges.shape[h]
     d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
         for b in range(4):

@@ -3,10 +3,12 @@
 The ground is the floor z = 0, or a cylinder about a line along y whose crest is that floor's
 line x = 0 (for the capstan): contact is worked out in coordinates along, across and above it.
 
-Normal contact is a stiff penalty (micrometres of penetration under the cloth's weight).
+Normal contact is a stiff penalty, a pressure that grows with depth (a micrometre or less under the
+cloth's weight).
 Friction is exact, by :mod:`return mapping <slipstitch.cloth.return_mapping>`: a node in contact
 hangs on an anchor; while |Q| is below the friction law's limit the anchor does not move (no creep,
-microslip of about a micrometre that is elastic and returns).
+microslip of about a micrometre that is elastic and returns). Both springs are as stiff as a node's
+area is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
 
 The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
 each (:func:`contact_kernels`). They run over the nodes of all sheets, as those of
@@ -99,7 +101,7 @@ def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.
 
 @wp.struct
 class FrictionState:
-    """What the friction law may ask of a node; Coulomb's law asks for the coefficient alone.
+    """Quantities of a node available to the friction law; Coulomb's law uses only the coefficient.
 
     The direction is that of the anchor's pull and the speed that of the step being solved for:
     both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
@@ -133,11 +135,10 @@ class Nodes:
 
 @wp.struct
 class Ground:
-    """What each sheet lies on: curvature (1/m), penalty stiffness (N/m)."""
+    """What each sheet lies on."""
 
-    curvature: wp.array(dtype=wp.float64)
-    normal_stiffness: wp.array(dtype=wp.float64)
-    tangential_stiffness: wp.array(dtype=wp.float64)
+    curvature: wp.array(dtype=wp.float64)  # in 1/m
+    bedding: wp.array(dtype=wp.float64)  # stiffness per area, along and across, in N/m^3
 
 
 @wp.struct
@@ -146,7 +147,7 @@ class Touch:
 
     point: GroundPoint
     normal_force: wp.float64
-    stiffness: wp.float64  # tangential, in N/m
+    stiffness: wp.float64  # in N/m, along the ground and into it
     pull: wp.vec2d  # from the anchor, in m
     limit: wp.float64  # of the tangential force
 
@@ -213,11 +214,10 @@ def contact_kernels(extended: bool) -> ContactKernels:
         node: int, point: GroundPoint, nodes: Nodes, ground: Ground, law: FrictionState
     ) -> Touch:
         """What a node bears at a point below the ground's surface."""
-        member = nodes.members[node]
         touch = Touch()
         touch.point = point
-        touch.normal_force = -ground.normal_stiffness[member] * point.gap
-        touch.stiffness = ground.tangential_stiffness[member]
+        touch.stiffness = ground.bedding[nodes.members[node]] * law.area_m2[node]
+        touch.normal_force = -touch.stiffness * point.gap
         touch.pull = point.place - nodes.anchor[node]
         touch.limit = limit_of(node, touch, nodes, ground, law)
         return touch
@@ -267,8 +267,7 @@ def contact_kernels(extended: bool) -> ContactKernels:
     ) -> wp.mat33d:
         """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
         block = wp.mat33d()
-        member = nodes.members[node]
-        point = ground_point(p, ground.curvature[member])
+        point = ground_point(p, ground.curvature[nodes.members[node]])
         if point.gap < ZERO:
             touch = touched(node, point, nodes, ground, law)
             across = wp.vec3d(ZERO, ONE, ZERO)
@@ -278,7 +277,7 @@ def contact_kernels(extended: bool) -> ContactKernels:
             block = returned_stiffness(
                 pull, surface, wp.outer(sideways, sideways), touch.stiffness, touch.limit
             )
-            block += wp.outer(point.normal, point.normal) * ground.normal_stiffness[member]
+            block += wp.outer(point.normal, point.normal) * touch.stiffness
         return block
 
     @wp.kernel(module=module, enable_backward=False)

@@ -16,7 +16,7 @@ from slipstitch.friction_law.contact import REFERENCE_HUMIDITY_PCT
 
 @dataclass(frozen=True)
 class ContactConditions:
-    """What an extended law needs to know beside the motion.
+    """The quantities required by an extended law in addition to the motion.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> Cloth
         Fewer than two rows or columns, or a size that is not positive.
     """
     if rows < 2 or columns < 2:
-        raise BadInput(f"mesh of {rows} x {columns} vertices: at least 2 x 2 are needed")
+        raise BadInput(f"mesh of {rows} x {columns} vertices: must be at least 2 x 2")
     if not (length_m > 0 and width_m > 0):
         raise BadInput(f"cloth of {length_m} m x {width_m} m: both must be positive")
     v, u = np.meshgrid(

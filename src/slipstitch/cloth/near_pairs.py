@@ -1,4 +1,4 @@
-"""Which pairs of the cloth's parts come near each other on their way, by trees of boxes."""
+"""Pairs of the cloth's parts that approach each other, found with bounding-box trees."""
 
 from __future__ import annotations
 
@@ -156,8 +156,8 @@ class NearPairs:
             count = int(self._count.numpy()[0])
             if count > PAIRS_MAX:
                 raise NotConverged(
-                    f"self-contact: {count} pairs nearer than {1e3 * reach_m:g} mm, "
-                    f"at most {PAIRS_MAX}"
+                    f"self-contact: {count} pairs closer than {1e3 * reach_m:g} mm; at most "
+                    f"{PAIRS_MAX}"
                 )
             if count <= self._found.shape[0]:
                 pairs = self._found.numpy()[:count].astype(np.int64)

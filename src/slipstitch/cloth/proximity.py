@@ -124,7 +124,7 @@ def between(p: Corners, w: wp.vec4d) -> wp.vec3d:
 
 @wp.func
 def slide(kind: int, p: Corners, change: wp.vec2d) -> wp.vec3d:
-    """How the vector between the points moves as their parameters change."""
+    """Derivative of the vector between the points with respect to their parameters."""
     if kind == VERTEX_TRIANGLE:
         return change[0] * (p.b - p.c) + change[1] * (p.b - p.d)
     return change[0] * (p.b - p.a) - change[1] * (p.d - p.c)

@@ -27,7 +27,7 @@ from slipstitch.cloth.mesh import ClothMesh
 from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.cloth.tangent import Assembly, Entries
 from slipstitch.errors import BadInput, NotConverged
-from slipstitch.material.law import FOLD_CURVATURES, FOLD_DIRECTIONS, STRAIN_NODES
+from slipstitch.material.law import FOLD_CURVATURES, STRAIN_NODES
 
 
 class Sheets:
@@ -90,11 +90,12 @@ class Sheets:
         faces.damping_ratio = self.damping_ratio
         hinges = self.hinges = bending.Hinges()
         hinges.members, hinges.nodes = members(H), repeated(mesh.hinges, wp.int32, V)
-        hinges.length_m, hinges.area_m2, hinges.direction = (
-            repeated(values, wp.float64) for values in bending.hinge_geometry(mesh)
-        )
+        length_m, area_m2, _ = bending.hinge_geometry(mesh)
+        hinges.per_angle = repeated(length_m / (2 * area_m2), wp.float64)
+        hinges.shape = repeated(length_m**2 / (4 * area_m2), wp.float64)
         hinges.rest_angle, hinges.angle_before = zeros(count * H), zeros(count * H)
-        hinges.table = zeros(count * FOLD_DIRECTIONS, FOLD_CURVATURES)
+        hinges.stiffness_before = zeros(count * H)
+        hinges.table = zeros(count * H, FOLD_CURVATURES)
         hinges.stiffness_rule = zeros(count, dtype=wp.int32)
         hinges.damping_ratio = self.damping_ratio
         nodes = self.nodes = contact.Nodes()
@@ -104,8 +105,7 @@ class Sheets:
         nodes.gravity_m_s2 = zeros(count, dtype=wp.vec3d)
         nodes.inverse_step_squared = zeros(count)
         ground = self.ground = contact.Ground()
-        ground.curvature, ground.normal_stiffness = zeros(count), zeros(count)
-        ground.tangential_stiffness = zeros(count)
+        ground.curvature, ground.bedding = zeros(count), zeros(count)
         self.friction = friction_states(mesh, count, self.device)
         self._x, self._minus_force, self._residual = vectors(), vectors(), vectors()
         self._state = zeros(count * V, dtype=wp.int32)
@@ -153,7 +153,7 @@ class Sheets:
         ]
 
     def _entries(self, places: wp.array) -> Entries:
-        """Where the elements of one kind add to the matrices."""
+        """Positions in the matrices to which elements of one kind contribute."""
         entries = Entries()
         entries.place, entries.values = places, self._values
         entries.per_sheet = self.assembly.pattern.entry_count
@@ -203,7 +203,7 @@ class Sheets:
         return self._host_residual[self.nodes_of(member)].copy()
 
     def evaluated(self, member: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where a sheet's forces were last evaluated (V, 3), and the nodes' states (V,)."""
+        """Positions of a sheet's last force evaluation (V, 3), and the nodes' states (V,)."""
         nodes = self.nodes_of(member)
         return self._host_x[nodes], self._host_state[nodes]
 
@@ -306,4 +306,6 @@ def check_device(name: str) -> None:
     """
     here = [device.alias for device in wp.get_devices()]
     if name not in here and not (name == "cuda" and wp.is_cuda_available()):
-        raise BadInput(f"device {name}: not available on this machine; there is: {', '.join(here)}")
+        raise BadInput(
+            f"device {name}: not available on this machine; available: {', '.join(here)}"
+        )

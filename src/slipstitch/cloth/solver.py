@@ -65,12 +65,12 @@ class SolverSettings:
         mean square) is halved, up to three times.
     bending_stiffness_at : {"start", "end", "rising"}
         The end of the step whose curvature the stiffness of a hinge follows; ``rising``: the end
-        where the stiffness grows with curvature, the start where it falls.
+        while the moment grows with curvature; where it would fall within the step it is held.
     damping_s : float
         Stiffness-proportional damping time.
     penetration_m : float
-        Depth to which one nodal weight presses the floor; also the elastic microslip of a
-        node at friction coefficient 1.
+        Depth to which the cloth's weight presses the floor where it lies evenly; also its elastic
+        microslip there at friction coefficient 1.
     self_contact : bool
         Whether the cloth's layers touch one another, rather than pass through.
     thickness_m : float
@@ -84,7 +84,7 @@ class SolverSettings:
     friction_tolerance: float = 1.0e-4
     friction_floor: float = 0.05
     newton_iterations_max: int = 30
-    halvings_max: int = 8
+    halvings_max: int = 12
     step_error_m: float = np.inf
     bending_stiffness_at: Literal["start", "end", "rising"] = "end"
     damping_s: float = 0.002
@@ -115,7 +115,7 @@ class _TooLong(Exception):  # noqa: N818 - not an error: the step is halved
 
 @dataclass
 class StepRecord:
-    """What the steps cost and how well they converged, summed since the last reset."""
+    """Cost and convergence of the steps, summed since the last reset."""
 
     steps: int = 0
     newton_iterations: int = 0
@@ -195,7 +195,7 @@ class ClothSolver:
         self.fixed = np.array(fixed, dtype=bool)
         self.sheets = sheets = sheets or Sheets(mesh, self.fixed, device=device)
         if sheets.mesh is not mesh or not np.array_equal(sheets.fixed, self.fixed):
-            raise ValueError("sheets that are evaluated together share mesh and held coordinates")
+            raise ValueError("sheets in a batch must share mesh and clamped coordinates")
         self.member, self.device = member, sheets.device
         self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
         self.positions_m = np.array(positions_m, dtype=float)
@@ -218,11 +218,13 @@ class ClothSolver:
         )
         sheets.extended[member] = self.floor.extended
         self.friction = self.floor.coefficient
-        stiffness_N_m = self.nodal_force_N / settings.penetration_m
-        self.normal_stiffness_N_m = self.tangential_stiffness_N_m = stiffness_N_m
+        areas_m2 = mesh.vertex_areas_m2()
+        bedding_N_m3 = self.nodal_force_N / settings.penetration_m / float(np.median(areas_m2))
+        self.contact_stiffness_N_m = bedding_N_m3 * areas_m2  # along the ground and into it
         self.force_scale_N = (
             max(float(self.friction.max()), settings.friction_floor) * self.nodal_force_N
         )
+        sheets.ground.bedding[member : member + 1].fill_(bedding_N_m3)
         self._upload(tables, gravity_m_s2, rest_curvature_per_m)
         self._tangent = Tangent(
             sheets.assembly, mesh.elimination_order, sheets.tangent_values(member)
@@ -260,13 +262,12 @@ class ClothSolver:
         self._inverse_step_squared.fill_(1.0)
         rule = bending.STIFFNESS_RULES[self.settings.bending_stiffness_at]
         sheets.hinges.stiffness_rule[own].fill_(rule)
-        ground = sheets.ground
-        ground.curvature[own].fill_(self.ground_curvature_per_m)
-        ground.normal_stiffness[own].fill_(self.normal_stiffness_N_m)
-        ground.tangential_stiffness[own].fill_(self.tangential_stiffness_N_m)
+        sheets.ground.curvature[own].fill_(self.ground_curvature_per_m)
+        hinge_stiffness = bending.hinge_stiffness(self.mesh, tables.bending_N_m)
         for whole, table in [
             (sheets.faces.table, tables.stretching_N_m),
-            (sheets.hinges.table, tables.bending_N_m),
+            (sheets.hinges.table, hinge_stiffness),
+            (sheets.hinges.stiffness_before, np.ascontiguousarray(hinge_stiffness[:, 0])),
         ]:
             whole[member * len(table) : (member + 1) * len(table)].assign(table)
         rest_angles = bending.rest_angles(self.mesh, rest_curvature)
@@ -325,18 +326,17 @@ class ClothSolver:
             return nodes, self.sheets.contact_tangents(self.member, nodes, symmetric) * free
         x, frames = contact.ground_coordinates(place[nodes], self.ground_curvature_per_m)
         offset = x[:, :2] - self._anchor.numpy()[nodes]
-        blocks = np.zeros((len(nodes), 3, 3))
-        blocks[:, 0, 0] = blocks[:, 1, 1] = self.tangential_stiffness_N_m
-        slip = state[nodes] == contact.SLIP
-        distance = np.linalg.norm(offset[slip], axis=1)[:, None, None]
+        distance = np.linalg.norm(offset, axis=1)
+        stiffness = self.contact_stiffness_N_m[nodes]
+        growth = self.friction[nodes] * stiffness  # of the limit with depth
+        limit = growth * np.maximum(-x[:, 2], 0.0)
+        blocks = stiffness[:, None, None] * np.eye(3)
+        slip = distance * stiffness > limit
+        distance, limit, growth = (one[slip, None, None] for one in (distance, limit, growth))
         along = offset[slip, :, None] / distance
-        limit = (self.friction[nodes] * -self.normal_stiffness_N_m * x[:, 2])[slip, None, None]
         blocks[slip, :2, :2] = limit / distance * (np.eye(2) - along * along.transpose(0, 2, 1))
         if not symmetric:
-            blocks[slip, :2, 2:] = (
-                -self.normal_stiffness_N_m * self.friction[nodes[slip], None, None] * along
-            )
-        blocks[:, 2, 2] = self.normal_stiffness_N_m
+            blocks[slip, :2, 2:] = -growth * along
         if self.ground_curvature_per_m:
             blocks = frames.transpose(0, 2, 1) @ blocks @ frames
         return nodes, blocks * free
@@ -469,7 +469,7 @@ class ClothSolver:
         return 0.5 * sqrt(np.einsum("ij,ij->", x - target, x - target) / len(x))
 
     def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
-        """Where to start to solve from, given where inertia alone would lead.
+        """Initial guess of the solution, given the purely inertial motion.
 
         As if the acceleration of the last steps went on: nearer than the target where it does. But
         nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth
@@ -578,7 +578,7 @@ class ClothSolver:
         """
         self.sheets.place(self.member, self.positions_m)
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
-        anchor = place[:, :2] - preload_N / self.tangential_stiffness_N_m
+        anchor = place[:, :2] - preload_N / self.contact_stiffness_N_m[:, None]
         self._anchor.assign(np.ascontiguousarray(anchor))
         if self.floor.extended:
             self.floor.start.assign(self.positions_m)
@@ -662,10 +662,15 @@ class ClothSolver:
         self._free.assign(free)
         return np.where(self.fixed, force, 0.0)
 
+    def sticks(self) -> np.ndarray:
+        """Which vertices the ground held in the last step, shape (V,)."""
+        return self.sheets.evaluated(self.member)[1] == contact.STICK
+
     def floor_forces(self) -> np.ndarray:
         """Force of the ground on each vertex, shape (V, 3)."""
         x, frames = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
-        normal = np.maximum(-self.normal_stiffness_N_m * x[:, 2], 0.0)
-        tangential = -self.tangential_stiffness_N_m * (x[:, :2] - self._anchor.numpy())
+        stiffness = self.contact_stiffness_N_m
+        normal = np.maximum(-stiffness * x[:, 2], 0.0)
+        tangential = -stiffness[:, None] * (x[:, :2] - self._anchor.numpy())
         local = np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
         return np.einsum("nij,ni->nj", frames, local)

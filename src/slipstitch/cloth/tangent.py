@@ -53,7 +53,7 @@ class _Pattern:
         self.block_start = self.node_start[self.column] + 3 * rank
 
     def block(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Where the blocks that couple two nodes stand among the keys."""
+        """Positions of the blocks that couple two nodes among the keys."""
         row, column = np.maximum(first, second), np.minimum(first, second)
         return np.searchsorted(self.keys, column.astype(np.int64) * self.node_count + row)
 
@@ -80,7 +80,7 @@ class _Pattern:
 
 
 class Assembly:
-    """Where the elements of a mesh add to the tangent stiffness: the same for all its sheets.
+    """Positions in the tangent stiffness to which the elements of a mesh contribute.
 
     Parameters
     ----------

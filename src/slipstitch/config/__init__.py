@@ -1,4 +1,4 @@
-"""The typed configuration: what is simulated, rendered, learnt, at which scale.
+"""The typed configuration of simulation, rendering and learning, and their scale.
 
 Stages get their section; ids and seeds come from `slipstitch.config.grid`.
 """

@@ -16,33 +16,34 @@ _OWN_INSTRUMENT = ("seeds", "epochs")
 
 
 class AblateSettings(Section):
-    """Which questions are asked, of which networks, at what budget."""
+    """Questions, networks and budget."""
 
     questions: list[Question] | None = Field(
-        None, min_length=1, description="null: all that the dataset can answer"
+        None, min_length=1, description="questions to answer; null: all that the dataset can answer"
     )
-    seeds: Seeds = Field([0, 1, 2], description="one training of every variant")
+    seeds: Seeds = Field([0, 1, 2], description="seeds; every variant is trained once per seed")
     networks: list[Literal["lrcn", "instrument"]] = Field(
         ["lrcn", "instrument"],
         min_length=1,
-        description="the instrument answers diversity and floors only: the rest is not in it",
+        description="networks; the instrument is used only for diversity and floors, the other "
+        "choices do not apply to it",
     )
     passes: int = Field(
-        30, ge=1, description="times through its training videos, for every variant of an LRCN"
+        30, ge=1, description="passes through the training videos, for every variant of an LRCN"
     )
     instrument_passes: int = Field(50, ge=1, description="the same for an instrument")
     textures_per_simulation: int | None = Field(
         1,
         ge=1,
-        description="training videos of a simulation and viewpoint, in textures dealt evenly, "
-        "where the question does not say; null: all textures",
+        description="training videos per simulation and viewpoint, with textures assigned "
+        "evenly, unless the question sets them; null: all textures",
     )
     train: dict[str, Any] = Field(
         default_factory=dict,
-        description="keys of the section `train` that are different here, e.g. width, pixels",
+        description="overrides of keys in the section `train`, e.g. width, pixels",
     )
     instrument: dict[str, Any] = Field(
-        default_factory=dict, description="keys of the section `instrument` that are different here"
+        default_factory=dict, description="overrides of keys in the section `instrument`"
     )
 
     @property

@@ -21,10 +21,10 @@ Friction = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 
 
 class CalibrateSettings(Section):
-    """Which settings are tried, which known answers must come out, and how closely.
+    """Settings to sweep, known-answer experiments and their tolerances.
 
     The strip experiment is run with the settings of the section ``simulation`` and with one of them
-    changed at a time; the cheapest that meet the demand are used, never looser ones than
+    changed at a time; the cheapest that meet the requirements are used, never looser ones than
     ``simulation`` says. With them the other experiments are checked; an empty list of friction
     coefficients leaves its experiment out.
     """
@@ -36,7 +36,8 @@ class CalibrateSettings(Section):
         5e-3,
         gt=0.0,
         lt=1.0,
-        description="pushed strip: largest error of the friction coefficient read off that strain",
+        description="pushed strip: largest error of the friction coefficient inferred from that "
+        "strain",
     )
     strip_frictions: tuple[Friction, ...] = Field(
         (0.05, 0.2, 0.35, 0.4, 0.6), min_length=1, description="pushed strip: friction coefficients"
@@ -50,19 +51,20 @@ class CalibrateSettings(Section):
         149, ge=8, le=1000, description="pushed strip: vertices along its 20 cm"
     )
     sweep_time_step_s: tuple[StripStep, ...] = Field(
-        (0.01, 0.1, 0.4), description="time steps tried besides simulation.time_step_s"
+        (0.01, 0.1, 0.4), description="time steps tried in addition to simulation.time_step_s"
     )
     sweep_vertices: tuple[StripVertices, ...] = Field(
-        (8, 15, 41), description="vertices tried besides strip_vertices"
+        (8, 15, 41), description="vertices tried in addition to strip_vertices"
     )
     sweep_friction_tolerance: tuple[StripTolerance, ...] = Field(
-        (1e-2, 1.0, 10.0), description="tolerances tried besides simulation.friction_tolerance"
+        (1e-2, 1.0, 10.0),
+        description="tolerances tried in addition to simulation.friction_tolerance",
     )
     sweep_newton_iterations_max: tuple[StripIterations, ...] = Field(
-        (3, 10), description="limits tried besides simulation.newton_iterations_max"
+        (3, 10), description="limits tried in addition to simulation.newton_iterations_max"
     )
     sweep_damping_s: tuple[StripDamping, ...] = Field(
-        (0.0, 0.1), description="damping times tried besides simulation.damping_s"
+        (0.0, 0.1), description="damping times tried in addition to simulation.damping_s"
     )
 
     incline_frictions: tuple[Friction, ...] = Field(
@@ -76,7 +78,10 @@ class CalibrateSettings(Section):
         "(1 + margin) mu",
     )
     incline_steep: float = Field(
-        1.5, gt=1.0, le=10.0, description="acceleration is compared at tan(slope) = this times mu"
+        1.5,
+        gt=1.0,
+        le=10.0,
+        description="inclined plane: acceleration is compared at tan(slope) = this times mu",
     )
     incline_creep_m: float = Field(
         1e-6, gt=0.0, description="largest creep of a body that must stick (m in 1 s)"

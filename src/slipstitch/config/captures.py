@@ -7,25 +7,27 @@ from slipstitch.config.section import Fabric, Section
 
 
 class PairSettings(Section):
-    """One pair of fabric and substrate that stands for a real one."""
+    """A surrogate fabric-substrate pair."""
 
     material: Fabric = Field(description="a fabric of the catalogue")
     substrate: str = Field(description="a floor of the catalogue")
-    friction: float = Field(gt=0, le=3, description="the pair's own, off the grid of training")
-    texture: str = Field("chevron", description="what the fabric wears")
+    friction: float = Field(
+        gt=0, le=3, description="friction coefficient of the pair, off the training grid"
+    )
+    texture: str = Field("chevron", description="texture of the fabric")
 
     @field_validator("substrate")
     @classmethod
     def _floor_exists(cls, name: str) -> str:
         if name not in FLOORS:
-            raise ValueError(f"no floor {name!r}; there are: {', '.join(FLOORS)}")
+            raise ValueError(f"unknown floor {name!r}; known: {', '.join(FLOORS)}")
         return name
 
     @field_validator("texture")
     @classmethod
     def _texture_exists(cls, name: str) -> str:
         if name not in TEXTURES:
-            raise ValueError(f"no texture {name!r}; there are: {', '.join(TEXTURES)}")
+            raise ValueError(f"unknown texture {name!r}; known: {', '.join(TEXTURES)}")
         return name
 
 
@@ -39,10 +41,10 @@ _PAIRS = [
 
 
 class CaptureSettings(Section):
-    """Which captures the target `captures` ingests, and how surrogates are made."""
+    """Captures of the target `captures`, and the generation of surrogates."""
 
     table: str | None = Field(
-        None, description="captures table of a real bench; null: surrogates are made"
+        None, description="captures table of a real bench; null: surrogates are generated"
     )
     angles: str | None = Field(
         None, description="slip angles of a real bench, for rows of the table without mu_ref"
@@ -56,9 +58,12 @@ class CaptureSettings(Section):
         max_length=100,
         description="surrogates: the pairs",
     )
-    repeats: int = Field(5, ge=1, le=99, description="surrogates: films of each pair")
+    repeats: int = Field(5, ge=1, le=99, description="surrogates: videos of each pair")
     vertices_per_side: int = Field(
-        51, ge=5, le=401, description="surrogates: of the mesh; finer than in training"
+        51,
+        ge=5,
+        le=401,
+        description="surrogates: vertices per side of the mesh; finer than in training",
     )
     time_step_s: float = Field(
         0.042, gt=0, le=0.1, description="surrogates: largest time step; shorter than in training"
@@ -67,35 +72,53 @@ class CaptureSettings(Section):
         1.5,
         ge=0,
         le=10,
-        description="surrogates: spread of clamps and fabric from film to film, in units of that "
-        "of the training replicates",
+        description="surrogates: spread of clamps and fabric between videos, relative to the "
+        "defaults of simulation.yaw_sd_deg, height_sd_m and fabric_sd_rel",
     )
     friction_sd_rel: float = Field(
-        0.03, ge=0, le=0.3, description="surrogates: friction from place to place of a substrate"
+        0.03,
+        ge=0,
+        le=0.3,
+        description="surrogates: variation of friction between positions on a substrate",
     )
     width_px: int = Field(
-        256, ge=64, le=1920, description="surrogates: of the film; its height is three quarters"
+        256,
+        ge=64,
+        le=1920,
+        description="surrogates: width of the video; its height is three quarters",
     )
     frame_rate_hz: float = Field(
-        12.0, ge=6, le=60, description="surrogates: of the film while the stage starts"
+        12.0, ge=6, le=60, description="surrogates: frame rate of the video while the stage starts"
     )
     later_every: int = Field(
-        4, ge=1, le=6, description="surrogates: afterwards every so many-th frame is filmed"
+        4, ge=1, le=6, description="surrogates: afterwards one frame in this many is recorded"
     )
     camera_turn_deg: float = Field(
-        2.0, ge=0, le=15, description="surrogates: the camera stands this far off the viewpoint"
+        2.0, ge=0, le=15, description="surrogates: angle of the camera from the viewpoint"
     )
-    lens_k1: float = Field(-0.12, ge=-0.4, le=0.4, description="surrogates: the lens's k1")
+    lens_k1: float = Field(
+        -0.12, ge=-0.4, le=0.4, description="surrogates: distortion coefficient k1 of the lens"
+    )
     camera_error_m: float = Field(
-        0.001, ge=0, le=0.05, description="surrogates: error of the camera file's place, each axis"
+        0.001,
+        ge=0,
+        le=0.05,
+        description="surrogates: position error in the camera file, along each axis",
     )
     exposure_drift_stops: float = Field(
-        0.25, ge=0, le=2, description="surrogates: by which the exposure drifts over a film"
+        0.25, ge=0, le=2, description="surrogates: drift of the exposure over a video"
     )
-    colour_cast: float = Field(0.06, ge=0, le=0.5, description="surrogates: of red and blue")
-    noise: float = Field(0.02, ge=0, le=0.2, description="surrogates: as render.augmentation.noise")
+    colour_cast: float = Field(
+        0.06, ge=0, le=0.5, description="surrogates: scaling of red and blue"
+    )
+    noise: float = Field(
+        0.02, ge=0, le=0.2, description="surrogates: camera noise, as render.augmentation.noise"
+    )
     quality_crf: int = Field(
-        26, ge=0, le=51, description="surrogates: H.264's constant rate factor; more is worse"
+        26,
+        ge=0,
+        le=51,
+        description="surrogates: constant rate factor of H.264; higher means lower quality",
     )
     incline_error_deg: float = Field(
         0.3, ge=0, le=5, description="surrogates: largest error of the inclined plane's angle"
@@ -105,11 +128,11 @@ class CaptureSettings(Section):
     def _pairs_differ(self) -> "CaptureSettings":
         names = [(pair.material, pair.substrate) for pair in self.pairs]
         if len(set(names)) != len(names):
-            raise ValueError("pairs: a fabric is named twice on the same substrate")
+            raise ValueError("pairs: duplicate fabric on the same substrate")
         return self
 
     def surrogate_ids(self) -> list[str]:
-        """Ids of the films, c00_r01 ... as in a captures table."""
+        """Ids of the videos, c00_r01 ... as in a captures table."""
         return [
             f"c{pair:02d}_r{repeat:02d}"
             for pair in range(len(self.pairs))

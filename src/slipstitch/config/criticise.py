@@ -9,12 +9,12 @@ from slipstitch.config.section import Section
 
 
 class CriticiseSettings(Section):
-    """Which measured cases are judged."""
+    """The measured cases."""
 
     cases: tuple[str, ...] = Field(
-        ("data/cases/surrogate_anisotropic",),
-        description="case folders (docs/measurements.md), from the project's folder on; "
-        "a folder's name is the case's id",
+        ("data/cases/paper_on_paper", "data/cases/surrogate_anisotropic"),
+        description="case folders (docs/measurements.md), relative to the working folder, or "
+        "included in the workflow; a folder's name is the case's id",
     )
 
     @field_validator("cases")
@@ -23,7 +23,7 @@ class CriticiseSettings(Section):
         names = [PurePath(case).name for case in cases]
         for name in names:
             if not re.fullmatch(r"\w[\w-]*", name):
-                raise ValueError(f"case folder {name!r}: letters, digits, - and _ only, please")
+                raise ValueError(f"case folder {name!r}: may contain only letters, digits, - and _")
         if len(set(names)) != len(names):
-            raise ValueError(f"two case folders of one name: {', '.join(sorted(names))}")
+            raise ValueError(f"case folders with the same name: {', '.join(sorted(names))}")
         return cases

@@ -8,19 +8,14 @@ from slipstitch.config.section import Section
 
 
 class EvaluateSettings(Section):
-    """What the tables count."""
+    """Definition of the metrics."""
 
     viewpoints: Literal["training", "calibrated"] = Field(
         "training",
-        description="test videos counted in by_video, by_simulation and unseen_texture: of all "
-        "viewpoints trained on, or of the calibrated one only",
+        description="test videos in by_video, by_simulation and unseen_texture: from all "
+        "training viewpoints, or only from the calibrated one",
     )
     friction_step: float = Field(
-        0.1, gt=0.0, description="grid step of mu: errors are counted in such steps, rounded"
+        0.1, gt=0.0, description="grid step of mu: errors are counted in steps, rounded"
     )
-    batch_size: int = Field(8, ge=1, description="videos in a batch")
-    reflective_results: str | None = Field(
-        None,
-        description="results folder of a run with the same captures whose networks were trained "
-        "with reflective floors: the last curve of the paper's Fig. 6 in the report",
-    )
+    batch_size: int = Field(8, ge=1, description="batch size, videos")

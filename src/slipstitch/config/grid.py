@@ -1,4 +1,4 @@
-"""The grid of simulations, and its ids and seeds: what m05_f01_r00_t02_v01 means.
+"""The grid of simulations, with its ids and seeds: the meaning of m05_f01_r00_t02_v01.
 
 The ids are kept in ``results/grid.parquet``.
 """
@@ -40,24 +40,27 @@ class GridSettings(Section):
         description="friction coefficients, increasing; ids f00.. are positions in this list",
     )
     replicates: int = Field(
-        2, ge=1, le=100, description="simulations of each pair, differently perturbed; ids r00.."
+        2,
+        ge=1,
+        le=100,
+        description="simulations of each pair with different perturbations; ids r00..",
     )
     test_frictions: tuple[Friction, ...] = Field(
         (),
         max_length=100,
-        description="coefficients off the grid, increasing, simulated for testing only with every "
+        description="off-grid coefficients, increasing, for testing only, simulated with every "
         "material; ids follow those of `frictions`",
     )
     test_materials: Fabrics = Field(
-        (), description="fabrics for testing only, simulated with every coefficient of `frictions`"
+        (),
+        description="unseen fabrics, for testing only, simulated with every coefficient of "
+        "`frictions`",
     )
-    test_replicates: int = Field(
-        1, ge=1, le=100, description="simulations of each pair that is for testing only"
-    )
+    test_replicates: int = Field(1, ge=1, le=100, description="simulations of each test-only pair")
 
     @property
     def classes(self) -> dict[str, list]:
-        """What networks tell apart: fabrics, as in the catalogue, and friction coefficients."""
+        """The classes of the networks: fabrics, as in the catalogue, and friction coefficients."""
         return {
             "material": sorted(self.materials, key=fabric_names().index),
             "friction": list(self.frictions),
@@ -67,7 +70,7 @@ class GridSettings(Section):
     @classmethod
     def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(names)) != len(names):
-            raise ValueError(f"a material is named twice: {', '.join(names)}")
+            raise ValueError(f"duplicate material: {', '.join(names)}")
         return names
 
     @field_validator("frictions", "test_frictions")
@@ -109,13 +112,12 @@ def material_id(name: str) -> str:
 def simulation_seed(seed: int, material: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
-    A hash of what the bench is, not of where it stands in the grid: adding a material or a
+    A hash of the parameters of the bench, not of its position in the grid: adding a material or a
     replicate leaves the others as they are. The friction coefficient is no part of it: the bench is
     the same at every coefficient (common random numbers), so that nothing but contact tells them
     apart.
     """
-    text = f"{seed}|{material}|{replicate}"
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") & 0x7FFFFFFF
+    return int.from_bytes(_digest(seed, material, replicate)[:4], "big") & 0x7FFFFFFF
 
 
 def bench_of(simulation: str) -> str:
@@ -173,26 +175,70 @@ def find_simulation(config: Config, name: str) -> Simulation:
         if simulation.id == name:
             return simulation
     raise BadInput(
-        f"the grid has no simulation {name!r}: its {len(grid)} ids are like {grid[0].id}"
+        f"the grid has no simulation {name!r}; its {len(grid)} ids look like {grid[0].id}"
     )
 
 
 def textures(config: Config) -> list[dict[str, str]]:
     """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
-    return _roles("t", config.render.textures, config.render.test_textures)
+    return [
+        {"id": identity, "name": name, "role": role}
+        for (identity, name), role in zip(
+            config.render.texture_ids().items(),
+            ["train"] * len(config.render.textures) + ["test"] * len(config.render.test_textures),
+            strict=True,
+        )
+    ]
 
 
 def viewpoints(config: Config) -> list[dict[str, str]]:
-    """Viewpoints as ``{id, name, role}``: those of training, then those of testing."""
-    return _roles("v", config.render.viewpoints, config.render.test_viewpoints)
+    """Viewpoints as ``{id, name, role, floor_role}``: of training, then of testing.
 
-
-def _roles(letter: str, train, test) -> list[dict[str, str]]:
-    named = [(name, "train") for name in train] + [(name, "test") for name in test]
+    Those of training come once more in the end, with the floor for testing only, where there are
+    reflective floors: networks trained on the others have not seen them.
+    """
+    render = config.render
     return [
-        {"id": f"{letter}{position:02d}", "name": name, "role": role}
-        for position, (name, role) in enumerate(named)
+        {
+            "id": identity,
+            "name": name,
+            "role": "test" if name in render.test_viewpoints else "train",
+            "floor_role": "test" if render.reflective(identity) else "train",
+        }
+        for identity, name in render.viewpoint_ids().items()
     ]
+
+
+def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
+    """Ids of simulation and viewpoint -> the textures filmed, id -> name; none if there is no film.
+
+    Test textures are filmed from the main training viewpoints only, where videos of test viewpoints
+    are drawn; these are drawn by what they are, so that one more texture changes few.
+    """
+    render = config.render
+    names = render.texture_ids()
+    trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
+    grid = simulations(config)
+    result: dict[tuple[str, str], dict[str, str]] = {}
+    for view in viewpoints(config):
+        if view["role"] == "test" and render.test_viewpoint_videos is not None:
+            every = [
+                (simulation.id, texture)
+                for simulation in grid
+                if "test" not in (simulation.material_role, simulation.friction_role)
+                for texture in trained
+            ]
+            every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
+            for simulation, texture in sorted(every[: render.test_viewpoint_videos]):
+                result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
+        else:
+            textures = trained if view["floor_role"] == "test" else names
+            result |= {(simulation.id, view["id"]): textures for simulation in grid}
+    return result
+
+
+def _digest(*words: object) -> bytes:
+    return hashlib.sha256("|".join(map(str, words)).encode()).digest()
 
 
 def grid_rows(config: Config) -> list[dict]:
@@ -203,8 +249,8 @@ def grid_rows(config: Config) -> list[dict]:
     list of dict
         Keys ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
         ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate
-        number; NaN if none), ``role`` (train or test), and for simulations ``material_id,
-        friction_id, replicate_id, material, friction, seed`` (else None).
+        number; NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations
+        ``material_id, friction_id, replicate_id, material, friction, seed`` (else None).
     """
     rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}
@@ -232,14 +278,15 @@ def grid_rows(config: Config) -> list[dict]:
         }
         for simulation in simulations(config)
     ]
-    return [{"role": "train", "value": math.nan, **row} for row in rows]
+    return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]
 
 
 def grid_table(config: Config):
     """`grid_rows` as a pyarrow table."""
     import pyarrow as pa
 
-    text = ("kind", "id", "name", "role", "material_id", "friction_id", "replicate_id", "material")
+    text = ("kind", "id", "name", "role", "floor_role")
+    text += ("material_id", "friction_id", "replicate_id", "material")
     schema = pa.schema(
         [(name, pa.string()) for name in text]
         + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]

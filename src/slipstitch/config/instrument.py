@@ -10,7 +10,17 @@ from slipstitch.config.section import Section, Seeds
 class InstrumentSettings(Section):
     """The measuring network, its training and its error bars."""
 
-    seeds: Seeds = Field([0], description="one instrument a seed")
+    seeds: Seeds = Field([0], description="one instrument per seed")
+    viewpoints: list[str] | None = Field(
+        None,
+        min_length=1,
+        description="training viewpoints, all rectified to the calibrated view: the calibrated one "
+        "and members of the family bench_1 ...; null: the first of train.view_order",
+    )
+    knows_pose: bool = Field(
+        False,
+        description="pose of the camera relative to the calibrated view as an input of the network",
+    )
     pixels: int | None = Field(
         None, ge=32, le=512, description="side of the input image; null: as rendered"
     )
@@ -20,24 +30,32 @@ class InstrumentSettings(Section):
         description="output channels of the convolutions, each of stride 2",
     )
     position_channels: int = Field(
-        16, ge=1, description="channels of the last map that are read with their position"
+        16, ge=1, description="channels of the last feature map, flattened with their positions"
     )
-    features: int = Field(128, ge=8, description="features of a frame")
-    recurrent_units: int = Field(96, ge=8, description="of the recurrent layer, either direction")
-    components: int = Field(3, ge=1, le=10, description="normal distributions in the mixture of mu")
-    friction_max: float = Field(1.5, gt=0, le=10, description="end of the grid of mu, from 0")
+    features: int = Field(128, ge=8, description="number of features per frame")
+    recurrent_units: int = Field(
+        96, ge=8, description="units of the recurrent layer in each direction"
+    )
+    components: int = Field(3, ge=1, le=10, description="components of the normal mixture for mu")
+    friction_max: float = Field(
+        1.5, gt=0, le=10, description="upper end of the grid of mu, which starts at 0"
+    )
     friction_step: float = Field(0.01, ge=0.001, le=0.1, description="step of the grid of mu")
 
-    epochs: int = Field(60, ge=1, description="times through the training videos")
-    batch_size: int = Field(4, ge=1, description="videos in a batch")
-    learning_rate: float = Field(2e-3, gt=0, description="AdamW's largest; one cycle, cosine")
+    epochs: int = Field(60, ge=1, description="passes through the training videos")
+    batch_size: int = Field(4, ge=1, description="batch size, videos")
+    learning_rate: float = Field(
+        2e-3, gt=0, description="maximum learning rate of AdamW; one cycle, cosine"
+    )
     weight_decay: float = Field(0.02, ge=0, description="AdamW's")
-    dropout: float = Field(0.1, ge=0, lt=1, description="of the frames' features")
+    dropout: float = Field(0.1, ge=0, lt=1, description="dropout of the frames' features")
     material_weight: float = Field(
-        0.1, ge=0, description="of the material's cross-entropy beside the loss of mu"
+        0.1, ge=0, description="weight of the material's cross-entropy relative to the loss of mu"
     )
     order_weight: float = Field(
-        0.1, ge=0, description="of telling videos from disordered ones, for the alarm"
+        0.1,
+        ge=0,
+        description="weight of the loss that separates videos from shuffled ones, for the alarm",
     )
     rectification_error: float = Field(
         0.006,
@@ -49,23 +67,26 @@ class InstrumentSettings(Section):
         0.7, ge=0, le=2, description="augmentation: largest standard deviation of a blur"
     )
     noise: float = Field(
-        0.1, ge=0, le=1, description="augmentation: largest noise, in deviations of the video"
+        0.1,
+        ge=0,
+        le=1,
+        description="augmentation: largest noise, in standard deviations of the video",
     )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
-        "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
+        "auto", description="of the convolutions; auto: bfloat16 where the processor supports it"
     )
     plateau_margin: float | None = Field(
         0.05,
         ge=0.0,
         lt=1.0,
-        description="a run fails whose training loss stays above (1 - margin) times that of always "
-        "saying the training labels' distribution; null: never",
+        description="a run fails if its training loss stays above (1 - margin) times the loss of "
+        "always predicting the distribution of the training labels; null: never",
     )
     checkpoint_interval_s: float = Field(
-        60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
+        60.0, ge=0.0, description="minimum time between checkpoints; 0: after every step"
     )
     draws: int = Field(
-        4, ge=1, le=64, description="augmented views of a video whose answers are averaged"
+        4, ge=1, le=64, description="augmented views of a video whose predictions are averaged"
     )
-    coverage: float = Field(0.9, gt=0.5, lt=1, description="of the intervals")
-    false_alarms: float = Field(0.05, gt=0, lt=0.5, description="share of good videos with alarm")
+    coverage: float = Field(0.9, gt=0.5, lt=1, description="coverage of the intervals")
+    false_alarms: float = Field(0.05, gt=0, lt=0.5, description="false alarm rate on valid videos")

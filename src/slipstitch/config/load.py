@@ -1,4 +1,4 @@
-"""Reading configurations: files merged key by key, checked, one clear line for what is wrong."""
+"""Reading configurations: files are merged key by key and checked, errors reported in one line."""
 
 import difflib
 import json
@@ -33,7 +33,7 @@ def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
     if content is None:
         return {}
     if not isinstance(content, dict):
-        raise BadInput(f"{path}: holds {_kind(content)}, a mapping of keys is needed")
+        raise BadInput(f"{path}: contains {_kind(content)}; must be a mapping of keys")
     return content
 
 
@@ -48,7 +48,7 @@ def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
     content = read_json(path)
     settings = content.get("settings") if isinstance(content, dict) else None
     if not isinstance(settings, dict):
-        raise Damaged(path, "not a calibration: it holds no settings")
+        raise Damaged(path, "not a calibration: it contains no settings")
     return dict(settings)
 
 
@@ -143,8 +143,8 @@ _MESSAGES = {
     "missing": "is missing",
     "model_type": "must be a mapping of keys",
     "string_type": "must be a string",
-    "too_long": "holds {actual_length} entries, at most {max_length} are allowed",
-    "too_short": "must not have fewer entries than {min_length}",
+    "too_long": "has {actual_length} entries; at most {max_length} are allowed",
+    "too_short": "must have at least {min_length} entries",
     "tuple_type": "must be a list",
 }
 

@@ -1,7 +1,8 @@
-"""The configuration as a type: its sections, each defined in a file of its own beside this one."""
+"""The configuration as a type, composed of sections in separate files."""
 
 from pydantic import Field, model_validator
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.ablate import AblateSettings
 from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.captures import CaptureSettings
@@ -11,20 +12,19 @@ from slipstitch.config.criticise import CriticiseSettings
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.grid import GridSettings
 from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.publish import PublishSettings
 from slipstitch.config.release import ReleaseSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.config.train import TrainSettings
+from slipstitch.config.train import REFLECTIVE, TrainSettings
 
 
 class Config(Section):
     """The whole configuration, every key with its value."""
 
-    seed: int = Field(
-        1, ge=0, lt=2**31, description="every random number of the chain derives from it"
-    )
+    seed: int = Field(1, ge=0, lt=2**31, description="seed of all random numbers of the chain")
     grid: GridSettings = Field(default_factory=GridSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     compute: ComputeSettings = Field(default_factory=ComputeSettings)
@@ -37,6 +37,7 @@ class Config(Section):
     evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     ablate: AblateSettings = Field(default_factory=AblateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
+    publish: PublishSettings = Field(default_factory=PublishSettings)
     release: ReleaseSettings = Field(default_factory=ReleaseSettings)
     captures: CaptureSettings = Field(default_factory=CaptureSettings)
 
@@ -44,8 +45,8 @@ class Config(Section):
     def _sections_agree(self) -> "Config":
         if self.sample.frames_kept > self.simulation.frames:
             raise ValueError(
-                f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from the "
-                f"{self.simulation.frames} of simulation.frames"
+                f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from "
+                f"{self.simulation.frames} (simulation.frames)"
             )
         for name in self.train.view_order or ():
             if name not in self.render.viewpoints:
@@ -53,12 +54,31 @@ class Config(Section):
                     f"train.view_order: {name!r} is not in render.viewpoints "
                     f"({', '.join(self.render.viewpoints)})"
                 )
+        for name in self.instrument.viewpoints or ():
+            if name not in self.render.viewpoint_ids().values():
+                raise ValueError(
+                    f"instrument.viewpoints: {name!r} is not in render.viewpoints "
+                    f"({', '.join(self.render.viewpoints)})"
+                )
+            if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
+                raise ValueError(
+                    f"instrument.viewpoints: {name!r} is not seen in the calibrated view; allowed "
+                    f"are {self.calibrated_view} and the family bench_1 ..."
+                )
+        if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
+            raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
         return self
 
     @property
     def view_order(self) -> list[str]:
         """Viewpoints of the training, by name, in the order in which it takes them up."""
-        return list(self.train.view_order or self.render.viewpoints)
+        own = [name for name in self.render.viewpoints if not VIEWPOINTS[name].drawn]
+        return list(self.train.view_order or own or self.render.viewpoints)
+
+    @property
+    def instrument_views(self) -> list[str]:
+        """Viewpoints that the instrument learns from, by name."""
+        return list(self.instrument.viewpoints or [self.calibrated_view])
 
     @property
     def calibrated_view(self) -> str:

@@ -16,13 +16,11 @@ class ReleaseSettings(Section):
     version: str = Field(
         "0.1.0", pattern=r"^\d+\.\d+\.\d+$", description="version of the dataset, MAJOR.MINOR.PATCH"
     )
-    shard_mb: float = Field(
-        256.0, gt=0.0, le=5000.0, description="a new image shard begins above this size"
-    )
+    shard_mb: float = Field(256.0, gt=0.0, le=5000.0, description="maximum size of an image shard")
     unseen_share: float = Field(
         0.2,
         gt=0.0,
         lt=1.0,
-        description="share of the fabrics, and of the friction coefficients between the lowest and "
-        "the highest, that unseen_fabric and unseen_friction keep for testing; at least one",
+        description="share of the fabrics, and of the friction coefficients between the lowest "
+        "and the highest, held out by unseen_fabric and unseen_friction; at least one",
     )

@@ -9,22 +9,25 @@ from slipstitch.config.section import Section
 
 
 class AugmentationSettings(Section):
-    """How far images differ from one another in what no network should read: all 0 means not."""
+    """Irrelevant variation between images, all off (0) by default."""
 
     lamp_m: float = Field(
         0.0,
         ge=0.0,
         le=0.4,
-        description="the lamp of each simulation is moved by up to this, along each axis",
+        description="maximum displacement of the lamp in each simulation, along each axis",
     )
     exposure_stops: float = Field(
-        0.0, ge=0.0, le=3.0, description="each video's exposure, up to this many stops either way"
+        0.0,
+        ge=0.0,
+        le=3.0,
+        description="maximum change of the exposure of a video, in stops, in either direction",
     )
     colour_cast: float = Field(
         0.0,
         ge=0.0,
         le=0.5,
-        description="each video's red and blue are scaled by up to this share, either way",
+        description="maximum relative scaling of red and blue in a video, in either direction",
     )
     noise: float = Field(
         0.0,
@@ -37,14 +40,52 @@ class AugmentationSettings(Section):
         100,
         ge=10,
         le=100,
-        description="lowest JPEG quality of a video's compression; 100: not compressed",
+        description="lowest JPEG quality of a video's compression; 100: uncompressed",
+    )
+
+
+class BenchCameraSettings(Section):
+    """Cameras of the viewpoints ``bench_1`` ... : poses beside the calibrated one, and errors."""
+
+    yaw_deg: float = Field(15.0, ge=0, le=30, description="largest rotation about the vertical")
+    pitch_deg: float = Field(8.0, ge=0, le=15, description="largest change of the elevation")
+    roll_deg: float = Field(2.0, ge=0, le=10, description="largest rotation about the optical axis")
+    distance: float = Field(
+        0.2, ge=0, lt=0.6, description="largest relative change of the distance"
+    )
+    aim_m: float = Field(
+        0.01,
+        ge=0,
+        le=0.05,
+        description="largest offset of the point the camera is aimed at, along each axis",
+    )
+    calibrated_share: float = Field(
+        1 / 3, ge=0, le=1, description="share of cameras in the calibrated pose"
+    )
+    oversampling: float = Field(
+        1.5,
+        ge=1,
+        le=4,
+        description="camera pixels per pixel of the rectified image, along each axis",
+    )
+    rotation_error_deg: float = Field(
+        0.05, ge=0, le=1, description="standard deviation of the calibrated rotation, each axis"
+    )
+    position_error_m: float = Field(
+        0.001, ge=0, le=0.02, description="standard deviation of the calibrated position, each axis"
+    )
+    focal_error: float = Field(
+        0.001, ge=0, le=0.05, description="relative standard deviation of the focal length"
+    )
+    start_error_s: float = Field(
+        0.02, ge=0, le=0.2, description="largest error of the time at which the stage starts"
     )
 
 
 class RenderSettings(Section):
-    """What is rendered of each simulation, and how."""
+    """Content and quality of the rendered images."""
 
-    pixels: int = Field(64, ge=16, le=1024, description="side of the square images")
+    pixels: int = Field(64, ge=16, le=1024, description="side length of the square images")
     samples: int = Field(
         1,
         ge=1,
@@ -64,30 +105,43 @@ class RenderSettings(Section):
         "this order",
     )
     test_textures: list[str] = Field(
-        [], description="textures kept for testing; their ids follow those of `textures`"
+        [], description="textures for testing only; their ids follow those of `textures`"
     )
     test_viewpoints: list[str] = Field(
-        [], description="viewpoints kept for testing; their ids follow those of `viewpoints`"
+        [], description="viewpoints for testing only; their ids follow those of `viewpoints`"
+    )
+    test_viewpoint_videos: int | None = Field(
+        None,
+        ge=1,
+        description="videos from each test viewpoint, drawn at random among simulations and "
+        "training textures (the paper: 20); null: every simulation in every texture",
     )
     frames: Literal["sampled", "all"] = Field(
         "sampled", description="render only the frames that the sample stage uses, or every frame"
     )
     crop: Literal["follow", "fixed"] = Field(
         "follow",
-        description="the image is a crop of a fixed camera's: it follows the known stage path, "
-        "or covers the whole path",
+        description="crop of the fixed camera's image: it follows the known stage path, or "
+        "covers the whole path",
     )
     floors: list[str] = Field(
         ["matte"],
         min_length=1,
-        description="floors by name; each simulation draws one, and its roughness and reflectance",
+        description="floors by name; each simulation draws one, with its roughness and reflectance",
+    )
+    reflective_floors: list[str] = Field(
+        [],
+        description="floors of a second training set: the same simulations once more, from the "
+        "training viewpoints in the training textures, each drawing a floor of these for every "
+        "viewpoint; their ids follow those of `test_viewpoints`",
     )
     augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
+    bench_camera: BenchCameraSettings = Field(default_factory=BenchCameraSettings)
     camera: str | None = Field(
         None,
         min_length=1,
-        description="camera file of `slipstitch capture camera`: the calibrated viewpoint, and "
-        "those turned from it, stand where that camera stands; null: the catalogue's own",
+        description="camera file of `slipstitch capture camera`: places the calibrated "
+        "viewpoint, and those rotated from it, where that camera is; null: as in the catalogue",
     )
     verified_images: int = Field(
         6,
@@ -104,7 +158,7 @@ class RenderSettings(Section):
         _known(drawn, TEXTURES, "texture")
         return _once(names, "texture")
 
-    @field_validator("floors")
+    @field_validator("floors", "reflective_floors")
     @classmethod
     def _floors_exist(cls, names: list[str]) -> list[str]:
         return _known(names, FLOORS, "floor")
@@ -125,7 +179,9 @@ class RenderSettings(Section):
             name for name in self.viewpoints if VIEWPOINTS[name].test_only
         )
         if test_only:
-            raise ValueError(f"{', '.join(test_only)}: for testing only, not for training")
+            raise ValueError(
+                f"{', '.join(test_only)}: for testing only, must not be used for training"
+            )
         return self
 
     def texture_ids(self) -> dict[str, str]:
@@ -134,26 +190,37 @@ class RenderSettings(Section):
 
     def camera_of(self, viewpoint: str) -> str | None:
         """The camera file that a viewpoint's camera stands by, None if it is the catalogue's."""
-        return self.camera if viewpoint.startswith("calibrated") else None
+        of_it = viewpoint.startswith("calibrated") or VIEWPOINTS[viewpoint].drawn
+        return self.camera if of_it else None
+
+    def reflective(self, viewpoint_id: str) -> bool:
+        """Whether a viewpoint is one of the second training set's, on its floors."""
+        apart = len(self.viewpoints) + len(self.test_viewpoints)
+        return viewpoint_id in list(self.viewpoint_ids())[apart:]
+
+    def floors_of(self, viewpoint_id: str) -> list[str]:
+        """The floors that may lie under the cloth as seen from a viewpoint, by its id."""
+        return self.reflective_floors if self.reflective(viewpoint_id) else self.floors
 
     def texture_files(self) -> list[str]:
         """Textures that are read from image files."""
         return [name for name in self.texture_ids().values() if is_texture_file(name)]
 
     def viewpoint_ids(self) -> dict[str, str]:
-        """Ids v00, v01, ... -> names, training viewpoints first."""
+        """Ids v00, v01, ... -> names: training, testing, then training on reflective floors."""
         names = self.viewpoints + self.test_viewpoints
+        names += self.viewpoints if self.reflective_floors else []
         return {f"v{i:02d}": name for i, name in enumerate(names)}
 
 
 def _known(names: list[str], catalogue: dict, kind: str) -> list[str]:
     for name in names:
         if name not in catalogue:
-            raise ValueError(f"no {kind} {name!r}; there are: {', '.join(catalogue)}")
+            raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(catalogue)}")
     return _once(names, kind)
 
 
 def _once(names: list[str], kind: str) -> list[str]:
     if len(set(names)) != len(names):
-        raise ValueError(f"a {kind} is named twice: {', '.join(names)}")
+        raise ValueError(f"duplicate {kind}: {', '.join(names)}")
     return names

@@ -8,15 +8,15 @@ from slipstitch.config.section import Section
 
 
 class SampleSettings(Section):
-    """How many frames of a video the networks see, and which videos test them."""
+    """Number of frames per video, and the test videos."""
 
     frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
     phases: int = Field(
         1,
         ge=1,
         le=100,
-        description="so many times the frames are kept, evenly between them: the instrument draws "
-        "its frames at any of these phases in training; all else uses the first",
+        description="number of phases: this many times the frames are kept, at equal intervals; "
+        "the instrument draws its phase at random in training, everything else uses the first",
     )
     validation_fraction: float = Field(
         0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
@@ -26,8 +26,8 @@ class SampleSettings(Section):
     )
     hold_out: Literal["auto", "replicate", "pair"] = Field(
         "auto",
-        description="what by_simulation keeps from training: the last replicates of every "
-        "(material, friction) pair, or whole pairs; auto: replicates where there are at least two",
+        description="what by_simulation holds out: the last replicates of every "
+        "(material, friction) pair, or whole pairs; auto: replicates if there are at least two",
     )
 
     @property

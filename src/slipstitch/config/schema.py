@@ -1,6 +1,6 @@
-"""The JSON schema of the configuration, for editors and for people: keys, meaning, bounds.
+"""The JSON schema of the configuration, for editors and readers: keys, meaning, bounds.
 
-``slipstitch schema > workflow/schemas/config.schema.json`` writes it anew.
+``slipstitch schema > workflow/schemas/config.schema.json`` regenerates it.
 """
 
 import json

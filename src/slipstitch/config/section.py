@@ -1,4 +1,4 @@
-"""What the sections of the configuration share. Pydantic and the standard library only."""
+"""Common parts of the sections of the configuration. Pydantic and the standard library only."""
 
 from typing import Annotated
 
@@ -16,17 +16,18 @@ class Section(BaseModel):
 def _in_the_catalogue(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if name not in fabric_names():
-            raise ValueError(f"no material {name!r}; there are: {', '.join(fabric_names())}")
+            raise ValueError(f"unknown material {name!r}; known: {', '.join(fabric_names())}")
     return names
 
 
 def _different(seeds: list[int]) -> list[int]:
     if len(set(seeds)) != len(seeds) or min(seeds) < 0:
-        raise ValueError("seeds must be different and not negative")
+        raise ValueError("seeds must be distinct and non-negative")
     return seeds
 
 
-Friction = Annotated[float, Field(ge=0.0, le=10.0, allow_inf_nan=False)]
+FRICTION_MAX = 10.0
+Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX, allow_inf_nan=False)]
 Fabric = Annotated[str, AfterValidator(lambda name: _in_the_catalogue((name,))[0])]
 Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue)]
 Seeds = Annotated[list[int], Field(min_length=1), AfterValidator(_different)]

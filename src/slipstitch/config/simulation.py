@@ -4,35 +4,39 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.section import Section
+from slipstitch.config.section import Fabrics, Section
 
 
 class StageSettings(Section):
-    """How the stage carries the clamps: down, then forth and back (the paper, Sec. 4.1)."""
+    """Motion of the clamps: down, then forward and back (the paper, Sec. 4.1)."""
 
     start_height_m: float = Field(
         0.21, gt=0, le=10, description="height of the clamps above the floor at the start"
     )
     drop_m: float = Field(0.06, ge=0, le=10, description="distance lowered")
     stroke_m: float = Field(0.30, gt=0, le=10, description="length of a stroke along the floor")
-    strokes: int = Field(4, ge=0, le=100, description="forth, back, forth, back")
+    strokes: int = Field(
+        4, ge=0, le=100, description="number of strokes: forward, back, forward, back"
+    )
     speed_m_s: float = Field(0.010, gt=0, le=1, description="largest speed")
     acceleration_m_s2: float = Field(
-        0.010, gt=0, le=10, description="with which it speeds up and slows down"
+        0.010, gt=0, le=10, description="acceleration and deceleration of the stage"
     )
 
     @model_validator(mode="after")
     def _stays_above_the_floor(self) -> "StageSettings":
         if self.drop_m >= self.start_height_m:
-            raise ValueError("drop_m must be less than start_height_m: the clamps hit the floor")
+            raise ValueError(
+                "drop_m must be less than start_height_m; otherwise the clamps hit the floor"
+            )
         return self
 
 
 class SimulationSettings(Section):
-    """How one drop-and-drag run is simulated."""
+    """Settings of a drop-and-drag simulation."""
 
     vertices_per_side: int = Field(
-        41, ge=5, le=401, description="vertices along a side of the 20 cm square"
+        41, ge=5, le=401, description="vertices per side of the 20 cm square"
     )
     time_step_s: float = Field(
         0.084,
@@ -43,43 +47,58 @@ class SimulationSettings(Section):
     step_error_m: float = Field(
         1.0e-4,
         gt=0,
-        description="a step whose discretisation moves the vertices by more (root mean square) "
-        "is halved, up to three times; .inf: never",
+        description="a step whose discretisation error (root mean square over the vertices) is "
+        "larger is halved, up to three times; .inf: never",
     )
-    frames: int = Field(300, ge=1, le=100_000, description="recorded frames, the first at 0 s")
+    frames: int = Field(
+        300, ge=1, le=100_000, description="number of recorded frames, the first at 0 s"
+    )
     frame_rate_hz: float = Field(2.4, gt=0, le=1000, description="frame k is at k / this rate")
     stage: StageSettings = Field(default_factory=StageSettings)
     friction_tolerance: float = Field(
         5.0e-4,
         gt=0,
         lt=1,
-        description="largest out-of-balance force on a vertex in an accepted step, over "
-        "friction coefficient times the weight of a vertex",
+        description="largest out-of-balance force on a vertex in an accepted step, divided by "
+        "the friction coefficient times the weight of a vertex",
     )
     newton_iterations_max: int = Field(
-        30, ge=1, le=1000, description="a step that needs more is halved"
+        30,
+        ge=1,
+        le=1000,
+        description="limit of Newton iterations; a step that needs more is halved",
     )
-    halvings_max: int = Field(8, ge=0, le=20, description="halvings of a step before giving up")
+    halvings_max: int = Field(12, ge=0, le=20, description="halvings of a step before giving up")
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
-        "start",
+        "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
-        "as ARCSim does, implicitly the end, or (rising) the end where it grows with curvature and "
-        "the start where it falls",
+        "as ARCSim does, implicitly the end, or (rising) the end while the moment grows with "
+        "curvature, the moment held where it would fall",
+    )
+    bending_stiffness_at_end: Fabrics = Field(
+        ("tango-red-jet-set",),
+        description="fabrics for which it is the end whatever bending_stiffness_at says: those "
+        "that the cheaper rules were measured to be wrong for (docs/physics.md)",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
     )
     self_contact: bool = Field(
-        True, description="layers of the cloth touch one another instead of passing through"
+        True,
+        description="contact between layers of the cloth; otherwise they pass through each other",
     )
     thickness_m: float = Field(
-        0.001, ge=1e-5, le=0.01, description="distance of the middle surfaces of touching layers"
+        0.001,
+        ge=1e-5,
+        le=0.01,
+        description="distance between the mid-surfaces of layers in contact",
     )
     layer_friction: float | None = Field(
         None,
         ge=0,
         allow_inf_nan=False,
-        description="friction coefficient between layers of the cloth; null: that of the floor",
+        description="friction coefficient between layers of the cloth; null: the same as with "
+        "the floor",
     )
     model: str | None = Field(
         None,
@@ -87,26 +106,46 @@ class SimulationSettings(Section):
         "tilt and errors of mass and bending apply to every simulation; null: plain Coulomb",
     )
     pins: Literal["tabs", "corner"] = Field(
-        "tabs", description="held: the upper edge within 1 cm of each corner, or the corners only"
+        "tabs",
+        description="clamped vertices: the upper edge within 1 cm of each corner, or "
+        "only the corners",
+    )
+    warp: Literal["u", "v"] = Field(
+        "u",
+        description="rest direction that counts as the fabric's warp, which extended friction laws "
+        "ask for: u along the upper edge, v down from it",
     )
     settle_s: float = Field(2.0, ge=0, le=60, description="rest before the stage starts")
-    yaw_sd_deg: float = Field(1.0, ge=0, le=45, description="replicates: spread of the clamps' yaw")
+    yaw_sd_deg: float = Field(
+        1.0, ge=0, le=45, description="replicates: standard deviation of the clamps' yaw"
+    )
     height_sd_m: float = Field(
-        0.0005, ge=0, le=0.005, description="replicates: spread of the clamps' height"
+        0.0005, ge=0, le=0.005, description="replicates: standard deviation of the clamps' height"
     )
     fabric_sd_rel: float = Field(
         0.03,
         ge=0,
         le=0.3,
-        description="replicates: relative spread of areal density, stretching and bending",
+        description="replicates: relative standard deviation of areal density, stretching and "
+        "bending",
     )
     natural_curl_per_m: float = Field(
         0.5,
         ge=0,
         le=20,
-        description="natural curvature of the cloth; its side, drawn per replicate, decides "
-        "to which side the hanging cloth sags",
+        description="natural curvature of the cloth, which determines to which side the hanging "
+        "cloth sags",
     )
+    curl_side: Literal["drawn", "same"] = Field(
+        "drawn",
+        description="sign of the curvature: drawn per replicate, or the same in all simulations",
+    )
+
+    def of_fabric(self, material: str) -> "SimulationSettings":
+        """The settings that a fabric is simulated with."""
+        if material not in self.bending_stiffness_at_end:
+            return self
+        return self.model_copy(update={"bending_stiffness_at": "end"})
 
     @property
     def recorded_s(self) -> float:

@@ -1,7 +1,7 @@
 """Settings of the train stage. Pydantic and the standard library only.
 
-Every choice that the paper leaves open, or that its text does not give us, is a switch here; the
-defaults are argued in docs/learning.md.
+Every choice that the paper leaves open is a switch here; the defaults are argued in
+docs/learning.md.
 """
 
 from typing import Literal
@@ -12,15 +12,27 @@ from slipstitch.config.section import Section, Seeds
 
 NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
 SPLITS = ("by_video", "by_simulation")
+#: The videos of by_video's sides and the same on the floors of the second training set.
+REFLECTIVE = "by_video_reflective"
+TRAINED_ON = (*SPLITS, REFLECTIVE)
+
+
+def split_of(trained_on: str) -> str:
+    """The split whose sides a training keeps to."""
+    return trained_on.removesuffix("_reflective")
 
 
 class TrainSettings(Section):
     """The paper's recurrent convolutional network and its training."""
 
     seeds: Seeds = Field([0], description="one training of every network a seed")
-    splits: list[Literal["by_video", "by_simulation"]] = Field(
-        list(SPLITS), min_length=1, description="the paper's split, and whole simulations held out"
+    splits: list[Literal["by_video", "by_simulation", "by_video_reflective"]] = Field(
+        list(SPLITS),
+        min_length=1,
+        description="the paper's split, whole simulations held out, and the paper's split with the "
+        "videos on render.reflective_floors as well, each shown half as often",
     )
+    reflective_seeds: Seeds = Field([0], description="those of by_video_reflective")
 
     architecture: Literal["lrcn"] = Field("lrcn", description="the paper's network")
     pixels: int | None = Field(
@@ -37,22 +49,29 @@ class TrainSettings(Section):
         [64, 128, 256, 512], min_length=1, description="output channels of the blocks conv1 ..."
     )
     convolutions: list[int] = Field(
-        [1, 2, 2, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
+        [2, 2, 1, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
     )
-    padding: Literal["same", "valid"] = "same"
-    pool_last_block: bool = Field(True, description="max pooling after the last block too")
+    padding: Literal["same", "valid"] = Field(
+        "same", description="of convolutions and poolings; valid: none"
+    )
     readout: Literal["flatten", "pool"] = Field(
         "pool", description="the last block's map flattened, or averaged over the image"
     )
-    batch_norm: bool = Field(
-        True, description="batch normalisation after every convolution, before its rectifier"
+    batch_norm: Literal["none", "features", "convolutions", "all"] = Field(
+        "all",
+        description="batch normalisation of the frames' features before the LSTM, after every "
+        "convolution before its rectifier, of both or neither",
     )
-    lstm_units: int = Field(256, ge=1)
-    fc_units: int = Field(
-        0, ge=0, description="hidden fully connected layer before the softmax; 0: none"
+    lstm_units: int = Field(256, ge=1, description="of each of the two LSTM layers")
+    fc_units: int = Field(256, ge=1, description="of the first of the two fully connected layers")
+    material_units: int | None = Field(
+        None,
+        ge=1,
+        description="outputs of the softmax layer that a told material goes through; null: as many "
+        "as materials",
     )
     dropout: float = Field(
-        0.2, ge=0.0, lt=1.0, description="of the frames' features and of the recurrent output"
+        0.2, ge=0.0, lt=1.0, description="between the two fully connected layers"
     )
     outputs: Literal["last", "all"] = Field(
         "last", description="the class is read after the last frame, or after every frame"
@@ -76,7 +95,7 @@ class TrainSettings(Section):
         "cycle, and at which fine-tuning goes on; 1: constant",
     )
     rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
-    epsilon: float = Field(1e-6, gt=0.0, description="Adadelta's")
+    epsilon: float = Field(1e-7, gt=0.0, description="Adadelta's; Keras' default")
     gradient_norm_max: float | None = Field(None, gt=0.0, description="clipping; null: none")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
@@ -95,12 +114,22 @@ class TrainSettings(Section):
         60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
     )
 
+    def trainings(self, trained_on: str) -> list[tuple[str, int]]:
+        """Networks and seeds of the trainings on one of `TRAINED_ON`.
+
+        On reflective floors only what tells the paper's last curve: material, then friction.
+        """
+        if trained_on == REFLECTIVE:
+            networks = ("material_baseline", "friction_conditional")
+            return [(network, seed) for network in networks for seed in self.reflective_seeds]
+        return [(network, seed) for network in NETWORKS for seed in self.seeds]
+
     @model_validator(mode="after")
     def _blocks_agree(self) -> "TrainSettings":
         if len(self.channels) != len(self.convolutions):
             raise ValueError(
                 f"channels names {len(self.channels)} blocks, convolutions "
-                f"{len(self.convolutions)}: one number a block in both"
+                f"{len(self.convolutions)}: one number per block in both"
             )
         if min(self.channels) < 1 or min(self.convolutions) < 1:
             raise ValueError("channels and convolutions must be positive")

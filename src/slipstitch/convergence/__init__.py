@@ -1,1 +1,1 @@
-"""How far drop-and-drag depends on the time step and on the mesh."""
+"""Dependence of drop-and-drag on the time step and the mesh."""

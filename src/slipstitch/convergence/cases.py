@@ -1,4 +1,4 @@
-"""The runs of the study; apart from the rest, which takes seconds to import."""
+"""The runs of the study; separate from the rest, which takes seconds to import."""
 
 import math
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ def cases(config: Config) -> list[StudyCase]:
     """The runs of the study, those at the chosen settings first."""
     study = config.convergence
     sides = study.vertices_per_side
-    refinements = [(sides[0], h) for h in range(study.halvings + 1)]
+    refinements = [(sides[0], h) for h in dict.fromkeys((0, study.halvings))]
     refinements += [(side, 0) for side in sides[1:]]
     return [
         StudyCase(
@@ -41,7 +41,6 @@ def cases(config: Config) -> list[StudyCase]:
         for side, halvings in refinements
         for material in study.materials
         for friction in study.frictions
-        if friction in study.finest_frictions or (side == sides[0] and halvings <= 1)
     ]
 
 
@@ -56,10 +55,15 @@ def case_settings(
         Those of the simulations, calibrated.
     """
     study = config.convergence
+    implicit = {"bending_stiffness_at": "end"} if case.halvings else {}
     return chosen.model_copy(
-        update={
+        update=implicit
+        | {
             "vertices_per_side": case.vertices_per_side,
             "time_step_s": chosen.time_step_s / 2**case.halvings,
+            # Of second order in the step, as the error of one step of implicit Euler.
+            "step_error_m": chosen.step_error_m / 4**case.halvings,
+            "friction_tolerance": chosen.friction_tolerance / 4**case.halvings,
             "frame_rate_hz": study.frame_rate_hz,
             "frames": math.floor(study.window_s * study.frame_rate_hz + 1e-9) + 1,
         }

@@ -14,7 +14,7 @@ LEAST_MM = 1e-3
 
 
 def convergence_figure(study: Mapping[str, Any]) -> Figure:
-    """Draw a study: a row a kind of refinement, a column a fabric, a colour a friction.
+    """Draw a study: one row per kind of refinement, one column per fabric, one colour per friction.
 
     Parameters
     ----------

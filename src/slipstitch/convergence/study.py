@@ -8,17 +8,36 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config
 from slipstitch.convergence.cases import cases
 from slipstitch.errors import BadInput
+from slipstitch.simulate.convergence import (
+    BUT_FOR_AN_EVENT,
+    CONVERGED,
+    NOT_CONVERGED,
+    worst_verdict,
+)
 from slipstitch.simulate.trajectory import Trajectory
 
-SUMMARISED = ("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")
+SUMMARISED = (
+    "finest",
+    "mean_m",
+    "mean_largest_m",
+    "worst_m",
+    "shifted_mean_m",
+    "shifted_largest_m",
+    "steady_largest_m",
+    "worst_shift_s",
+)
 SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
+SHIFTED_PLACES = 21  # a side, of the places compared at other times
 CURVE_POINTS_MAX = 120
 FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
+STEADY_SPEED_M_S = 0.001
+STEADY_S = 1.0
 
 
 def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:
@@ -35,31 +54,39 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
     -------
     dict
         ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: it has been
-        dragged 2 mm along the floor since the stage started. ``flip``: the cloth rolls over, its
+        dragged 2 mm along the floor since the stroke began. ``flip``: the cloth rolls over, its
         vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
-        the stage; the moment when that is fastest.
+        the stage; the moment when that is fastest. Those of a second stroke are ``slip 2``,
+        ``flip 2``, and so on.
     """
     path = path or StagePath(**run.metadata["settings"].get("stage", {}))
     edge = run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - edge[:, 2])}
-    found["slip"] = found["flip"] = None
-    begun = int(np.searchsorted(time_s, path.drop_duration_s))
-    if begun < len(time_s) - 1:
-        moved = np.abs(edge[begun:, 0] - edge[begun, 0])
-        found["slip"] = _first(time_s[begun:], moved - 2e-3)
-        places = run.positions_m[begun:].astype(float)
-        places[..., 0] -= run.stage_x_m[begun:, None]
+    for stroke in range(max(path.strokes, 1)):
+        begin_s = path.drop_duration_s + stroke * path.stroke_duration_s
+        begun, over = np.searchsorted(time_s, [begin_s, begin_s + path.stroke_duration_s])
+        part = slice(begun, over + 1)
+        if stroke and len(time_s[part]) < 2:
+            break
+        number = f" {stroke + 1}" if stroke else ""
+        found[f"slip{number}"], found[f"flip{number}"] = None, None
+        if len(time_s[part]) < 2:
+            continue
+        moved = np.abs(edge[part, 0] - edge[begun, 0])
+        found[f"slip{number}"] = _first(time_s[part], moved - 2e-3)
+        places = run.positions_m[part].astype(float)
+        places[..., 0] -= run.stage_x_m[part, None]
         travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1)
-        speed_m_s = travelled / np.diff(time_s[begun:])
+        speed_m_s = travelled / np.diff(time_s[part])
         fastest = int(speed_m_s.argmax())
         if speed_m_s[fastest] >= FLIP_SPEED_M_S:
-            found["flip"] = float(time_s[begun + fastest : begun + fastest + 2].mean())
+            found[f"flip{number}"] = float(time_s[part][fastest : fastest + 2].mean())
     return found
 
 
 def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
-    """When a value first becomes positive, interpolated."""
+    """Interpolated time at which a value first becomes positive."""
     after = np.flatnonzero(value > 0)
     if not len(after):
         return None
@@ -71,7 +98,7 @@ def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
 
 
 def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict[str, Any]:
-    """How far apart two runs are, vertex by vertex, at the same times and at shifted ones.
+    """Distance between two runs, vertex by vertex, at the same times and at shifted ones.
 
     Parameters
     ----------
@@ -86,8 +113,11 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         ``mean_m``: mean over vertices and time; ``mean_largest_m``: the largest mean of a moment;
         ``worst_m``: the worst vertex of any moment; ``shifted_mean_m``, ``shifted_largest_m``:
         the first two, every moment compared with that moment of the finest, up to 2 s before or
-        after, which is most like it (places relative to the clamps); ``events``: times in both
-        and their difference; ``curve``: thinned out.
+        after, which is most like it (places relative to the clamps, a straight line from frame to
+        frame; the largest less what that leaves out of a curved way); ``worst_shift_s``: how much
+        later that is, at the moment of the largest mean; ``steady_largest_m``: the largest mean of
+        moments at which both runs are steadily dragged (None: there are none); ``events``: times
+        in both and their difference; ``curve``: thinned out.
 
     Raises
     ------
@@ -95,12 +125,15 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         The runs have different frames.
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
-        raise BadInput("the runs to compare have different frames: make them anew")
+        raise BadInput("the runs have different frames; regenerate them")
     first, second = (_places(trajectory, sides) for trajectory in (run, finest))
     distance = np.linalg.norm(first - second, axis=2)
     mean, worst = distance.mean(axis=1), distance.max(axis=1)
-    shifted = _least_mean_distance(first, second, run.time_s)
+    few, others = _fewer(first, second)
+    shifted, shift_s, bend = _least_mean_distance(few, others, run.time_s)
+    shifted = np.minimum(shifted, mean)
     there, reference = events(run), events(finest)
+    steady = _is_steady(first, run.time_s) & _is_steady(second, run.time_s)
     every = -(-len(mean) // CURVE_POINTS_MAX)
     curve = {"time_s": run.time_s, "mean_m": mean, "worst_m": worst, "shifted_mean_m": shifted}
     return {
@@ -109,11 +142,17 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         "worst_m": float(worst.max()),
         "worst_time_s": float(run.time_s[worst.argmax()]),
         "shifted_mean_m": float(shifted.mean()),
-        "shifted_largest_m": float(shifted.max()),
+        "shifted_largest_m": float((shifted - np.minimum(bend, shifted)).max()),
+        "worst_shift_s": float(shift_s[mean.argmax()]),
+        "steady_largest_m": float(mean[steady].max()) if steady.any() else None,
         "events": {
-            name: {"time_s": time_s, "finest_s": reference[name], "shift_s": _shift(time_s, other)}
+            name: {
+                "time_s": time_s,
+                "finest_s": reference.get(name),
+                "shift_s": _shift(time_s, other),
+            }
             for name, time_s in there.items()
-            if (other := reference[name]) is not None or time_s is not None
+            if (other := reference.get(name)) is not None or time_s is not None
         },
         "curve": {name: np.round(values[::every], 6).tolist() for name, values in curve.items()},
     }
@@ -127,15 +166,53 @@ def _places(run: Trajectory, sides: tuple[int, ...]) -> np.ndarray:
     return places
 
 
-def _least_mean_distance(first, second, time_s) -> np.ndarray:
+def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Whether the cloth hardly moves relative to the clamps for a second before and after."""
+    if len(time_s) < 2:
+        return np.zeros(len(time_s), bool)
+    moved_m = np.linalg.norm(np.diff(places_m, axis=0), axis=2).mean(axis=1)
+    fast = np.append(moved_m / np.diff(time_s) > STEADY_SPEED_M_S, False)
+    reach = round(STEADY_S / (time_s[1] - time_s[0]))
+    return ~maximum_filter1d(fast, 2 * reach + 1)
+
+
+def _fewer(*places: np.ndarray) -> list[np.ndarray]:
+    """At most some 21 x 21 of the places."""
+    side = math.isqrt(places[0].shape[1])
+    line = np.arange(0, side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
+    chosen = (line[:, None] * side + line).ravel()
+    return [one[:, chosen] for one in places]
+
+
+def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
+    """Of each moment of the first from the second's way 2 s before and after.
+
+    Returns
+    -------
+    least_m, later_s, bend_m : ndarray, shape (T,)
+        Distance, how much later that is, and what a straight line from frame to frame leaves out of
+        the way there: an eighth of the second difference, if the acceleration is constant.
+    """
     frames = len(time_s)
-    reach = int(SHIFT_MAX_S / (time_s[1] - time_s[0]) + 1e-9) if frames > 1 else 0
-    least = np.full(frames, np.inf)
-    for shift in range(-reach, reach + 1):
-        here = np.arange(max(0, -shift), min(frames, frames - shift))
-        mean = np.linalg.norm(first[here] - second[here + shift], axis=2).mean(axis=1)
-        least[here] = np.minimum(least[here], mean)
-    return least
+    frame_s = time_s[1] - time_s[0] if frames > 1 else 1.0
+    reach = int(SHIFT_MAX_S / frame_s + 1e-9)
+    least, later_s, bend = np.full(frames, np.inf), np.zeros(frames), np.zeros(frames)
+    way = np.diff(second, axis=0)
+    squared = np.maximum((way**2).sum(axis=(1, 2)), 1e-300)
+    second_difference = np.zeros(frames)
+    second_difference[1:-1] = np.linalg.norm(np.diff(way, axis=0), axis=2).mean(axis=1)
+    for shift in range(-reach, reach):
+        here = np.arange(max(0, -shift), min(frames, frames - 1 - shift))
+        there = here + shift
+        away, along = first[here] - second[there], way[there]
+        part = np.clip((away * along).sum(axis=(1, 2)) / squared[there], 0.0, 1.0)
+        mean = np.linalg.norm(away - part[:, None, None] * along, axis=2).mean(axis=1)
+        nearer = mean < least[here]
+        here, there, part = here[nearer], there[nearer], part[nearer]
+        least[here] = mean[nearer]
+        later_s[here] = (shift + part) * frame_s
+        bend[here] = np.maximum(second_difference[there], second_difference[there + 1]) / 8
+    return least, later_s, bend
 
 
 def _shift(time_s: float | None, finest_s: float | None) -> float | None:
@@ -184,18 +261,19 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
 
 
 def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What the simulations' own records say: the chosen settings, pair by pair.
+    """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
     Returns
     -------
     list of dict
-        ``material, friction, time_step, mesh, converged``; the third and fourth hold
+        ``material, friction, time_step, mesh, verdict``; the third and fourth hold
         ``finest`` (what was compared with), ``mean_m, mean_largest_m, worst_m, shifted_mean_m,
-        event_shift_s`` (the largest) and ``events_missing`` (those that happen in one of the two
-        runs only), or are None where not studied. ``converged`` is None then, if nothing else
-        speaks against it.
+        shifted_largest_m, steady_largest_m, worst_shift_s, event_shift_s`` (the largest),
+        ``events_missing`` (those that happen in one of the two runs only) and a ``verdict`` of
+        their own, or are None where not studied. The verdict of both is the worse one, None if
+        nothing speaks against convergence and not both were studied.
     """
-    study = config.convergence
+    demand_m = config.convergence.mean_distance_m
     rows: dict[tuple[str, float], dict] = {}
     for comparison in compared:
         row = rows.setdefault(
@@ -207,17 +285,29 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
         if row[key] is None:  # the first is the one at the chosen settings
             shifts = {name: event["shift_s"] for name, event in comparison["events"].items()}
             known = [abs(shift) for shift in shifts.values() if shift is not None]
-            row[key] = {
+            found = row[key] = {
                 **{name: comparison[name] for name in SUMMARISED},
                 "event_shift_s": max(known, default=0.0),
                 "events_missing": [name for name, shift in shifts.items() if shift is None],
             }
+            found["verdict"] = _verdict(found, demand_m)
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
-        within = all(kind["mean_largest_m"] <= study.mean_distance_m for kind in studied)
-        # Within the demand as far as studied is not converged: the rest may speak against it.
-        row["converged"] = None if within and len(studied) < 2 else within
+        row["verdict"] = worst_verdict([found["verdict"] for found in studied])
+        if len(studied) < 2 and row["verdict"] == CONVERGED:
+            row["verdict"] = None  # what was not studied may speak against it
     return list(rows.values())
+
+
+def _verdict(found: Mapping[str, Any], demand_m: float) -> str:
+    """Of one kind of refinement: the same; the same but for when it happens; something else."""
+    if found["mean_largest_m"] <= demand_m:
+        return CONVERGED
+    steady_m = found["steady_largest_m"]
+    same = steady_m is not None and max(steady_m, found["shifted_largest_m"]) <= demand_m
+    if same and not found["events_missing"]:
+        return BUT_FOR_AN_EVENT.format(max(found["event_shift_s"], abs(found["worst_shift_s"])))
+    return NOT_CONVERGED
 
 
 def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
@@ -231,14 +321,13 @@ def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
     compared = comparisons(config, runs)
     here = [case for case in cases(config) if case.id in runs]
     if not here:
-        raise BadInput(f"no run of the study is there; its ids are like {cases(config)[0].id}")
+        raise BadInput(f"no runs of the study found; their ids look like {cases(config)[0].id}")
     chosen = runs[here[0].id].metadata
     return {
         "settings": {
             "convergence": config.convergence.model_dump(mode="json"),
             "time_step_s": chosen["step_s"],
             "simulation": chosen["settings"],
-            "self_contact": chosen["settings"].get("self_contact"),
         },
         "runs": [
             {

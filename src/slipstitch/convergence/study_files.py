@@ -1,4 +1,4 @@
-"""The study's files: one a case, the comparison of all, and what is published of it."""
+"""The files of the study: one per case, the comparison of all, and the published results."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def simulate_case(
     name : str
         The case's id.
     out : path
-        Parquet file, one row a frame.
+        Parquet file, one row per frame.
     calibration : path, optional
         The file that settings were taken from, for the record.
 
@@ -49,7 +49,7 @@ def simulate_case(
     started = start_clock()
     case = {case.id: case for case in cases(config)}.get(name)
     if case is None:
-        raise BadInput(f"the study has no case {name!r}: its ids are like {cases(config)[0].id}")
+        raise BadInput(f"the study has no case {name!r}; its ids look like {cases(config)[0].id}")
     settings = case_settings(case, config, config.simulation)
     trajectory, columns = simulate_drop_and_drag(
         case.material, case.friction, config.convergence.seed, settings
@@ -111,10 +111,9 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     table = {
         "studied": {
             "time_step_s": study["settings"]["time_step_s"],
-            "vertices_per_side": own["vertices_per_side"][0],
             "window_s": own["window_s"],
-            "converged_mean_m": own["mean_distance_m"],
-            "self_contact": study["settings"]["self_contact"],
+            "mean_distance_m": own["mean_distance_m"],
+            "simulation": study["settings"]["simulation"],
         },
         "cases": study["summary"],
     }

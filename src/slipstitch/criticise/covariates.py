@@ -46,7 +46,7 @@ class Covariate:
 
     @property
     def axis_label(self) -> str:
-        """What stands at its axis."""
+        """The label of its axis."""
         unit = f" ({self.unit})" if self.unit else ""
         return f"{'log₁₀ ' if self.logarithmic else ''}{self.title}{unit}"
 
@@ -69,7 +69,7 @@ class Covariate:
 _ENTRIES = (
     Covariate(
         "pos_x_mm",
-        "place on the substrate",
+        "position on the substrate",
         "mm",
         trends=True,
         bumps=True,
@@ -101,6 +101,7 @@ _ENTRIES = (
     Covariate("load_ratio", "load", "p/p₀", logarithmic=True, trends=True, bumps=True),
     Covariate("speed_mm_s", "speed", "mm/s", logarithmic=True, trends=True, bumps=True),
     Covariate("operator", "operator", text=True),
+    Covariate("support", "support", text=True),
     Covariate("length_mm", "strip length", "mm"),
     Covariate("height_mm", "clamp height", "mm"),
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 from slipstitch import __version__
 from slipstitch.criticise.case import Case
@@ -10,8 +12,17 @@ from slipstitch.criticise.extended_model import write_extended_model
 from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
 from slipstitch.criticise.inference.certificate import of_design
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import certificate, sentence, verdict_of
+from slipstitch.criticise.verdict import certificate, statement, verdict_of
 from slipstitch.provenance import write_json, write_text
+
+
+def finite(content: Any) -> Any:
+    """Plain data with None (``null``) for every number that could not be computed."""
+    if isinstance(content, dict):
+        return {key: finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def criticise_to_files(
@@ -21,6 +32,7 @@ def criticise_to_files(
     *,
     verdict_path: str,
     page_path: str | None,
+    picture_path: str | None,
     model_path: str | None,
     resimulation_path: str | None,
 ) -> str:
@@ -31,28 +43,34 @@ def criticise_to_files(
     case : Case
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
-    verdict_path, page_path, model_path, resimulation_path : path
-        JSON, HTML, YAML, JSON; all but the verdict may be None.
+    verdict_path, page_path, picture_path, model_path, resimulation_path : path
+        JSON, HTML (or Markdown, by its name), SVG, YAML, JSON; all but the verdict may be None.
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
-    write_json(verdict_path, verdict, allow_nan=True)
+    write_json(verdict_path, finite(verdict))
     again = None
     if resimulation_path:
-        from slipstitch.criticise.resimulation import resimulate
+        from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
 
-        summary = {"case": case.name, "reason": "no drop-and-drag runs to simulate again"}
+        why = "no drop-and-drag runs to simulate"
         if "drop_drag" in case.protocols:
-            again = resimulate(case, verdict)
-            summary = again.summary
-        write_json(resimulation_path, summary, allow_nan=True)
-    if page_path:
-        from slipstitch.criticise.report import page
+            again = resimulate_left_out(case, seed, replicates)
+            why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
+        summary = again.summary if again else {"case": case.name, "reason": why}
+        write_json(resimulation_path, finite(summary))
+    if page_path or picture_path:
+        from slipstitch.criticise.report import left_over, markdown, page
 
-        write_text(page_path, page(verdict, analysis, again))
+        if page_path:
+            as_text = Path(page_path).suffix == ".md"
+            text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
+            write_text(page_path, text)
+        if picture_path:
+            write_text(picture_path, left_over(verdict, analysis))
     if model_path:
         write_extended_model(verdict, Path(model_path))
-    return sentence(verdict)
+    return statement(verdict)
 
 
 def power_to_file(case: Case, seed: int, replicates: int, path: str) -> str:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS, Bench
+from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block
 from slipstitch.criticise.sensors import ZEROS, Zero
@@ -54,6 +55,7 @@ class Measurements:
     y, u : (n,) measured values and instrument uncertainties.
     run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
     sound_sensors : no sensor's zero is allowed for.
+    implausible : readings or sizes that must be of another unit, a line each.
     """
 
     blocks: list[Block]
@@ -65,6 +67,7 @@ class Measurements:
     protocol: np.ndarray
     lower_bound: np.ndarray
     sound_sensors: bool = False
+    implausible: tuple[str, ...] = ()
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
@@ -198,11 +201,15 @@ def assemble(case: Case, measured: bool = True) -> Measurements:
         if protocol.runs_table in case.tables
     ]
     kept = [block for block in blocks if block is not None]
+    odd = tuple(implausible(case)) if measured else ()
     if not kept:
-        raise BadInput(f"{case.name}: no run has a usable trace; at least one slip is needed")
+        why = " ".join(odd) or "at least one slip is needed"
+        raise BadInput(f"{case.name}: no run has a usable trace; {why}")
     for block in kept:
         block.rows.insert(0, "protocol", block.protocol)
-    return measurements_of(kept)
+    found = measurements_of(kept)
+    found.implausible = odd
+    return found
 
 
 def measurements_of(blocks: list[Block]) -> Measurements:

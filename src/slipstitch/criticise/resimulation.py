@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -11,12 +11,16 @@ from scipy.stats import t as student
 from slipstitch.bench.extended_model import ExtendedModel, model_of
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import extended_model
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.verdict import verdict_of
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import CONTACT_MECHANISMS
 from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 
 MODELS = ("null", "extended")
 QUANTITIES = ("te_x_mm", "contact_len_mm")
+MOST_FOLDS, FEWEST_SPECIMENS = 6, 3  # each specimen is left out once
 DEFAULT_ROWS, DEFAULT_STEP_S = 161, 0.04
 # Column of a run table, field of a simulated run, quantity of a contact, factor to SI.
 CONDITIONS = (
@@ -57,7 +61,7 @@ def resimulate(
         A simulation could not be solved.
     """
     if "drop_drag" not in case.protocols:
-        raise BadInput(f"{case.name}: no drop-and-drag runs to simulate again")
+        raise BadInput(f"{case.name}: no drop-and-drag runs to simulate")
     runs = case.tables["drop_drag_runs"]
     measured = case.tables["drop_drag"]
     measured = measured[measured["phase"] == "fwd"]
@@ -91,6 +95,55 @@ def resimulate(
         "all": compare(frames, *QUANTITIES),
     }
     return Resimulation(frames, summary)
+
+
+def resimulate_left_out(
+    case: Case, seed: int, replicates: int, rows: int = DEFAULT_ROWS, step_s: float = DEFAULT_STEP_S
+) -> Resimulation | None:
+    """As :func:`resimulate`, every run with models that its specimen had no part in.
+
+    One specimen is left out at a time (a sixth of them where there are more than six) and the
+    whole criticism, selection included, made anew from the others. None where there are too few.
+    """
+    runs, frames = case.tables["drop_drag_runs"], case.tables["drop_drag"]
+    names = runs["specimen_id"].where(runs["specimen_id"] != "", runs["run_id"])
+    specimens = list(dict.fromkeys(names))
+    if len(specimens) < FEWEST_SPECIMENS:
+        return None
+
+    def part(of: pd.Series) -> Case:
+        own = frames["run_id"].isin(runs["run_id"][of])
+        tables = {"drop_drag_runs": runs[of], "drop_drag": frames[own]}
+        tables = {name: table.reset_index(drop=True) for name, table in tables.items()}
+        return replace(case, tables=case.tables | tables)
+
+    shown, folds = [], []
+    count = min(len(specimens), MOST_FOLDS)
+    for k in range(count):
+        left_out = names.isin(specimens[k::count])
+        training = part(~left_out)
+        analysis = analyse(assemble(training), seed, replicates)
+        verdict = verdict_of(training, analysis, seed, "")
+        again = resimulate(part(left_out), verdict, rows, step_s)
+        shown.append(again.frames)
+        folds.append(
+            {
+                "left_out": specimens[k::count],
+                "verdict": verdict["verdict"],
+                "causes": verdict["models"]["extended"]["causes"],
+                "simulations": again.summary["simulations"],
+            }
+        )
+    together = pd.concat(shown, ignore_index=True)
+    summary = {
+        "case": case.name,
+        "folds": folds,
+        "rows": rows,
+        "step_s": step_s,
+        "quantities": {quantity: compare(together, quantity) for quantity in QUANTITIES},
+        "all": compare(together, *QUANTITIES),
+    }
+    return Resimulation(together, summary)
 
 
 def _sheet(nominal: dict, model: ExtendedModel) -> Sheet:
@@ -133,9 +186,9 @@ def _read_off(
 
 
 def compare(frames: pd.DataFrame, *quantities: str) -> dict:
-    """Error of both models, and the gain with a t-interval over specimens.
+    """Error of both models, and the gain: how much of the null's mean square error is gone.
 
-    The gain is the mean over specimens of the fall of the mean square error, over the null's.
+    Its interval is that of the ratio's logarithm (jackknife over specimens): never above 1.
     """
     squares = {}
     for name in MODELS:
@@ -144,15 +197,19 @@ def compare(frames: pd.DataFrame, *quantities: str) -> dict:
         ]
         squares[name] = np.mean(np.square(errors), axis=0)
     table = pd.DataFrame(squares).groupby(frames["specimen_id"].to_numpy()).mean()
-    fall = (table["null"] - table["extended"]).to_numpy() / table["null"].mean()
-    n = len(fall)
-    half = float(student.ppf(0.975, n - 1) * fall.std(ddof=1) / np.sqrt(n)) if n > 1 else np.inf
+    n = len(table)
+    log_ratio = float(np.log(table["extended"].mean() / table["null"].mean()))
+    interval = None
+    if n > 1:
+        others = (table.sum() - table) / (n - 1)
+        left_out = np.log(others["extended"] / others["null"]).to_numpy()
+        error = np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2))
+        reach = student.ppf(0.975, n - 1) * error
+        interval = [round(float(1 - np.exp(log_ratio + k * reach)), 4) for k in (1, -1)]
     return {
         "rmse_null_mm": round(float(np.sqrt(table["null"].mean())), 4),
         "rmse_extended_mm": round(float(np.sqrt(table["extended"].mean())), 4),
-        "gain": round(float(fall.mean()), 4),
-        "gain_ci95": [round(float(fall.mean() - half), 4), round(float(fall.mean() + half), 4)]
-        if np.isfinite(half)
-        else None,
+        "gain": round(1 - float(np.exp(log_ratio)), 4),
+        "gain_ci95": interval,
         "specimens": n,
     }

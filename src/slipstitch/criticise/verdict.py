@@ -18,6 +18,7 @@ from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.within_runs import within_runs, words
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
@@ -35,6 +36,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
+        "about": str(case.meta.get("about", "")),
         "verdict": analysis.verdict,
         "causes": list(analysis.causes),
         "alternatives": [list(c) for c in analysis.alternatives],
@@ -73,6 +75,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             }
             for p, s in analysis.state.scatters.items()
         },
+        "within_runs": within_runs(case, analysis.measurements),
         "models": {"null": _model(analysis, analysis.null), "extended": _model(analysis, fitted)},
         "nominal": case.nominal,
         "ignored_files": list(case.ignored_files),
@@ -127,7 +130,7 @@ def _untestable(analysis: Analysis) -> dict[str, str]:
     for name in MECHANISMS:
         own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
         if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
-            result[name] = "cannot be told from the friction coefficient with these data"
+            result[name] = "cannot be distinguished from the friction coefficient with these data"
     return result
 
 
@@ -238,12 +241,17 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
     }
 
 
+def statement(verdict: dict) -> str:
+    """The verdict, and what single runs show besides."""
+    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {}))])
+
+
 def sentence(verdict: dict) -> str:
     """The verdict in one sentence."""
     kind = verdict["verdict"]
     if kind == "none":
         return (
-            "The plain Coulomb model describes these measurements: no structure is left "
+            "Nothing beyond plain Coulomb friction with scatter was found in these measurements "
             f"(family-wise p = {verdict['null']['global_p']:.2g}).{_scatter(verdict)}"
         )
     if kind == "insufficient":
@@ -256,7 +264,9 @@ def sentence(verdict: dict) -> str:
         rivals = " or ".join(
             " with ".join(RIVALS.get(name, name) for name in c) for c in verdict["alternatives"]
         )
-        return f"The model is wrong, but these data cannot tell which of these is why: {rivals}."
+        return (
+            f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
+        )
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
         f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"

@@ -1,1 +1,1 @@
-"""What this machine has of what Slipstitch needs, and what a configuration would cost on it."""
+"""Requirements of Slipstitch on this machine, and the estimated cost of a configuration."""

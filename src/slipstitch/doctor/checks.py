@@ -1,4 +1,4 @@
-"""The checks of ``slipstitch doctor``: each looks at one thing and says how to get it."""
+"""The checks of ``slipstitch doctor``: each checks one requirement and names its remedy."""
 
 import enum
 import importlib.metadata
@@ -12,15 +12,17 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[3]
-REQUIREMENTS = ROOT / "envs" / "requirements.txt"
-SYSTEM_PACKAGES = ROOT / "envs" / "system-packages.txt"
+from slipstitch.project import project_folder
+
+ENVIRONMENT = project_folder() / "envs"
+REQUIREMENTS = ENVIRONMENT / "requirements.txt"
+SYSTEM_PACKAGES = ENVIRONMENT / "system-packages.txt"
 DISK_NEEDED_BYTES = 2e9
 MEMORY_NEEDED_BYTES = 4e9
 
 
 class Standing(enum.Enum):
-    """How a finding stands: needed and there, worth knowing, needed and not there."""
+    """State of a finding: requirement met, information, requirement missing."""
 
     GOOD = "ok"
     NOTE = "note"
@@ -90,7 +92,7 @@ def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
     """The direct dependencies, at their pinned versions."""
     pinned = pinned_versions(path)
     if not pinned:
-        return Diagnosis("packages", Standing.NOTE, "no list of pinned versions beside the package")
+        return Diagnosis("packages", Standing.NOTE, "no list of pinned versions found")
     absent, other = compare_versions(pinned)
     wrong = [f"{package} (needs {version})" for package, version in absent.items()]
     wrong += [f"{package} {other[package]} (pinned {pinned[package]})" for package in other]
@@ -98,7 +100,8 @@ def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
         return Diagnosis("packages", Standing.GOOD, f"all {len(pinned)} at their pinned versions")
     good = len(pinned) - len(wrong)
     state = Standing.MISSING if absent else Standing.NOTE
-    return Diagnosis("packages", state, f"{good} of {len(pinned)}; not: {', '.join(wrong)}",
+    return Diagnosis("packages", state, f"{good} of {len(pinned)} at their pinned versions; not: "
+    f"{', '.join(wrong)}",
                    "make setup")  # fmt: skip
 
 
@@ -123,7 +126,7 @@ def check_system_libraries() -> Diagnosis:
     ]
     missing = sorted(set(re.findall(r"(\S+) => not found", "\n".join(answers))))
     if not missing:
-        return Diagnosis(name, Standing.GOOD, "all that Blender is linked against")
+        return Diagnosis(name, Standing.GOOD, "all libraries that Blender requires")
     packages = ""
     if SYSTEM_PACKAGES.is_file():
         lines = SYSTEM_PACKAGES.read_text(encoding="utf-8").splitlines()
@@ -138,7 +141,7 @@ def _in_a_process(*arguments: str, seconds: float = 120.0) -> tuple[bool, str]:
             [sys.executable, *arguments], capture_output=True, text=True, timeout=seconds
         )
     except subprocess.TimeoutExpired:
-        return False, f"no answer in {seconds:g} s"
+        return False, f"no answer within {seconds:g} s"
     lines = (answer.stdout if answer.returncode == 0 else answer.stderr).strip().splitlines()
     fallback = f"exit code {answer.returncode}"
     return answer.returncode == 0, lines[-1] if lines else fallback
@@ -156,7 +159,7 @@ def check_warp() -> Diagnosis:
     """Whether Warp compiles and runs a kernel on the CPU."""
     good, line = _in_a_process("-m", "slipstitch.doctor.warp_kernel")
     if good:
-        return Diagnosis("Warp", Standing.GOOD, f"{line}, computes on the CPU")
+        return Diagnosis("Warp", Standing.GOOD, f"{line}, runs on the CPU")
     return Diagnosis("Warp", Standing.MISSING, line, "make setup")
 
 
@@ -170,14 +173,14 @@ def check_processor(information: Path = Path("/proc/cpuinfo")) -> Diagnosis:
     features = [flag for flag in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if flag in flags]
     fast = bool({"avx512_bf16", "amx_bf16"} & flags)
     training = "bfloat16 training" if fast else "float32 training, 3-4 times slower than bfloat16"
-    found = f"{cores} cores, {' '.join(features) or 'no vector extensions seen'}: {training}"
+    found = f"{cores} cores, {' '.join(features) or 'no vector extensions found'}: {training}"
     return Diagnosis("processor", Standing.GOOD if fast else Standing.NOTE, found)
 
 
 def check_gpu() -> Diagnosis:
     """A graphics processor; nothing needs one."""
     if shutil.which("nvidia-smi") is None:
-        return Diagnosis("GPU", Standing.NOTE, "none; not needed")
+        return Diagnosis("GPU", Standing.NOTE, "none; not required")
     answer = subprocess.run(
         ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"],
         capture_output=True,
@@ -185,7 +188,7 @@ def check_gpu() -> Diagnosis:
     )
     names = "; ".join(answer.stdout.strip().splitlines())
     if answer.returncode != 0 or not names:
-        return Diagnosis("GPU", Standing.NOTE, "none that works; not needed")
+        return Diagnosis("GPU", Standing.NOTE, "none usable; not required")
     return Diagnosis("GPU", Standing.GOOD, names)
 
 
@@ -201,7 +204,9 @@ def check_memory() -> Diagnosis:
         return Diagnosis("memory", Standing.NOTE, "unknown")
     if total < MEMORY_NEEDED_BYTES:
         remedy = "run one job at a time: make all CORES=1"
-        return Diagnosis("memory", Standing.NOTE, f"{_size(total)}, little for two jobs", remedy)
+        return Diagnosis(
+            "memory", Standing.NOTE, f"{_size(total)}, not enough for two jobs", remedy
+        )
     return Diagnosis("memory", Standing.GOOD, _size(total))
 
 
@@ -218,5 +223,5 @@ def check_git() -> Diagnosis:
     """git, for the commit in the provenance records."""
     if shutil.which("git"):
         return Diagnosis("git", Standing.GOOD, "there")
-    return Diagnosis("git", Standing.NOTE, "none: provenance records go without a commit",
+    return Diagnosis("git", Standing.NOTE, "none: provenance records will not contain a commit",
                    "sudo apt-get install git")  # fmt: skip

@@ -1,16 +1,16 @@
-"""What a configuration costs: jobs, CPU time, disk; from costs per item that were measured.
+"""Estimated cost of a configuration: jobs, CPU time, disk; from measured costs per item.
 
 The table `COSTS` is the only place with measured numbers; the rest scales them.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 from slipstitch.catalogue import FLOORS
 from slipstitch.config.calibrate import KEYS
-from slipstitch.config.grid import batches, simulations, textures, viewpoints
+from slipstitch.config.grid import batches, films, simulations
 from slipstitch.config.model import Config
-from slipstitch.config.train import NETWORKS
 from slipstitch.page.wording import aligned, size
 
 
@@ -29,7 +29,7 @@ COSTS = {
         20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
     ),
     "strip_s": Cost(
-        1.2, "CPU s a push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
+        1.2, "CPU s per push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
     ),
     "simulate_step_s": Cost(
         0.022,
@@ -37,9 +37,9 @@ COSTS = {
         "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
     ),
     "self_contact_step_s": Cost(
-        0.055,
+        0.097,
         "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
-        "131 s, 1575 steps, busy machine: 20 CPU s at friction 0, 92 to 159 at 0.5 to 1.5",
+        "300 frames, 1488 steps, ten fabrics: mean 145 CPU s; above 490 for tango-red-jet-set",
     ),
     # Sparse Cholesky alone, of the order of V^1.5 operations for V vertices, would make it 3.
     "simulate_size": Cost(
@@ -48,58 +48,65 @@ COSTS = {
         "166 simulations of 38 s at 21 x 21, 5.3 CPU s in the mean, beside 8 of 131 s at 41 x 41",
     ),
     "trajectory_bytes": Cost(
-        12.0, "bytes a vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
+        12.0, "bytes per vertex and frame", "two of the paper's simulations: 11.2 and 12.7"
     ),
     "render_start_s": Cost(
         1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
     ),
     "render_frame_s": Cost(
         0.14,
-        "CPU s a frame at 112 px, 1 sample: traced, separated, smoothed, packed",
+        "CPU s per frame at 112 px, 1 sample: traced, separated, smoothed, packed",
         "busy machine: 0.145, 0.222, 0.075 by view",
     ),
-    "mirror_factor": Cost(2.0, "of render_frame_s on a floor that mirrors", "two paths for one"),
-    "pack_bytes": Cost(8.0, "bytes a pixel", "112 px, matte"),
-    "compose_start_s": Cost(0.6, "CPU s a simulation", "imports, textures drawn"),
-    "look_frame_s": Cost(0.025, "CPU s a frame", "112 px: 0.017, 0.043, 0.009 by view"),
-    "texture_s": Cost(0.0045, "CPU s an image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
+    "mirror_factor": Cost(2.0, "of render_frame_s on a reflective floor", "two paths for one"),
+    "pack_bytes": Cost(8.0, "bytes per pixel", "112 px, matte"),
+    "compose_start_s": Cost(0.6, "CPU s per simulation", "imports, textures drawn"),
+    "look_frame_s": Cost(0.025, "CPU s per frame", "112 px: 0.017, 0.043, 0.009 by view"),
+    "texture_s": Cost(0.0045, "CPU s per image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
     "direct_pixel_s": Cost(
         2.5e-4,
-        "CPU s a pixel at 256 samples; four times as many where the floor mirrors",
-        "about 1 M camera samples a second and core",
+        "CPU s per pixel at 256 samples; four times as many on a reflective floor",
+        "about 1 M camera samples per second and core",
     ),
     "image_bytes": Cost(
         1.15,
-        "bytes a pixel of PNG",
+        "bytes per pixel of PNG",
         "64 px, 810 images of one simulation in nine textures: calibrated 1.16, frontal 1.47, side "
         "0.68; the paper's nine viewpoints have seven like the first; 1.7 at 32 px",
     ),
-    "preview_s": Cost(0.8, "CPU s a simulation", "smoke chain: mean of 4"),
-    "preview_bytes": Cost(75e3, "bytes a simulation", "smoke chain, 32 px: mean of 4"),
-    "sample_s": Cost(0.0003, "CPU s an image", "demo: 2.1 s for 6480 images"),
+    "preview_s": Cost(0.8, "CPU s per simulation", "smoke chain: mean of 4"),
+    "preview_bytes": Cost(75e3, "bytes per simulation", "smoke chain, 32 px: mean of 4"),
+    "sample_s": Cost(0.0003, "CPU s per image", "demo: 2.1 s for 6480 images"),
     "train_frame_s": Cost(
-        0.0020,
-        "CPU s a frame, forward and backward, 64 px, a quarter of the paper's width",
-        "demo, bfloat16: 664 CPU s for six trainings, 336 000 frames",
+        0.0022,
+        "CPU s per frame, forward and backward, 64 px, a quarter of the paper's width",
+        "Table 1's network, bfloat16, 92,160 passes of 30 frames: 1.68 CPU h",
+    ),
+    "train_fixed_share": Cost(
+        0.065, "of train_frame_s that pixels do not scale", "the same passes at 32 px: 0.50 CPU h"
     ),
     "instrument_frame_s": Cost(
-        0.0008, "CPU s a frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
+        0.0008, "CPU s per frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
     ),
-    "evaluate_frame_s": Cost(0.0008, "CPU s a frame", "a third of train_frame_s: forward only"),
-    "criticise_s": Cost(40.0, "CPU s a case", "24 runs simulated again twice: 26 s; an allowance"),
+    "criticise_s": Cost(
+        40.0, "CPU s per case", "24 runs simulated again twice: 26 s; an allowance"
+    ),
+    "forward_share": Cost(1 / 3, "of train_frame_s", "validation and evaluation: forward only"),
     "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
     "release_s": Cost(
-        0.0003, "CPU s an image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
+        0.0003, "CPU s per image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
     ),
     "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
+    "audit_s": Cost(0.00045, "CPU s per image", "112 px: 23 CPU s for 51 840 images"),
+    "audit_start_s": Cost(2.0, "CPU s", "smoke chain"),
     "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
-    "record_bytes": Cost(8e3, "bytes a simulation or image shard", "smoke chain"),
-    "ingest_film_s": Cost(1.5, "CPU s a film", "97 frames of 160 px: 1.3 s, 1 s of it start"),
-    "film_bytes": Cost(0.1, "bytes a pixel", "H.264 at quality 26, noise 0.02; an allowance"),
+    "record_bytes": Cost(8e3, "bytes per simulation or image shard", "smoke chain"),
+    "ingest_film_s": Cost(1.5, "CPU s per video", "97 frames of 160 px: 1.3 s, 1 s of it start"),
+    "film_bytes": Cost(0.1, "bytes per pixel", "H.264 at quality 26, noise 0.02; an allowance"),
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
-# Resident memory of the largest job, from benchmark files or measured by hand.
+# Resident memory of the largest job, from benchmark files or measured manually.
 MEMORY_MIB = {
     "calibrate": Cost(312, "MiB", "smoke chain"),
     "simulate": Cost(349, "MiB", "smoke chain: 281 to 349; 302 at 41 x 41 vertices over 131 s"),
@@ -114,6 +121,7 @@ MEMORY_MIB = {
     "criticise": Cost(343, "MiB", "a case of 24 runs"),
     "report": Cost(254, "MiB", "smoke chain"),
     "release": Cost(230, "MiB", "smoke chain"),
+    "audit": Cost(230, "MiB", "smoke chain"),
 }
 MEMORY_MARGIN = 2.0
 
@@ -156,12 +164,27 @@ def _strip_cpu_s(config: Config) -> float:
 
 
 def _mirrors(config: Config) -> float:
-    """Share of the floors that mirror."""
-    floors = config.render.floors
-    return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
+    """Share of the image shards whose floor mirrors."""
+    shown = [config.render.floors_of(viewpoint) for _, viewpoint in films(config)]
+    shares = [
+        sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors) for floors in shown
+    ]
+    return sum(shares) / len(shares)
+
+
+def _videos(config: Config) -> int:
+    return sum(map(len, films(config).values()))
+
+
+def _drawn_shards(config: Config) -> int:
+    """Image shards of the viewpoints from which only some simulations are filmed."""
+    full = len(simulations(config))
+    counts = Counter(viewpoint for _, viewpoint in films(config))
+    return sum(count for count in counts.values() if count < full)
 
 
 def _render_cpu_s(config: Config) -> float:
+    """The light of one image shard, in the mean."""
     images = _frames_rendered(config)
     # Half of it does not depend on the image's size: 0.07 s at 64 px.
     size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
@@ -170,10 +193,11 @@ def _render_cpu_s(config: Config) -> float:
 
 
 def _compose_cpu_s(config: Config) -> float:
-    """One simulation's images from all viewpoints in all textures."""
-    images = _frames_rendered(config) * len(viewpoints(config))
-    each = _cost("look_frame_s") + _cost("texture_s") * len(textures(config))
-    return _cost("compose_start_s") + images * each
+    """One simulation's images from all its viewpoints in their textures, in the mean."""
+    shards, runs = len(films(config)), len(simulations(config))
+    each = shards * _cost("look_frame_s") + _videos(config) * _cost("texture_s")
+    starts = (runs + _drawn_shards(config)) * _cost("compose_start_s")
+    return (starts + _frames_rendered(config) * each) / runs
 
 
 def verification_cpu_s(config: Config) -> float:
@@ -194,7 +218,8 @@ def _pack_bytes(config: Config) -> float:
 def _frame_factor(config: Config) -> float:
     """Work of the network on one frame, in units of 64 px at a quarter of the width."""
     pixels = config.train.pixels or config.render.pixels
-    return (pixels / 64) ** 2 * (config.train.width / 0.25) ** 2
+    fixed = _cost("train_fixed_share")
+    return (fixed + (1 - fixed) * (pixels / 64) ** 2) * _width2(config)
 
 
 def _training_cpu_s(config: Config) -> float:
@@ -202,7 +227,8 @@ def _training_cpu_s(config: Config) -> float:
     train = config.train
     views = len(config.render.viewpoints)
     passes = train.epochs_per_cycle * views * (views + 1) / 2 + train.fine_tuning_epochs
-    share = 1.0 - config.sample.test_fraction
+    validation = config.sample.validation_fraction
+    share = 1.0 - config.sample.test_fraction - validation * (1 - _cost("forward_share"))
     videos = len(simulations(config)) * len(config.render.textures) * share
     return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
 
@@ -221,27 +247,28 @@ def estimate(config: Config) -> list[StageEstimate]:
 
     The jobs are those that Snakemake counts, without its ``all``.
     """
-    runs, views = len(simulations(config)), len(viewpoints(config))
-    images = runs * views * len(textures(config))
-    sampled = images * config.sample.frames_kept
-    networks = len(config.train.splits) * len(NETWORKS) * len(config.train.seeds)
+    runs, shards = len(simulations(config)), len(films(config))
+    videos = _videos(config)
+    sampled = videos * config.sample.frames_kept
+    networks = sum(len(config.train.trainings(one)) for one in config.train.splits)
     instruments = len(config.train.splits) * len(config.instrument.seeds)
     vertices = config.simulation.vertices_per_side**2
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
     return [
-        # A job a swept setting, one for the configured settings, one that chooses and checks.
-        StageEstimate("calibrate", 2 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
+        # Jobs: one per swept setting, the configured ones, the choice with checks, the pictures.
+        StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
         StageEstimate(
             "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
         ),
         StageEstimate(
             "render",
-            runs * (views + 2) + 1,
-            runs * (views * _render_cpu_s(config) + _compose_cpu_s(config) + _cost("preview_s"))
+            shards + _drawn_shards(config) + 2 * runs + 1,
+            shards * _render_cpu_s(config)
+            + runs * (_compose_cpu_s(config) + _cost("preview_s"))
             + verification_cpu_s(config),
-            images * _frames_rendered(config) * _image_bytes(config)
-            + runs * views * _frames_rendered(config) * _pack_bytes(config)
+            videos * _frames_rendered(config) * _image_bytes(config)
+            + shards * _frames_rendered(config) * _pack_bytes(config)
             + runs * _cost("preview_bytes"),
         ),
         # The table of ids counts here.
@@ -253,17 +280,28 @@ def estimate(config: Config) -> list[StageEstimate]:
             "instrument", instruments, instruments * _instrument_cpu_s(config), instruments * 2e6
         ),
         StageEstimate(
-            "evaluate", 1, evaluated * _cost("evaluate_frame_s") * _frame_factor(config), 1e6
+            "evaluate",
+            1,
+            evaluated * _cost("forward_share") * _cost("train_frame_s") * _frame_factor(config),
+            1e6,
+        ),
+        StageEstimate(
+            "criticise",
+            len(config.criticise.cases),
+            len(config.criticise.cases) * _cost("criticise_s"),
+            1e6 * len(config.criticise.cases),
+        ),
+        _release(config),
+        StageEstimate(
+            "audit", 1, _cost("audit_start_s") + sampled * _cost("audit_s"), 1e5 + 30.0 * videos
         ),
         StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
     ]
 
 
-def estimate_release(config: Config) -> StageEstimate:
-    """Cost of a release of the finished dataset; it is not part of the chain."""
-    runs, views = len(simulations(config)), len(viewpoints(config))
-    images = runs * views * len(textures(config)) * config.sample.frames_kept
-    shards = runs * (views + 2)
+def _release(config: Config) -> StageEstimate:
+    images = _videos(config) * config.sample.frames_kept
+    shards = len(films(config)) + 2 * len(simulations(config))
     return StageEstimate(
         "release",
         1,
@@ -351,8 +389,7 @@ JOB_KINDS = tuple(MEMORY_MIB)
 def _video_bytes(config: Config) -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
     side = config.train.pixels or config.render.pixels
-    videos = len(simulations(config)) * len(viewpoints(config)) * len(textures(config))
-    return 3.0 * videos * config.sample.frames_kept * side**2
+    return 3.0 * _videos(config) * config.sample.frames_kept * side**2
 
 
 def job_memory_mb(kind: str, config: Config | None = None) -> int:
@@ -388,7 +425,7 @@ def job_cpu_s(kind: str, config: Config) -> float:
         return _compose_cpu_s(config)
     if kind == "verify":
         return verification_cpu_s(config)
-    stages = [*estimate(config), estimate_release(config), estimate_ablate(config)]
+    stages = [*estimate(config), estimate_ablate(config)]
     whole = next(stage for stage in stages if stage.stage == kind)
     return whole.cpu_s / whole.jobs
 
@@ -409,12 +446,12 @@ def estimate_line(config: Config) -> str:
     stages = estimate(config)
     jobs, cpu_s = sum(stage.jobs for stage in stages), sum(stage.cpu_s for stage in stages)
     disk = sum(stage.disk_bytes for stage in stages)
-    return f"The whole chain from nothing: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
+    return f"The whole chain from scratch: {jobs} jobs, about {_time(cpu_s)}, {size(disk)} of disk"
 
 
 def estimate_table(config: Config) -> str:
-    """`estimate` as aligned text; release, captures and the line of the whole chain last."""
-    apart = [estimate_release(config), estimate_ablate(config), estimate_captures(config)]
+    """`estimate` as aligned text; ablations, captures and the line of the whole chain last."""
+    apart = [estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
         (stage.stage, str(stage.jobs), _time(stage.cpu_s), size(stage.disk_bytes))
         for stage in [*estimate(config), *apart]

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from slipstitch.warp_start import start_warp
+
 
 @wp.kernel
 def double(values: wp.array(dtype=wp.float64)):
@@ -11,10 +13,9 @@ def double(values: wp.array(dtype=wp.float64)):
 
 
 if __name__ == "__main__":
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    start_warp()
     array = wp.full(3, 2.0, dtype=wp.float64, device="cpu")
     wp.launch(double, dim=3, inputs=[array], device="cpu")
     if not (array.numpy() == 4.0).all():
-        raise SystemExit("a kernel computes wrong numbers")
+        raise SystemExit("a kernel gives wrong results")
     print(wp.config.version)

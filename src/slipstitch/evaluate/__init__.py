@@ -1,1 +1,1 @@
-"""Evaluate: what the trained networks are worth on videos they have not seen."""
+"""Evaluate: the trained networks on unseen videos."""

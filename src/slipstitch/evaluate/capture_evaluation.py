@@ -17,6 +17,7 @@ from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subs
 from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probabilities
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.instrument import load_instrument
+from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     provenance_record,
     start_clock,
@@ -61,7 +62,7 @@ def predict_captures(
     if instruments is not None:
         found += _instruments(dataset, instruments)
     if not found:
-        raise BadInput(f"{models or instruments}: no trained model for captures in it")
+        raise BadInput(f"{models or instruments}: no trained model for captures found")
     return found
 
 
@@ -72,8 +73,8 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
     videos = read_videos(dataset, pixels=cards[0]["pixels"])
     if cards[0]["frames"] != videos.pixels.shape[1]:
         raise BadInput(
-            f"{dataset}: videos of {videos.pixels.shape[1]} frames, the networks in {folder} were "
-            f"trained with {cards[0]['frames']}: ingest with their configuration"
+            f"{dataset}: videos of {videos.pixels.shape[1]} frames, but the networks in {folder} "
+            f"were trained with {cards[0]['frames']}: ingest with their configuration"
         )
     for split, network, seed in models:
         name = next((key for key, value in MODELS.items() if value == network), None)
@@ -114,8 +115,8 @@ def _instruments(dataset, folder) -> list[Predictions]:
         videos = read_videos(dataset)
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])
         measurements = [
-            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0))
-            for pixels in videos.pixels
+            instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0), pose)
+            for pixels, pose in zip(videos.pixels, poses_of(videos.rows), strict=True)
         ]
         found.append(
             Predictions(
@@ -145,7 +146,7 @@ def _likeliest_first(probabilities: dict[str, float]) -> list[str]:
 def evaluate_captures(
     settings: EvaluateSettings, dataset: str | os.PathLike, found: Sequence[Predictions]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Metrics by subset and model, means over seeds; and a row a capture and model.
+    """Metrics by subset and model, means over seeds; and one row per capture and model.
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 The reference of a pair is an interval, r +- e: the error of a prediction is its distance from the
 interval, 0 inside. Of a pair's repeats the median counts; pairs whose repeats are all given the
-same friction, to half a grid step, are counted. Substrates that mirror are looked at apart.
+same friction, to half a grid step, are counted. Reflective substrates are evaluated separately.
 """
 
 from collections import defaultdict
@@ -17,7 +17,7 @@ from slipstitch.evaluate.metrics import PredictionsAndTruth, distance, scores_of
 
 @dataclass(frozen=True)
 class Predictions:
-    """What one trained model says of all captures.
+    """Predictions of one trained model for all captures.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class Predictions:
 
 
 def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
-    """What the videos are: the first line of all that is said of them."""
+    """Kind of the videos: the first line of every page about them."""
     if known[0]["surrogate"]:
         return (
-            "Surrogate captures: films of simulations, made unlike the training data. Nothing on "
-            "this page was measured on a real bench."
+            "Surrogate captures: simulated videos with a distribution shift from the training "
+            "data. Nothing on this page was measured on a real bench."
         )
-    return "Real captures: films of a bench, with friction measured on an inclined plane."
+    return "Real captures: videos of a bench, with friction measured on an inclined plane."
 
 
 def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
@@ -72,7 +72,7 @@ def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
 def pair_medians(
     known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
 ) -> list[dict[str, Any]]:
-    """A row a pair: its reference, the predictions of its repeats, their median and its error."""
+    """One row per pair: reference, predictions of the repeats, their median and its error."""
     members: dict[str, list[int]] = defaultdict(list)
     for k in np.flatnonzero(chosen):
         members[known[k]["pair"]].append(int(k))

@@ -1,4 +1,4 @@
-"""The page of the captures: tables and the cumulative error, beside the paper's real videos."""
+"""The page of the captures: tables and cumulative error, compared with the paper's real videos."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.capture_scores import Predictions, pair_medians, subsets, what_they_are
 from slipstitch.evaluate.cumulative import draw_cumulative
 from slipstitch.evaluate.metrics import CAPTURES, distance, metrics_of
 from slipstitch.page.figures import new_figure, png_uri, styled, svg_uri
-from slipstitch.page.palette import SERIES
+from slipstitch.page.palette import INK, SERIES
 from slipstitch.page.templates import render
 from slipstitch.page.wording import evenly, number, seeds_in_words
 from slipstitch.sample.images import read_frames
@@ -48,7 +49,10 @@ def captures_page(
         metrics=metrics,
         columns=columns,
         paper=paper,
-        paper_cells=paper.captures_cells(metric.name for metric in columns),
+        paper_cells={
+            subset: paper.captures_cells(subset, [metric.name for metric in columns])
+            for subset in paper.CAPTURES
+        },
         seeds_in_words=seeds_in_words,
         plot=svg_uri(_cumulative(known, found)),
         models=[
@@ -96,13 +100,18 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
                 largest,
                 color=colour,
                 linestyle=_DASHES[kind],
-                label=f"{label}: {kind}",
+                label=label if kind == "all" else None,
                 linewidth=1.8 if kind == "all" else 1.1,
             )
     axes.set(xlim=(0, largest), ylim=(0, 1.02))
-    axes.set_xlabel("distance of µ from the reference's interval")
-    axes.set_ylabel("share of the films")
-    axes.legend(fontsize=7.5, frameon=False, loc="lower right")
+    axes.set_xlabel("distance of µ from the reference interval")
+    axes.set_ylabel("share of videos")
+    colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
+    kinds = [name.split("_")[1] for name in subsets(known)]
+    if len(kinds) > 1:  # two short legends for a long one: colours, dashes
+        lines = [Line2D([], [], color=INK, ls=_DASHES[kind], label=kind) for kind in kinds]
+        axes.add_artist(colours)
+        axes.legend(handles=lines, fontsize=7.5, frameon=False, loc="center right")
     return figure
 
 

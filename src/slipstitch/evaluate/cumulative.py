@@ -1,4 +1,4 @@
-"""Cumulative error: the share of videos against the error allowed, as in the paper's Fig. 6."""
+"""Cumulative error: share of videos against the largest error allowed, as in the paper's Fig. 6."""
 
 import numpy as np
 from matplotlib.axes import Axes

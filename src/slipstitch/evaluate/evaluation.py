@@ -1,4 +1,4 @@
-"""Trained networks on the videos that test them."""
+"""Evaluation of trained networks on their test videos."""
 
 import math
 import os
@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
+from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import alarm_rates, evaluate_instruments, find_instruments
 from slipstitch.evaluate.metrics import (
@@ -27,6 +27,8 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
+from slipstitch.evaluate.probes import entries as probe_entries
+from slipstitch.evaluate.probes import probes
 from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
@@ -84,6 +86,8 @@ def evaluation_sets(
     turn from the calibrated one, in degrees, in training textures. Both test the networks trained
     by video on every simulation, as the paper does: the texture or the view is new to them, the
     cloth's motion is not.
+    reflective_floors, by_video_reflective: by_video's test videos on the floors of the second
+    training set, with the networks that have not learnt from it, and with those that have.
 
     Parameters
     ----------
@@ -107,6 +111,9 @@ def evaluation_sets(
     def turned(turn_deg: float, row: Row) -> bool:
         return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
 
+    def mirrored(row: Row) -> bool:
+        return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
+
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     sets = [
         *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
@@ -117,20 +124,22 @@ def evaluation_sets(
             EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
             for turn in sorted(turns)
         ),
+        EvaluationSet("reflective_floors", "by_video", mirrored),
+        EvaluationSet(REFLECTIVE, REFLECTIVE, mirrored),
     ]
     return [test for test in sets if any(map(test.holds, rows))]
 
 
 def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
     """Weights in ``{split}/{network}/seed{seed}/``: all, or of the configured trainings only."""
-    splits = SPLITS if train is None else train.splits
-    names = None if train is None else {f"seed{seed}" for seed in train.seeds}
     return [
         path
-        for split in splits
+        for split in (TRAINED_ON if train is None else train.splits)
         for network in NETWORKS
         for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}"))
-        if names is None or path.parent.name in names
+        if train is None
+        or (network, path.parent.name.removeprefix("seed"))
+        in {(name, str(seed)) for name, seed in train.trainings(split)}
     ]
 
 
@@ -158,11 +167,11 @@ def find_models(
         if named != path.parts[-4:-1]:
             raise BadInput(
                 f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
-                "not what its folder says"
+                "does not match its folder"
             )
         models[card["split"], card["network"], card["seed"]] = model
     if not models:
-        raise BadInput(f"{folder}: no model in it ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
+        raise BadInput(f"{folder}: no models found ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
     return models
 
 
@@ -177,13 +186,13 @@ def predicted_probabilities(
         material = models.get((split, "material_baseline", seed))
         if material is None:
             raise BadInput(
-                f"friction_conditional {split} seed {seed} has no material_baseline beside it"
+                f"friction_conditional {split} seed {seed} has no matching material_baseline"
             )
         check_material_model(material, split, seed, videos.digest)
         if material.card["weights_sha256"] != model.card["condition_sha256"]:
             raise BadInput(
-                f"friction_conditional {split} seed {seed} was trained with another "
-                "material_baseline than the one beside it"
+                f"friction_conditional {split} seed {seed} was trained with a different "
+                "material_baseline"
             )
         condition = predict(
             material.network,
@@ -243,7 +252,8 @@ def evaluate(
     Raises
     ------
     BadInput
-        If a model is missing its partner, was trained on other data, or files are damaged.
+        If a model is missing its partner, was trained on other data, files are damaged, or what
+        must tell nothing of friction tells it (see `slipstitch.evaluate.probes`).
     """
     set_up_torch(threads)
     models = find_models(models_folder, train)
@@ -255,15 +265,14 @@ def evaluate(
     )
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
-            raise BadInput(
-                f"{network} {split} seed {seed} was trained on another dataset than {dataset}"
-            )
+            raise BadInput(f"{network} {split} seed {seed} was not trained on {dataset}")
 
     instruments = {}
     if instruments_folder is not None:
-        splits = SPLITS if train is None else train.splits
+        splits = TRAINED_ON if train is None else train.splits
         instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
 
+    probed = probes(settings, dataset)
     side = pixels.pop()
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
@@ -294,9 +303,11 @@ def evaluate(
                 metrics[test.name][name] = entry(
                     len(part), seeds, *(scores[network]["mean"] for network in used)
                 )
+        details[test.name] |= probed.get(test.name, {})
+        metrics[test.name] |= probe_entries(probed.get(test.name, {}))
         measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
-            if test.name in SPLITS:
+            if test.name in TRAINED_ON:
                 measured["alarms"] = alarm_rates(instruments, test.name, whole)
             details[test.name]["instrument"] = measured
             predictions += rows

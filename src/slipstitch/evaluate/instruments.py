@@ -1,4 +1,4 @@
-"""Instruments on the videos that test them: errors, coverage of their intervals, alarms."""
+"""Evaluation of instruments on their test videos: errors, coverage of intervals, alarms."""
 
 import os
 from collections.abc import Sequence
@@ -22,6 +22,7 @@ from slipstitch.evaluate.metrics import (
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import WEIGHTS, Instrument, Measurement, load_instrument
+from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
 Row = dict[str, Any]
@@ -38,7 +39,7 @@ def find_instruments(
     Raises
     ------
     BadInput
-        If one is damaged, not what its folder says, or of another dataset.
+        If one is damaged, does not match its folder, or of another dataset.
     """
     found = {}
     for split in splits:
@@ -49,17 +50,20 @@ def find_instruments(
                 continue
             if (card["split"], f"seed{card['seed']}") != path.parts[-3:-1]:
                 raise BadInput(
-                    f"{path}: holds {card['split']} seed {card['seed']}: not what its folder says"
+                    f"{path}: holds {card['split']} seed {card['seed']}: does not match its folder"
                 )
             if card["dataset_digest"] != dataset_digest:
-                raise BadInput(f"{path}: was made from another dataset")
+                raise BadInput(f"{path}: was trained on another dataset")
             found[split, card["seed"]] = instrument
     return found
 
 
-def measured(instrument: Instrument, videos: np.ndarray) -> list[Measurement]:
+def measured(instrument: Instrument, videos: np.ndarray, rows: Sequence[Row]) -> list[Measurement]:
     """Measure videos, each with the same augmented views as any other."""
-    return [instrument.measure(video) for video in videos]
+    return [
+        instrument.measure(video, pose=pose)
+        for video, pose in zip(videos, poses_of(rows), strict=True)
+    ]
 
 
 def scores(
@@ -120,15 +124,15 @@ def evaluate_instruments(
     for (split, seed), instrument in instruments.items():
         if split != test.trained_on:
             continue
-        view = instrument.card["viewpoint"]
+        views = instrument.card["viewpoints"]
         seen = np.array(
-            [row["viewpoint"] == view or row["viewpoint_role"] == "test" for row in videos.rows]
+            [row["viewpoint"] in views or row["viewpoint_role"] == "test" for row in videos.rows]
         )
         if not seen.any():
             return None, []
         rows = [row for row, use in zip(videos.rows, seen, strict=True) if use]
         frames = phased(videos.pixels[seen], instrument.card["frames"], None)
-        measurements = measured(instrument, frames)
+        measurements = measured(instrument, frames, rows)
         each[str(seed)] = scores(measurements, rows, settings)
         predictions += [
             _prediction(row, test, seed, measurement)
@@ -167,17 +171,19 @@ def alarm_rates(
     for (trained_on, seed), instrument in instruments.items():
         if trained_on != split:
             continue
-        view = instrument.card["viewpoint"]
-        mine = np.array([row["viewpoint"] == view for row in videos.rows])
+        mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
+        own, others = (
+            [row for row, use in zip(videos.rows, mine, strict=True) if use == which]
+            for which in (True, False)
+        )
         frames = phased(videos.pixels, instrument.card["frames"], None)
-        kinds = {"good": frames[mine], **wrong_inputs(frames[mine])}
-        if not mine.all():
-            kinds["viewpoint"] = frames[~mine]
+        inputs = {"good": frames[mine], **wrong_inputs(frames[mine])}
+        kinds = {kind: (some, own) for kind, some in inputs.items()}
+        if others:
+            kinds["viewpoint"] = (frames[~mine], others)
         result[str(seed)] = {
-            kind: float(
-                np.mean([measurement.alarm for measurement in measured(instrument, of_kind)])
-            )
-            for kind, of_kind in kinds.items()
+            kind: float(np.mean([one.alarm for one in measured(instrument, of_kind, rows)]))
+            for kind, (of_kind, rows) in kinds.items()
         }
     return result
 

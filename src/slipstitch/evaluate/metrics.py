@@ -1,4 +1,4 @@
-"""Every metric of the tables: its name, its unit, how it is computed, how it is shown.
+"""The metrics of the tables: name, unit, computation and formatting.
 
 `METRICS` is the only place that lists them. What a model says of videos, beside what is true, comes
 as `PredictionsAndTruth`; pages and terminal take headings and numbers from the rows of the list.
@@ -21,7 +21,7 @@ TEST_SETS, CAPTURES = "test sets", "captures"
 
 @dataclass(frozen=True)
 class PredictionsAndTruth:
-    """What one trained model says of n videos, beside what is true; None where it says nothing.
+    """Predictions of a trained model for n videos, with the true values; None where not predicted.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ METRICS = (
            "< 0.2", {TEST_SETS, CAPTURES}, "< 0.2", "Friction, error < 0.2"),
     # As the paper's abstract counts.
     Metric("within_0.1", "capture", "%", lambda a: float((a.off <= 0.1 + 1e-9).mean()),
-           "0.1 off at most", {CAPTURES}),
+           "within 0.1", {CAPTURES}),
     # From the reference itself, not from its interval.
     Metric("mean_absolute_error", "friction", "µ",
            lambda a: float(np.abs(a.friction - a.reference).mean()),
@@ -135,11 +135,11 @@ METRICS = (
     Metric("median_lt_0.1", "capture", "%", lambda a: a.share_off(a.pair_errors, 0),
            "medians < 0.1", {CAPTURES}),
     Metric("equal_predictions", "capture", "%", lambda a: float(a.pair_agrees.mean()),
-           "repeats all equal", {CAPTURES}, "equal"),
+           "all repeats equal", {CAPTURES}, "equal"),
     Metric("material_top1", "fabric", "%", lambda a: float((a.fabric_rank < 1).mean()),
-           "fabric, first", {TEST_SETS, CAPTURES}, "top-1", "Material, first guess"),
+           "fabric, first", {TEST_SETS, CAPTURES}, "top-1", "Material, top 1"),
     Metric("material_top2", "fabric", "%", lambda a: float((a.fabric_rank < 2).mean()),
-           "first two", {TEST_SETS}, "top-2", "Material, first two guesses"),
+           "first two", {TEST_SETS}, "top-2", "Material, top 2"),
     Metric("coverage_90", "interval", "%", lambda a: a.coverage[0],
            "in 90 % interval", {TEST_SETS, CAPTURES}, "cover"),
     Metric("interval_width", "interval", "µ",
@@ -190,14 +190,14 @@ def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
     """
     if probabilities.ndim != 2 or truth.shape != probabilities.shape[:1] or not len(truth):
         raise BadInput(
-            f"predictions of shape {probabilities.shape} do not go with {truth.shape} true classes"
+            f"predictions of shape {probabilities.shape} do not match {truth.shape} true classes"
         )
     if (
         not np.isfinite(probabilities).all()
         or probabilities.min() < 0
         or abs(probabilities.sum(1) - 1).max() > 1e-4
     ):
-        raise BadInput("predictions are no probabilities: finite, not negative, sum 1 are needed")
+        raise BadInput("predictions must be probabilities: finite, non-negative, with sum 1")
     if truth.min() < 0 or truth.max() >= probabilities.shape[1]:
         raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
 
@@ -247,7 +247,7 @@ def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, f
 
 
 def chance(truth: np.ndarray, classes: int) -> dict[str, float]:
-    """What ignoring the video gives: a uniform guess, and always the test set's largest class."""
+    """Chance levels: a uniform random guess, and always the test set's largest class."""
     return {
         "uniform": 1.0 / classes,
         "majority": float(np.bincount(truth, minlength=classes).max() / len(truth)),

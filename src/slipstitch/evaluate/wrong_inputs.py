@@ -1,4 +1,4 @@
-"""Videos that an instrument must not be believed on, made from good ones, to test its alarm.
+"""Invalid videos, derived from valid ones, to test the alarm of an instrument.
 
 ``viewpoint`` comes with the dataset, where it has others than the instrument's; the rest is made.
 """

@@ -1,4 +1,4 @@
-"""The state of a contact, as far as a friction law may ask for it."""
+"""The state of a contact, as available to a friction law."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REFERENCE_HUMIDITY_PCT = 50.0
 
 @dataclass(frozen=True)
 class Contact:
-    """What one contact, or an array of contacts, is doing.
+    """State of one contact or an array of contacts.
 
     Every field is a number or an array; all broadcast together. A NaN means *not recorded*: a
     mechanism that needs it then leaves the friction as it is.

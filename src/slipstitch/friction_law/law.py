@@ -1,4 +1,4 @@
-"""The friction law as an object: plain Coulomb friction and whatever mechanisms extend it."""
+"""The friction law as an object: plain Coulomb friction and the mechanisms that extend it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FrictionLaw:
             names = {p.name for p in CONTACT_MECHANISMS[identifier].parameters}
             if set(values) != names:
                 raise BadInput(
-                    f"friction law: mechanism '{identifier}' needs exactly the parameters "
+                    f"friction law: mechanism '{identifier}' requires exactly the parameters "
                     f"{', '.join(sorted(names))}; given: {', '.join(sorted(values)) or 'none'}"
                 )
 

@@ -1,4 +1,4 @@
-"""What every extension of the model has: a name, parameters, and what it needs to know."""
+"""Common parts of all extensions of the model: name, parameters, required quantities."""
 
 from __future__ import annotations
 

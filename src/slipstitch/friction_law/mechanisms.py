@@ -1,4 +1,4 @@
-"""Every mechanism of the contact: its formula, and all that is special about it.
+"""The mechanisms of the contact: formulas and specific properties.
 
 An entry of the table is everything that a further mechanism takes: protocols and fits evaluate its
 formula with NumPy, and the cloth simulator evaluates a translation of the same source
@@ -80,7 +80,7 @@ _ENTRIES = (
     ),
     ContactMechanism(
         "adhesion",
-        "friction has a part that grows with the area, not the load",
+        "part of the friction grows with the area, not the load",
         (Parameter("adhesion", "Pa", 0.0, 1.0, -30.0, 200.0),),
         covariate="load_ratio",
         added_force=adhesion_added_force,
@@ -95,7 +95,7 @@ _ENTRIES = (
     ),
     ContactMechanism(
         "ageing",
-        "static friction grows with the rest before the pull",
+        "static friction grows with the rest time before the pull",
         (Parameter("ageing", "1/decade", 0.0, 0.05, 0.0, 2.0, kinked=True),),
         covariate="dwell_s",
         static_factor=ageing_static_factor,
@@ -103,7 +103,7 @@ _ENTRIES = (
     ),
     ContactMechanism(
         "rate",
-        "kinetic friction changes with the speed of sliding",
+        "kinetic friction changes with the sliding speed",
         (Parameter("rate", "1/decade", 0.0, 0.05, -0.9, 0.9, kinked=True),),
         covariate="speed_mm_s",
         kinetic_factor=rate_kinetic_factor,
@@ -127,7 +127,7 @@ _ENTRIES = (
     ),
     ContactMechanism(
         "wear",
-        "friction changes with the slides that a specimen has made",
+        "friction changes with the number of slides of a specimen",
         (
             Parameter("wear", "1", 0.0, 0.1, -0.9, 3.0),
             Parameter("wear_r0", "slides", 3.0, 2.0, 0.3, 40.0, prior_sd=4.0),

@@ -1,4 +1,4 @@
-"""Noticing videos that are not like those of the training.
+"""Detection of videos outside the training distribution.
 
 Four scores, larger for stranger videos:
 
@@ -23,10 +23,10 @@ from slipstitch.instrument.conformal import grouped_quantile
 
 SCORES = ("appearance", "combination", "features", "order")
 REASONS = {
-    "appearance": "the images are unlike the training videos' (viewpoint, object, scene?)",
-    "combination": "the images change in a way that no training video's do (protocol, object?)",
-    "features": "the network has seen nothing like it in training",
-    "order": "the frames do not follow one another as in the protocol (reversed, cut, stretched?)",
+    "appearance": "the images differ from those of the training videos (viewpoint, object, scene?)",
+    "combination": "the motion differs from that in all training videos (protocol, object?)",
+    "features": "the video is outside the training distribution",
+    "order": "the order of the frames does not match the protocol (reversed, cut, stretched?)",
 }
 THUMBNAIL = 12  # side, in pixels
 EXPLAINED = 0.9  # share of the variance that the principal components hold
@@ -58,7 +58,7 @@ def thumbnails(videos: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Alarm:
-    """What training videos look like, and how strange is too strange.
+    """Statistics of the training videos, and the thresholds of the alarm.
 
     Attributes
     ----------

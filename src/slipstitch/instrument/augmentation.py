@@ -1,4 +1,4 @@
-"""What may differ between videos without meaning anything: put into training, and averaged over.
+"""Irrelevant variation between videos: applied in training, and averaged over in prediction.
 
 Exposure and the cast of colours need no augmentation: every video's colours are standardised.
 """

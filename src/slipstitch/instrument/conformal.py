@@ -37,7 +37,9 @@ def grouped_quantile(scores: np.ndarray, groups: Sequence[str], level: float) ->
     """
     scores = np.asarray(scores, np.float64)
     if not len(scores) or len(scores) != len(groups) or np.isnan(scores).any():
-        raise BadInput(f"{len(scores)} scores (numbers) for {len(groups)} groups: one each, no NaN")
+        raise BadInput(
+            f"{len(scores)} scores for {len(groups)} groups: must be one number each, no NaN"
+        )
     _, number, count = np.unique(groups, return_inverse=True, return_counts=True)
     weights = 1.0 / (count[number] * (len(count) + 1))
     order = np.argsort(scores, kind="stable")

@@ -1,4 +1,4 @@
-"""Distributions of the friction coefficient: mixtures of normals, laid on a grid."""
+"""Distributions of the friction coefficient: mixtures of normals, discretised on a grid."""
 
 import math
 

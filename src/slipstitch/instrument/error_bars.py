@@ -1,4 +1,4 @@
-"""Error bars: temperatures, conformal stretch and alarm, from simulations that did not train.
+"""Error bars: temperatures, conformal stretch and alarm, from held-out simulations.
 
 One set of simulations serves all three. The temperature is one number, and the promise of the
 conformal step is tested with it fitted on the same groups (tests/unit).
@@ -15,6 +15,7 @@ from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import tempered
 from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
+from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
 TEMPERATURES = (0.2, 25.0)
@@ -81,8 +82,9 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
         return instrument
     generator = np.random.default_rng(0)
     frames = phased(videos.pixels, instrument.card["frames"], None)
-    trained = instrument.answers(frames[training], generator)
-    answers = instrument.answers(frames[held], generator)
+    poses = poses_of(videos.rows)
+    trained = instrument.answers(frames[training], generator, poses[training])
+    answers = instrument.answers(frames[held], generator, poses[held])
     groups = [videos.rows[number]["simulation"] for number in held]
     friction = np.array([videos.rows[number]["friction"] for number in held])
     names = instrument.card["materials"]

@@ -22,18 +22,20 @@ from slipstitch.instrument.distribution import (
     tempered,
 )
 from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.poses import scaled
+from slipstitch.render.bench_camera import POSE
 from slipstitch.train.model_file import read_weights, write_weights
 
-FORMAT = "slipstitch-instrument-1"
+FORMAT = "slipstitch-instrument-2"
 WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
-NOT_CALIBRATED = "the instrument is not calibrated: nothing is known of its errors"
+NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the instrument says of one video.
+    """Result of the instrument for one video.
 
     Attributes
     ----------
@@ -111,7 +113,9 @@ class Instrument:
         """Grid of mu, float64 of shape (G,)."""
         return self.network.grid.double().numpy()
 
-    def answers(self, videos: np.ndarray, generator: np.random.Generator) -> Answers:
+    def answers(
+        self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
+    ) -> Answers:
         """Uncalibrated answers.
 
         Parameters
@@ -119,14 +123,19 @@ class Instrument:
         videos : ndarray of uint8, shape (n, frames, pixels, pixels, 3)
         generator : numpy Generator
             Of the augmentations.
+        poses : ndarray, shape (n, 4), optional
+            How the cameras stand (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
         """
         self.network.eval()
+        told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
         parts = []
         with torch.inference_mode():
-            for video in videos:
+            for video, pose in zip(videos, told, strict=True):
                 repeated = np.repeat(video[None], self.settings.draws, axis=0)
                 views = augmented(repeated, self.settings, generator)
-                outputs = self.network(views, self.card["bfloat16"])
+                outputs = self.network(
+                    views, self.card["bfloat16"], pose.expand(self.settings.draws, -1)
+                )
                 # In float64: in float32 a distribution's tail would end at five deviations.
                 cumulative = mixture_cumulative(
                     outputs["friction"].double(), self.network.middles.double()
@@ -152,8 +161,32 @@ class Instrument:
         factor = self.error_bars.factor if self.error_bars else math.inf
         return stretched(distributions, self.grid, self.settings.coverage, factor)
 
+    @property
+    def without_error_bar(self) -> str:
+        """Why intervals are the whole grid, as they are then; empty where they are not."""
+        if self.error_bars and math.isfinite(self.error_bars.factor):
+            return ""
+        level = self.settings.coverage
+        needed = math.ceil(level / (1.0 - level) - 1e-9)
+        groups = self.card.get("calibration_simulations", 0)
+        of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
+        return f"no error bar: calibrated on {of_them}; {needed} are needed"
+
+    @property
+    def caveats(self) -> list[str]:
+        """What an error bar of this instrument does not cover."""
+        if self.card.get("split") != "by_video":
+            return []
+        return [
+            "the instrument was trained with the split by video: other videos of the simulations "
+            "that calibrate its error bars trained it; expect larger errors than the interval says"
+        ]
+
     def measure(
-        self, frames: np.ndarray, generator: np.random.Generator | None = None
+        self,
+        frames: np.ndarray,
+        generator: np.random.Generator | None = None,
+        pose: np.ndarray | None = None,
     ) -> Measurement:
         """Measure one video.
 
@@ -164,6 +197,8 @@ class Instrument:
             training images are: square. Resized to the network's side where they differ.
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
+        pose : ndarray, shape (4,), optional
+            How the camera stands (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
 
         Raises
         ------
@@ -171,7 +206,8 @@ class Instrument:
             If the array is of another shape or type.
         """
         video = self._fitted(frames)[None]
-        answers = self.answers(video, generator or np.random.default_rng(0))
+        poses = None if pose is None else np.asarray(pose)[None]
+        answers = self.answers(video, generator or np.random.default_rng(0), poses)
         distribution = self.distributions(answers)
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars
@@ -196,9 +232,9 @@ class Instrument:
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
         """The frames at the network's size; BadInput if they are no such frames."""
-        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is needed"
+        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
         if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 4:
-            raise BadInput(f"the frames are no images: {wanted}")
+            raise BadInput(f"the frames are not images: {wanted}")
         count, height, width, colours = frames.shape
         if count != self.card["frames"] or height != width or colours != 3 or height < 8:
             raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
@@ -279,7 +315,7 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
 
 
 class _Card(BaseModel):
-    """What of a card the network is built from and used by."""
+    """The entries of a card required to build and use the network."""
 
     model_config = ConfigDict(strict=True)
 
@@ -316,7 +352,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
         if {name: value.shape for name, value in shapes.items()} != {
             name: value.shape for name, value in learnt.items()
         }:
-            raise BadInput(f"{weights}: weights do not fit the card: of other sizes")
+            raise BadInput(f"{weights}: weights do not match the card: different sizes")
         network = InstrumentNetwork(*arguments)
         network.load_state_dict(learnt)
         noted = card["error_bars"]
@@ -335,7 +371,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
             )
     except (ValidationError, RuntimeError, KeyError, TypeError) as error:
         first = str(error).splitlines()[0]
-        raise BadInput(f"{weights}: weights do not fit the card: {first}") from None
+        raise BadInput(f"{weights}: weights do not match the card: {first}") from None
     network.eval()
     inside = {key: value for key, value in card.items() if key != "error_bars"}
     return Instrument(network, inside, bars)

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.distribution import friction_grid
+from slipstitch.render.bench_camera import POSE
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
 
@@ -97,6 +98,9 @@ class InstrumentNetwork(nn.Module):
             nn.GELU(),
             nn.Dropout(settings.dropout),
         )
+        self.pose = None
+        if settings.knows_pose:
+            self.pose = nn.Linear(len(POSE), settings.features, bias=False)
         units = settings.recurrent_units
         self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)
         self.attention = nn.Linear(2 * units, 1)
@@ -131,7 +135,9 @@ class InstrumentNetwork(nn.Module):
         """Middles between the grid's points, where the cumulative distribution is wanted."""
         return (self.grid[1:] + self.grid[:-1]) / 2
 
-    def forward(self, frames: Tensor, bfloat16: bool = False) -> dict[str, Tensor]:
+    def forward(
+        self, frames: Tensor, bfloat16: bool = False, poses: Tensor | None = None
+    ) -> dict[str, Tensor]:
         """Answers of a batch.
 
         Parameters
@@ -140,6 +146,9 @@ class InstrumentNetwork(nn.Module):
             Standardised colours.
         bfloat16 : bool
             Compute the convolutions in bfloat16; the rest stays float32.
+        poses : float32 tensor, shape (videos, 4), optional
+            As `slipstitch.instrument.poses.scaled` gives them; used if the network knows poses, and
+            then 0, the calibrated one, by default.
 
         Returns
         -------
@@ -157,6 +166,8 @@ class InstrumentNetwork(nn.Module):
                 maps = convolution(maps).relu_()
             maps = self.place(maps)
         features = self.frame_features(maps.float().flatten(1)).view(videos, count, -1)
+        if self.pose is not None and poses is not None:
+            features = features + self.pose(poses)[:, None]
         states, _ = self.recurrent(features)
         attention_weights = self.attention(states)[..., 0].softmax(1)
         embedding = (states * attention_weights[..., None]).sum(1)

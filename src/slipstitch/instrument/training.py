@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import SPLITS
+from slipstitch.config.train import REFLECTIVE, TRAINED_ON, split_of
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.error_bars import calibrated
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.poses import pose_range, poses_of, scaled
 from slipstitch.provenance import start_clock
 from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.checkpoint import Progress
@@ -41,11 +42,11 @@ def read_training_videos(
     settings: InstrumentSettings,
     dataset: str | os.PathLike,
     split: str,
-    viewpoint: str,
+    viewpoints: Sequence[str],
     frames: int,
     uses: Callable[[dict[str, Any]], bool] | None = None,
 ) -> tuple[Videos, np.ndarray]:
-    """The videos of one viewpoint that train or calibrate, and which of them train.
+    """The videos of some viewpoints that train or calibrate, and which of them train.
 
     `uses` says of a manifest row whether its video may do either; by default all may.
 
@@ -54,15 +55,15 @@ def read_training_videos(
     BadInput
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
-    if split not in SPLITS:
-        raise BadInput(f"no split {split!r}; there are: {', '.join(SPLITS)}")
-    column = f"split_{split}"
+    if split not in TRAINED_ON:
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
+    column = f"split_{split_of(split)}"
     videos = read_videos(
         dataset,
         lambda row: (
-            takes_part(row)
+            takes_part(row, split)
             and row[column] != "test"
-            and row["viewpoint"] == viewpoint
+            and row["viewpoint"] in viewpoints
             and (uses is None or uses(row))
         ),
         settings.pixels,
@@ -70,12 +71,12 @@ def read_training_videos(
     training = np.array([row[column] == "train" for row in videos.rows])
     stored = videos.pixels.shape[1]
     if stored < frames:
-        raise BadInput(f"{dataset}: videos have {stored} frames, the instrument needs {frames}")
+        raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
     trained = [row for row, trains in zip(videos.rows, training, strict=True) if trains]
     for key, least in (("material", 1), ("friction", 2)):
         found = {row[key] for row in trained}
         if len(found) < least:
-            raise BadInput(f"{dataset}: {len(found)} {key}(s) to train on, {least} are needed")
+            raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
         absent = {row[key] for row in videos.rows} - found
         if absent:
             raise BadInput(f"{dataset}: {key} {sorted(absent)[0]} has no training video")
@@ -103,6 +104,7 @@ def losses(
     material: Tensor,
     ordered: Tensor,
     bfloat16: bool,
+    poses: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Mean losses of a batch whose last videos are in disorder.
 
@@ -113,13 +115,14 @@ def losses(
         Of the first m videos; the rest is in disorder and has none.
     ordered : float tensor, shape (n,)
         1 for the first m videos, else 0. Both kinds weigh the same.
+    poses : float tensor, shape (n, 4), optional
 
     Returns
     -------
     dict
         ``friction`` (in mu), ``material``, ``order``; and ``median_error``, without gradient.
     """
-    outputs = network(views, bfloat16)
+    outputs = network(views, bfloat16, poses)
     count, spoilt = len(friction), len(ordered) - len(friction)
     cumulative = mixture_cumulative(outputs["friction"][:count], network.middles)
     score = ranked_probability_score(cumulative, friction, network.grid).mean()
@@ -145,14 +148,18 @@ def learning_rate(settings: InstrumentSettings, done: float) -> float:
 
 def training_views(
     pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
-) -> tuple[Tensor, Tensor]:
-    """Augmented videos at random phase, then some of them in disorder; and which are in order."""
+) -> tuple[Tensor, Tensor, np.ndarray]:
+    """Augmented videos at random phase, then some of them in disorder; which are in order; whose.
+
+    The last is, for every view, the number of the video that it shows.
+    """
     videos = phased(pixels, frames, generator)
-    spoilt = videos[generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]]
-    spoilt = np.stack([disordered(video, generator) for video in spoilt])
+    chosen = generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]
+    spoilt = np.stack([disordered(video, generator) for video in videos[chosen]])
     whole = np.concatenate([videos, spoilt])
     ordered = (torch.arange(len(whole)) < len(videos)).float()
-    return augmented(whole, settings, generator), ordered
+    shown = np.concatenate([np.arange(len(videos)), chosen])
+    return augmented(whole, settings, generator), ordered, shown
 
 
 @dataclass
@@ -169,6 +176,8 @@ class InstrumentLearner:
         Class numbers of the fabrics.
     training : ndarray of bool, shape (n,)
         Which of the videos train; the others validate.
+    poses : float tensor, shape (n, 4)
+        Of the cameras, scaled.
     """
 
     name: str
@@ -180,6 +189,7 @@ class InstrumentLearner:
     friction: Tensor
     labels: Tensor
     training: np.ndarray
+    poses: Tensor
     bfloat16: bool
 
     def __post_init__(self):
@@ -197,7 +207,7 @@ class InstrumentLearner:
         self.plateau_hint = "instrument.epochs, instrument.learning_rate"
 
     def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
-        """All: they are of one viewpoint."""
+        """All: they are in one view."""
         return np.flatnonzero(self.training), np.flatnonzero(~self.training)
 
     def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
@@ -209,9 +219,12 @@ class InstrumentLearner:
         self, batch: np.ndarray, generator: np.random.Generator
     ) -> tuple[Tensor, dict[str, float]]:
         """Weighted sum of the losses; sums of the friction's score and of the median's error."""
-        views, ordered = training_views(self.pixels[batch], self.frames, self.settings, generator)
+        views, ordered, shown = training_views(
+            self.pixels[batch], self.frames, self.settings, generator
+        )
         friction, labels = self.friction[batch], self.labels[batch]
-        part = losses(self.network, views, friction, labels, ordered, self.bfloat16)
+        poses = self.poses[batch][shown]
+        part = losses(self.network, views, friction, labels, ordered, self.bfloat16, poses)
         loss = (
             part["friction"] / self.chance_loss
             + self.settings.material_weight * part["material"]
@@ -231,7 +244,7 @@ class InstrumentLearner:
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
                 views = standardised(phased(self.pixels[batch], self.frames, None))
-                outputs = self.network(views, self.bfloat16)
+                outputs = self.network(views, self.bfloat16, self.poses[batch])
                 cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
                 truth, grid = self.friction[batch], self.network.grid
                 scores.append(ranked_probability_score(cumulative, truth, grid))
@@ -263,7 +276,7 @@ def train_instrument(
     seed: int,
     out_dir: str | os.PathLike,
     *,
-    viewpoint: str,
+    viewpoints: Sequence[str],
     frames: int = 30,
     uses: Callable[[dict[str, Any]], bool] | None = None,
     threads: int = 1,
@@ -276,15 +289,15 @@ def train_instrument(
     settings : InstrumentSettings
     dataset : path
         Folder that the sample stage wrote.
-    split : {"by_video", "by_simulation"}
+    split : {"by_video", "by_simulation", "by_video_reflective"}
         Its validation videos calibrate the error bars and the alarm.
     seed : int
         Of weights, order of the videos, augmentation and dropout.
     out_dir : path
         Gets ``instrument.safetensors``, ``instrument.json``, ``history.csv`` and, until it is
         done, ``checkpoint.safetensors``.
-    viewpoint : str
-        Name of the one viewpoint that it measures from.
+    viewpoints : sequence of str
+        Names of those that it learns from, all seen in the calibrated view.
     frames : int
         Frames of a video that it sees; where the dataset has more, at a random phase in training.
     uses : callable, optional
@@ -309,7 +322,7 @@ def train_instrument(
     """
     started = start_clock()
     set_up_torch(threads)
-    videos, training = read_training_videos(settings, dataset, split, viewpoint, frames, uses)
+    videos, training = read_training_videos(settings, dataset, split, viewpoints, frames, uses)
     materials = classes_of(videos.rows, "material")
     torch.manual_seed(seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
@@ -317,12 +330,14 @@ def train_instrument(
         name=f"instrument {split} seed {seed}",
         settings=settings,
         network=network,
-        phases=[Phase("", (viewpoint,), settings.epochs)],
+        # Twice as many videos, each shown half as often.
+        phases=[Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (split == REFLECTIVE))))],
         pixels=videos.pixels,
         frames=frames,
         friction=torch.tensor([row["friction"] for row in videos.rows]),
         labels=torch.from_numpy(labels_of(videos.rows, materials, "material")),
         training=training,
+        poses=scaled(poses_of(videos.rows)),
         bfloat16=computes_bfloat16(settings.precision),
     )
     identity = training_identity(
@@ -346,7 +361,8 @@ def train_instrument(
         "frames": frames,
         "pixels": network.pixels,
         "bfloat16": learner.bfloat16,
-        "viewpoint": viewpoint,
+        "viewpoints": list(viewpoints),
+        "pose_range": pose_range(poses_of(videos.rows)),
         "split": split,
         "seed": seed,
         "settings": settings.model_dump(mode="json"),
@@ -356,8 +372,8 @@ def train_instrument(
         "training_simulations": len(simulations(videos, training)),
         "calibration_simulations": len(simulations(videos, ~training)),
         **training_facts(learner, history),
-        "use": "measures friction in drop-and-drag videos seen as this dataset's are; elsewhere "
-        "its alarm says so, and its intervals promise nothing",
+        "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
+        "videos it should raise its alarm, and its intervals are not valid",
     }
     card = save_instrument(calibrated(Instrument(network, card, None), videos, training), out)
     write_record(

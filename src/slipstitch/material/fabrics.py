@@ -76,11 +76,11 @@ def _fabric(path: Path, name: str, entry: dict) -> Fabric:
         try:
             value = np.array(entry[key], dtype=float)
         except (TypeError, ValueError):
-            raise BadInput(f"{where}: {key} must hold numbers only") from None
+            raise BadInput(f"{where}: {key} must contain only numbers") from None
         if value.shape != shape:
             raise BadInput(f"{where}: {key} has shape {value.shape}, must be {shape}")
         if not np.isfinite(value).all():
-            raise BadInput(f"{where}: {key} holds a value that is not finite")
+            raise BadInput(f"{where}: {key} contains a non-finite value")
         arrays[key] = value
     if arrays["areal_density_kg_m2"] <= 0:
         raise BadInput(f"{where}: areal_density_kg_m2 must be positive")

@@ -22,7 +22,7 @@ FOLD_DIRECTIONS, FOLD_CURVATURES = 3, 5  # of the bending table
 
 @dataclass(frozen=True)
 class ElasticTables:
-    """What the kernels interpolate.
+    """The tables interpolated by the kernels.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""Measure: friction read off one video of a bench."""
+"""Measure: friction from a video of a bench."""

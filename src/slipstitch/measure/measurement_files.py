@@ -1,40 +1,181 @@
-"""A measurement as files: the page, and all numbers."""
+"""Measurements as files: the page, all numbers, a table."""
 
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from slipstitch.measure.measurement_page import page
-from slipstitch.measure.measuring import MeasuredVideo, measure_video
+from slipstitch.errors import BadInput
+from slipstitch.measure import measurement_page, repeats_page
+from slipstitch.measure.measuring import MeasuredVideo, MeasuringBench
+from slipstitch.measure.repeats import Repeats, combined
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_text
+
+COLUMNS = (
+    "video",
+    "friction_coefficient",
+    "interval_90_low",
+    "interval_90_high",
+    "fabric",
+    "fabric_probability",
+    "alarm",
+    "outlier",
+    "notes",
+)
+
+
+@dataclass(frozen=True)
+class MeasuredPair:
+    """Videos of one pair of fabric and substrate.
+
+    Attributes
+    ----------
+    videos : list of MeasuredVideo
+    refused : list of str
+        Why each of the other videos could not be measured.
+    """
+
+    videos: list[MeasuredVideo]
+    refused: list[str]
+
+    @property
+    def used(self) -> list[MeasuredVideo]:
+        """Those without an alarm, which the combined value rests on."""
+        return [video for video in self.videos if not video.measurement.alarm]
+
+    @property
+    def together(self) -> Repeats | None:
+        """The combined result; None if every video raised its alarm."""
+        if not self.used:
+            return None
+        measured = [video.measurement for video in self.used]
+        return combined(
+            [each.friction_coefficient for each in measured],
+            [each.interval_90 for each in measured],
+        )
+
+    @property
+    def outliers(self) -> list[str]:
+        """Names of the videos that disagree with the others."""
+        together = self.together
+        return [self.used[number].name for number in together.outliers] if together else []
+
+    def lines(self) -> list[str]:
+        """The result for a terminal."""
+        lines = []
+        for video in self.videos:
+            first, *others = video.lines()
+            lines += [f"{video.name}: {first}", *(f"  {other}" for other in others)]
+        lines += [f"not measured: {problem}" for problem in self.refused]
+        lines += [f"outlier: {name} disagrees with the others" for name in self.outliers]
+        together = self.together
+        if together is None:
+            return [*lines, "ALARM in every video: no combined value"]
+        low, high = together.interval_90
+        lines.append(
+            f"combined ({len(self.used)} of {len(self.videos) + len(self.refused)} videos): "
+            f"friction {together.friction_coefficient:.3f}, 90 % interval {low:.3f} ... {high:.3f}"
+        )
+        return lines
+
+    def numbers(self) -> dict[str, Any]:
+        """The result for a program."""
+        together = self.together
+        return {
+            "videos": [video.numbers() for video in self.videos],
+            "refused": self.refused,
+            "combined": together
+            and {
+                "friction_coefficient": together.friction_coefficient,
+                "interval_90": list(together.interval_90),
+                "scatter": together.scatter if len(self.used) > 1 else None,
+                "videos": [video.name for video in self.used],
+                "outliers": self.outliers,
+            },
+        }
+
+    def table(self) -> str:
+        """CSV: one row per video, then the combined value."""
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        for video in self.videos:
+            measured = video.measurement
+            rows.writerow(
+                [
+                    video.name,
+                    f"{measured.friction_coefficient:.4f}",
+                    *(f"{end:.4f}" for end in measured.interval_90),
+                    video.fabric[0],
+                    f"{video.fabric[1]:.3f}",
+                    measured.alarm_reason,
+                    int(video.name in self.outliers),
+                    "; ".join(video.video.notes),
+                ]
+            )
+        if together := self.together:
+            values = (together.friction_coefficient, *together.interval_90)
+            rows.writerow(["combined", *(f"{value:.4f}" for value in values), "", "", "", "", ""])
+        return text.getvalue()
 
 
 def measure_to_files(
-    video: Path,
+    videos: Sequence[Path],
+    bench: MeasuringBench,
     camera: Path,
-    model: Path,
-    config: Path | None,
     *,
     page_path: Path | None,
     numbers_path: Path | None,
-    **options,
-) -> MeasuredVideo:
-    """Measure a video and write what is asked for, with its provenance beside it.
+    table_path: Path | None = None,
+    start_s: float | None = None,
+    frame_rate_hz: float | None = None,
+) -> MeasuredPair:
+    """Measure videos of one pair and write what is asked for, with its provenance beside it.
 
     Parameters
     ----------
-    video, camera, model, config, **options
-        As for `slipstitch.measure.measuring.measure_video`, with its errors.
-    page_path, numbers_path : path, optional
-        HTML and JSON.
+    videos : sequence of path
+        At least one. A single video has the page and the numbers of a single video.
+    bench : MeasuringBench
+    camera : path
+        The camera file, for the record.
+    page_path, numbers_path, table_path : path, optional
+        HTML, JSON and CSV.
+    start_s, frame_rate_hz : float, optional
+        As for `MeasuringBench.measure`.
+
+    Raises
+    ------
+    BadInput
+        If no video could be measured: the first one's problem.
     """
     started = start_clock()
-    result = measure_video(video, camera, model, config, **options)
-    if not (page_path or numbers_path):
-        return result
-    inputs = [video, camera, result.config_path]
-    record = provenance_record("measure", inputs=inputs, started=started)
-    record["instrument"] = result.instrument
+    measured: list[MeasuredVideo] = []
+    refused: list[str] = []
+    for video in videos:
+        try:
+            measured.append(bench.measure(video, start_s=start_s, frame_rate_hz=frame_rate_hz))
+        except BadInput as problem:
+            if len(videos) == 1:
+                raise
+            refused.append(str(problem))
+    pair = MeasuredPair(measured, refused)
+    if not measured:
+        raise BadInput(f"none of {len(videos)} videos can be measured; the first: {refused[0]}")
+    if not (page_path or numbers_path or table_path):
+        return pair
+    record = provenance_record(
+        "measure", inputs=[*videos, camera, bench.config_path], started=started
+    )
+    record["instrument"] = measured[0].instrument
+    single = len(videos) == 1
     if page_path:
-        write_text(page_path, page(result), record)
+        content = measurement_page.page(measured[0]) if single else repeats_page.page(pair)
+        write_text(page_path, content, record)
     if numbers_path:
-        write_json(numbers_path, result.numbers(), record)
-    return result
+        write_json(numbers_path, measured[0].numbers() if single else pair.numbers(), record)
+    if table_path:
+        write_text(table_path, pair.table(), record)
+    return pair

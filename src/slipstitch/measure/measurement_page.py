@@ -1,4 +1,4 @@
-"""The page of one measurement: the frames, the moments that decided, the distribution."""
+"""The page of a measurement: frames, their weights, the distribution."""
 
 from pathlib import Path
 
@@ -17,12 +17,12 @@ _DECISIVE = 5
 _WIDTH, _HEIGHT = 920, 190
 
 
-def page(result: MeasuredVideo) -> str:
-    """The page as HTML; it needs no other file."""
-    measured, video = result.measurement, result.video
-    weights = np.asarray(measured.attention_weights, dtype=float)
+def _frames(result: MeasuredVideo) -> list[dict]:
+    """Every frame with its weight in the decision."""
+    video = result.video
+    weights = np.asarray(result.measurement.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
-    frames = [
+    return [
         {
             "image": _enlarged(image),
             "time": f"{max(time_s, 0):.1f} s",
@@ -34,6 +34,18 @@ def page(result: MeasuredVideo) -> str:
             zip(video.frames, video.time_s, weights, strict=True)
         )
     ]
+
+
+def decisive_frames(result: MeasuredVideo) -> list[dict]:
+    """The frames of the largest weights, in their order in time."""
+    return [frame for frame in _frames(result) if frame["decisive"]]
+
+
+def page(result: MeasuredVideo) -> str:
+    """The page as HTML; it needs no other file."""
+    measured, video = result.measurement, result.video
+    weights = np.asarray(measured.attention_weights, dtype=float)
+    frames = _frames(result)
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
     return render(
         _TEMPLATE,
@@ -41,10 +53,12 @@ def page(result: MeasuredVideo) -> str:
         mu=number(measured.friction_coefficient),
         uncertainty=number(result.uncertainty),
         interval=span(measured.interval_90),
+        without_error_bar=result.without_error_bar,
+        notes=result.notes,
         materials=materials,
         alarm=measured.alarm_reason if measured.alarm else None,
         frames=frames,
-        decisive=[f"{max(video.time_s[k], 0):.1f} s" for k in sorted(ranks)],
+        decisive=[frame["time"] for frame in frames if frame["decisive"]],
         distribution=_distribution(result),
         timeline=_timeline(result, weights),
         start=video.start,
@@ -88,7 +102,7 @@ def _distribution(result: MeasuredVideo) -> dict:
 
 
 def _timeline(result: MeasuredVideo, weights: np.ndarray) -> dict:
-    """The stage's path over time, and a disc a frame as large as its weight."""
+    """The stage's path over time, and one disc per frame as large as its weight."""
     path, video = result.stage_path, result.video
     end_s = float(video.time_s[-1]) or 1.0
 

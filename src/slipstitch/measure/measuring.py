@@ -1,4 +1,4 @@
-"""One video measured: what the instrument says, and what it looked at."""
+"""Measurement of videos: results of the instrument and its input frames."""
 
 import os
 from dataclasses import dataclass, replace
@@ -14,8 +14,10 @@ from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput
-from slipstitch.instrument import Measurement, load_instrument
-from slipstitch.render.camera_file import read_camera_file
+from slipstitch.instrument import Instrument, Measurement, load_instrument
+from slipstitch.instrument.poses import outside
+from slipstitch.render.bench_camera import POSE, relative_pose
+from slipstitch.render.camera_file import LensCamera, read_camera_file
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
@@ -39,6 +41,10 @@ class MeasuredVideo:
         The configuration that told which frames to take.
     stage_path : StagePath
         As that configuration has it.
+    without_error_bar : str
+        Why the interval is the whole grid; empty where it is not.
+    caveats : tuple of str
+        What an error bar of the instrument does not cover.
     """
 
     name: str
@@ -48,6 +54,13 @@ class MeasuredVideo:
     instrument: str
     config_path: Path
     stage_path: StagePath
+    without_error_bar: str = ""
+    caveats: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be known of the video and of the instrument."""
+        return [*self.video.notes, *self.caveats]
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -59,14 +72,15 @@ class MeasuredVideo:
         measured = self.measurement
         low, high = measured.interval_90
         fabric, share = self.fabric
+        error_bar = f" ± {self.uncertainty:.3f}, 90 % interval {low:.3f} ... {high:.3f}"
         lines = [
-            f"friction {measured.friction_coefficient:.3f} ± {self.uncertainty:.3f}, "
-            f"90 % interval {low:.3f} ... {high:.3f}",
-            f"fabric most like {fabric} ({100 * share:.0f} %)",
+            f"friction {measured.friction_coefficient:.3f}"
+            + (f", {self.without_error_bar}" if self.without_error_bar else error_bar),
+            f"most similar fabric {fabric} ({100 * share:.0f} %)",
         ]
-        lines += [f"note: {note}" for note in self.video.notes]
+        lines += [f"note: {note}" for note in self.notes]
         if measured.alarm:
-            lines.append(f"ALARM: {measured.alarm_reason}: do not trust these numbers")
+            lines.append(f"ALARM: {measured.alarm_reason}: these numbers are not reliable")
         else:
             lines.append("no alarm")
         return lines
@@ -77,7 +91,7 @@ class MeasuredVideo:
         return {
             "video": self.name,
             "friction_coefficient": measured.friction_coefficient,
-            "uncertainty": self.uncertainty,
+            "uncertainty": None if self.without_error_bar else self.uncertainty,
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
             "material_probabilities": measured.material_probabilities,
@@ -89,66 +103,124 @@ class MeasuredVideo:
             "stage_start_found": video.start.found,
             "stage_speed": video.time_base and video.time_base.rate,
             "stage_speed_sd": video.time_base and video.time_base.rate_sd,
-            "notes": video.notes,
+            "without_error_bar": self.without_error_bar,
+            "notes": self.notes,
             "instrument": self.instrument,
         }
 
 
-def measure_video(
-    path: str | os.PathLike,
+@dataclass(frozen=True)
+class MeasuringBench:
+    """An instrument behind a camera: what all videos of one place share.
+
+    Attributes
+    ----------
+    lens : LensCamera
+    instrument : Instrument
+    config_path : path
+        The configuration that told which frames to take.
+    schedule : Schedule
+    """
+
+    lens: LensCamera
+    instrument: Instrument
+    config_path: Path
+    schedule: Schedule
+
+    def measure(
+        self,
+        path: str | os.PathLike,
+        *,
+        start_s: float | None = None,
+        frame_rate_hz: float | None = None,
+    ) -> MeasuredVideo:
+        """Measure one video.
+
+        Parameters
+        ----------
+        path : path
+        start_s, frame_rate_hz : float, optional
+            See `slipstitch.capture.videos.read_stage_video`.
+
+        Raises
+        ------
+        BadInput
+            If the video cannot be used, or does not show the protocol.
+        """
+        video = read_stage_video(
+            path, self.lens, self.schedule, start_s=start_s, frame_rate_hz=frame_rate_hz
+        )
+        pose = np.array([video.pose[name] for name in POSE])
+        measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
+        grid, probability = map(np.asarray, measured.distribution)
+        return MeasuredVideo(
+            Path(path).name,
+            video,
+            measured,
+            _half_width(grid, probability),
+            str(self.instrument.card.get("weights_sha256") or "unknown"),
+            self.config_path,
+            self.schedule.path,
+            self.instrument.without_error_bar,
+            tuple(self.instrument.caveats),
+        )
+
+
+def measuring_bench(
     camera: str | os.PathLike,
     model: str | os.PathLike,
     config: str | os.PathLike | None = None,
-    *,
-    start_s: float | None = None,
-    frame_rate_hz: float | None = None,
     threads: int = 2,
-) -> MeasuredVideo:
-    """Measure one video.
+    force: bool = False,
+) -> MeasuringBench:
+    """Read the camera, the instrument and what it was trained with.
 
     Parameters
     ----------
-    path, camera, model : path
-        The video, the camera file, the instrument's folder.
+    camera, model : path
+        The camera file, the instrument's folder.
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
-    start_s, frame_rate_hz : float, optional
-        See `slipstitch.capture.videos.read_stage_video`.
     threads : int
+    force : bool
+        Measure although the camera stands where the instrument was never tried.
 
     Raises
     ------
     BadInput
-        If a file cannot be used, or the video does not show the protocol.
+        If a file cannot be used, or the camera stands outside the poses of the training.
     """
     lens = read_camera_file(camera)
     instrument = load_instrument(Path(model))
+    config_path, schedule = schedule_of(instrument, model, config)
+    tested = instrument.card.get("pose_range")
+    strange = outside(relative_pose(*lens.pose, schedule.pose), tested) if tested else []
+    if strange and not force:
+        raise BadInput(
+            f"{camera}: the pose of the camera is outside the training range of the instrument: "
+            f"{'; '.join(strange)}; see `slipstitch capture check`; --force measures anyway"
+        )
+    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
+    # which takes longer than the measurement.
+    torch.set_num_threads(threads)
+    return MeasuringBench(lens, instrument, config_path, schedule)
+
+
+def schedule_of(
+    instrument: Instrument, model: str | os.PathLike, config: str | os.PathLike | None
+) -> tuple[Path, Schedule]:
+    """The configuration that an instrument was trained with, and the frames that it sees."""
     config_path = _config_of(model, config)
     settings = load_config(config_path)
     frames, sampled = int(instrument.card["frames"]), settings.sample.frames
     if frames > sampled:
         raise BadInput(
             f"{config_path}: sample.frames is {sampled}, the instrument in {model} was trained "
-            f"with {frames}; state its configuration (--config)"
+            f"with {frames}; give its configuration with --config"
         )
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
-    schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
-    video = read_stage_video(path, lens, schedule, start_s=start_s, frame_rate_hz=frame_rate_hz)
-    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
-    # which takes longer than the measurement.
-    torch.set_num_threads(threads)
-    measured = instrument.measure(video.frames, np.random.default_rng(0))
-    grid, probability = map(np.asarray, measured.distribution)
-    return MeasuredVideo(
-        Path(path).name,
-        video,
-        measured,
-        _half_width(grid, probability),
-        str(instrument.card.get("weights_sha256") or "unknown"),
-        config_path,
-        schedule.path,
-    )
+    return config_path, replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
@@ -159,7 +231,9 @@ def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Pat
         found = above / "config.json"
         if found.is_file():
             return found
-    raise BadInput(f"{model}: no config.json in a folder above it; state it with --config")
+    raise BadInput(
+        f"{model}: no config.json in a folder above it; give the configuration with --config"
+    )
 
 
 def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:

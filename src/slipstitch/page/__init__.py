@@ -1,4 +1,4 @@
-"""Page: what every page and picture has in common: colours, figures, wording, templates.
+"""Page: common parts of all pages and plots: colours, figures, wording, templates.
 
 A stage keeps the template of its own page beside the code that fills it.
 """

@@ -1,7 +1,8 @@
-"""From a matplotlib figure to a page or a file: one look, and equal bytes of equal figures."""
+"""From a matplotlib figure to a page or a file, with one style and reproducible bytes."""
 
 import base64
 import functools
+import html
 import io
 import os
 import re
@@ -62,10 +63,11 @@ def svg(figure: Figure) -> str:
     return buffer.getvalue()
 
 
-def svg_element(figure: Figure) -> str:
-    """A figure as an element that stands in a page's own HTML."""
+def svg_element(figure: Figure, label: str) -> str:
+    """A figure as an element of the HTML of a page; screen readers read out `label`."""
     text = svg(figure)
-    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.S)
+    element = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.S)
+    return element.replace("<svg", f'<svg role="img" aria-label="{html.escape(label)}"', 1)
 
 
 def save_figure(

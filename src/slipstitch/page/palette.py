@@ -1,6 +1,6 @@
 """The colours of all pages and pictures."""
 
-# Okabe & Ito 2008: told apart by colour-blind readers.
+# Okabe & Ito 2008: distinguishable for colour-blind readers.
 BLUE, ORANGE, GREEN, PINK = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 SKY, VERMILION, BLACK = "#56B4E9", "#D55E00", "#000000"
 # For curves that have no colour of their own, in this order.
@@ -15,7 +15,8 @@ GOOD, BAD, DOUBT = "#00694d", "#a63d00", "#c9a227"
 INTERVAL = "#dce9f2"  # band of an interval
 PALE_BLUE = "#b9d3e6"
 
-# Variables of the style sheet.
+# Variables of the style sheet, by day and by night. Pictures are drawn in dark ink: what is behind
+# them stays light.
 STYLE_SHEET = {
     "paper": "#fbfaf7",
     "card": "#ffffff",
@@ -27,4 +28,26 @@ STYLE_SHEET = {
     "bad": BAD,
     "doubt": DOUBT,
     "wash": "#f1efe8",
+    "rule": "#c9c5ba",
+    "absent": "#8b8a85",
+    "good-wash": "#eaf3ee",
+    "bad-wash": "#fdeee7",
+    "doubt-wash": "#f5f0df",
+}
+DARK = {
+    "paper": "#17191c",
+    "card": "#202327",
+    "ink": "#e6e4de",
+    "soft": "#a9aaa8",
+    "line": "#34373b",
+    "accent": "#7dbfe6",
+    "good": "#5cc9a0",
+    "bad": "#ff9a66",
+    "doubt": "#d9b84a",
+    "wash": "#25282c",
+    "rule": "#4b4e52",
+    "absent": "#85868a",
+    "good-wash": "#17302a",
+    "bad-wash": "#3a2119",
+    "doubt-wash": "#322c17",
 }

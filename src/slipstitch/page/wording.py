@@ -1,4 +1,4 @@
-"""Numbers, times and sizes as the pages show them."""
+"""Formatting of numbers, times and sizes on the pages."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -88,7 +88,7 @@ def counted(count: int, word: str) -> str:
 
 
 def seeds_in_words(count: int) -> str:
-    """How many trainings a score is the mean of."""
+    """The number of trainings averaged in a score."""
     return "one seed only" if count == 1 else f"{count} seeds"
 
 

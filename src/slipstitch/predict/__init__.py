@@ -1,1 +1,1 @@
-"""Predict what a verdict's null and extended models expect of a new case."""
+"""Predictions of a verdict's null and extended models for a new case."""

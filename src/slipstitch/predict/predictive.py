@@ -30,12 +30,12 @@ def read_verdict(path: Path) -> dict:
     verdict = read_json(path)
     models = verdict.get("models") if isinstance(verdict, dict) else None
     if not isinstance(models, dict) or not {"null", "extended"} <= set(models):
-        raise BadInput(f"{path}: models: missing; a file of slipstitch criticise is needed")
+        raise BadInput(f"{path}: models: missing; must be a file written by slipstitch criticise")
     for name, model in models.items():
         if not _is_model(model):
             raise BadInput(
-                f"{path}: models.{name}: causes, parameters, values, covariance and scatter are "
-                "needed, as slipstitch criticise writes them"
+                f"{path}: models.{name}: must contain causes, parameters, values, covariance and "
+                "scatter, as written by slipstitch criticise"
             )
         for cause in model["causes"]:
             if cause not in MECHANISMS:
@@ -77,7 +77,7 @@ def _is_model(model: object) -> bool:
 
 
 def predictions(verdict: dict, case: Case) -> pd.DataFrame:
-    """One line a run and quantity: run_id, quantity, null and extended mean and total sd."""
+    """One line per run and quantity: run_id, quantity, null and extended mean and total sd."""
     design = assemble(case, measured=False)
     table = design.rows[["run_id", "quantity"]].copy()
     for name, label in (("null", "null"), ("extended", "ext")):

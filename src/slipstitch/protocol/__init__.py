@@ -1,1 +1,1 @@
-"""Known-answer experiments in the simulator, each beside what theory says."""
+"""Known-answer experiments in the simulator, each compared with theory."""

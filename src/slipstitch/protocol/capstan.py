@@ -13,7 +13,7 @@ import numpy as np
 from slipstitch import theory
 from slipstitch.cloth import ClothSolver, rectangle
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, NotConverged
 from slipstitch.protocol.specimen import cylindrical_strip_tables, solver_settings
 
 RADIUS_M = 0.020
@@ -25,6 +25,7 @@ BENDING_OVER_TENSION = 1.0e-3  # B/(T R^2) at the held end; the law needs less t
 LARGEST_WRAP = 1.5 * pi
 LARGEST_RATIO = 100.0
 PULL_S = 2.0
+ROUNDS_MAX = 20  # of that, until nothing sticks any more
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
@@ -40,6 +41,13 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
     dict
         ``tension_ratio``, ``theory_tension_ratio``, and ``bending_over_tension``, B/(T R²) at
         the held end.
+
+    Raises
+    ------
+    BadInput
+        An angle or a ratio out of range.
+    NotConverged
+        A step could not be solved, or part of the strip sticks however far it is pulled.
     """
     wrap = radians(wrap_deg)
     expected = theory.capstan(friction, wrap)
@@ -50,7 +58,8 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
         )
     if expected > LARGEST_RATIO:
         raise BadInput(
-            f"protocol capstan: exp(friction x wrap) is {expected:.3g}: at most {LARGEST_RATIO:g}"
+            f"protocol capstan: exp(friction x wrap) is {expected:.3g}: must be at most "
+            f"{LARGEST_RATIO:g}"
         )
     held_strain = LARGEST_STRAIN / expected
     solver, start_m = _wrapped(settings, friction, wrap, held_strain)
@@ -66,8 +75,15 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
     def pull(time_s: float) -> np.ndarray:
         return start_m + pulled[:, None] * tangent * (stretch_m * time_s / PULL_S)
 
-    for _ in range(steps):
-        solver.advance(PULL_S / steps, pull)
+    for _ in range(ROUNDS_MAX):
+        for _ in range(steps):
+            solver.advance(PULL_S / steps, pull)
+        if not (friction and solver.sticks().any()):
+            break
+    else:
+        raise NotConverged(
+            f"part of the strip still sticks {ROUNDS_MAX * PULL_S:g} s after it was pulled"
+        )
     reactions_N = solver.reactions()
     pull_N = float(reactions_N[-2:].sum(axis=0) @ tangent)
     hold_N = float(reactions_N[:2].sum(axis=0) @ (tangent * (-1, 1, 1)))

@@ -41,7 +41,7 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
         fixed=fixed,
         settings=solver_settings(settings),
     )
-    solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.normal_stiffness_N_m
+    solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.contact_stiffness_N_m
     solver.start()
     speed_m_s, duration_s = 0.01, 2.0
     steps = round(duration_s / settings.time_step_s)

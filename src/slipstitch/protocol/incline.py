@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin, tan
+from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,6 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
         time), ``theory_acceleration_m_s2``.
     """
     slope = radians(slope_deg)
-    # Near the threshold the net force is a small part of the friction: resolve that part.
-    margin = min(1.0, abs(tan(slope) - friction) / max(friction, 1e-3))
-    tolerance = settings.friction_tolerance * max(margin, 1e-6)
     mesh = rectangle(5, 5, 0.02, 0.02)
     flat_m = np.column_stack([mesh.rest_uv_m, np.zeros(mesh.vertex_count)])
     solver = ClothSolver(
@@ -45,12 +42,12 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
         flat_m,
         friction=friction,
         fixed=np.zeros((mesh.vertex_count, 3), bool),
-        settings=solver_settings(settings, friction_tolerance=tolerance),
+        settings=solver_settings(settings),
         gravity_m_s2=(GRAVITY_M_S2 * sin(slope), 0.0, -GRAVITY_M_S2 * cos(slope)),
     )
     # Resting on the floor, not dropped on it.
     solver.positions_m[:, 2] = (
-        -solver.mass_kg * GRAVITY_M_S2 * cos(slope) / solver.normal_stiffness_N_m
+        -solver.mass_kg * GRAVITY_M_S2 * cos(slope) / solver.contact_stiffness_N_m
     )
     weight_N = solver.mass_kg * GRAVITY_M_S2
     borne_N = weight_N * min(sin(slope), friction * cos(slope))

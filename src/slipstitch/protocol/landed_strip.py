@@ -1,4 +1,4 @@
-"""Landed strip: a heavy strip lowered on the floor; its foot slips, or its end is folded under.
+"""Landed strip: a heavy strip lowered onto the floor; its foot slips, or its end folds under.
 
 The side to which it buckles is set by a slight natural curl.
 """
@@ -68,7 +68,7 @@ def landed_strip(
             f"protocol landed-strip: friction {friction:g}: must be at least {SMALLEST_FRICTION:g}"
         )
     if vertices < 8:
-        raise BadInput(f"protocol landed-strip: vertices {vertices:g}: at least 8 are needed")
+        raise BadInput(f"protocol landed-strip: vertices {vertices:g}: must be at least 8")
     flat = theory.landed_strip(gamma)
     slips_at = theory.landed_strip_slip_strain(friction, gamma)
     measured = _lower(settings, friction, gravity_length_m, int(vertices), 2 * flat.strain)

@@ -105,7 +105,7 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
 
 
 def _sideways_m(solver: ClothSolver, gamma: float, side: float, down: float) -> float:
-    """How far the tip's middle lies sideways at rest; weights sideways and down in units of Γ."""
+    """Lateral deflection of the tip's centre at rest; weights sideways and down in units of Γ."""
     gravity_m_s2 = GRAVITY_M_S2 * gamma / WEIGHT_GAMMA
     solver.set_gravity((0.0, side * gravity_m_s2, -down * gravity_m_s2))
     bring_to_rest(solver, LONG_STEP_S)

@@ -1,4 +1,4 @@
-"""The experiments by name, and running one with its options checked."""
+"""The experiments by name, and running one with validated options."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.protocol.cantilever import cantilever
 from slipstitch.protocol.capstan import capstan
+from slipstitch.protocol.demands import verdict
 from slipstitch.protocol.flat_drag import flat_drag
 from slipstitch.protocol.incline import incline
 from slipstitch.protocol.landed_strip import landed_strip
 from slipstitch.protocol.lateral_buckling import lateral_buckling
 from slipstitch.protocol.strip import LARGEST_STRAIN, strip
 from slipstitch.protocol.strip_drag import strip_drag
+from slipstitch.protocol.tilt import tilt
 from slipstitch.provenance import provenance_record, start_clock, write_json
 
 
@@ -35,6 +38,13 @@ PROTOCOLS: dict[str, KnownAnswer] = {
     "incline": KnownAnswer(
         incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}
     ),
+    "tilt": KnownAnswer(
+        tilt,
+        {
+            "friction": (None, "kinetic friction coefficient"),
+            "static_kinetic": (0.0, "static coefficient over the kinetic, less 1"),
+        },
+    ),
     "flat-drag": KnownAnswer(flat_drag, {"friction": _FRICTION}),
     "strip-drag": KnownAnswer(
         strip_drag, {"friction": _FRICTION, "gravity_length_m": _GRAVITY_LENGTH}
@@ -45,7 +55,7 @@ PROTOCOLS: dict[str, KnownAnswer] = {
             "friction": _FRICTION,
             "vertices": (149, "vertices along the strip"),
             "gamma": (0.0, "weight over rigidity, areal density x gravity x length^3 / B"),
-            "strain": (LARGEST_STRAIN, "how far it is pushed, over its length"),
+            "strain": (LARGEST_STRAIN, "displacement of the push, relative to its length"),
         },
     ),
     "landed-strip": KnownAnswer(
@@ -63,7 +73,7 @@ PROTOCOLS: dict[str, KnownAnswer] = {
         lateral_buckling, {"width_over_length": (None, "width of the strip over its length")}
     ),
     "capstan": KnownAnswer(
-        capstan, {"friction": _FRICTION, "wrap_deg": (None, "angle of contact in degrees")}
+        capstan, {"friction": _FRICTION, "wrap_deg": (None, "contact angle in degrees")}
     ),
 }
 
@@ -105,6 +115,8 @@ def run_protocol(
             raise BadInput(f"protocol {name}: {option} is missing")
         if not isfinite(value) or value < 0:
             raise BadInput(f"protocol {name}: {option} {value}: must be finite and at least 0")
+        if option == "friction" and value > FRICTION_MAX:
+            raise BadInput(f"protocol {name}: {option} {value}: must be at most {FRICTION_MAX:g}")
         values[option] = float(value)
     return protocol.run(settings or SimulationSettings(), **values)
 
@@ -118,6 +130,7 @@ def run_protocol_to_file(
     """
     started = start_clock()
     result = run_protocol(name, options, settings)
+    result |= verdict(name, result)
     config = {"options": dict(options), "simulation": settings}
     record = provenance_record("protocol", config=config, started=started)
     write_json(out, result, record, allow_nan=True)

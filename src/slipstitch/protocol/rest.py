@@ -1,4 +1,4 @@
-"""Bringing cloth to rest: implicit steps so long that they damp all motion away."""
+"""Bringing cloth to rest, by implicit steps long enough to damp all motion."""
 
 from collections.abc import Callable
 
@@ -36,5 +36,5 @@ def bring_to_rest(
             return
     moved_m = abs(solver.positions_m - before_m).max()
     raise NotConverged(
-        f"not at rest after {STEPS_MAX} steps of {step_s:g} s: moves {moved_m:.1e} m"
+        f"not at rest after {STEPS_MAX} steps of {step_s:g} s: moves by {moved_m:.1e} m"
     )

@@ -122,7 +122,7 @@ def strip(
 
 
 def theory_regime(friction: float, strain: float = LARGEST_STRAIN) -> str:
-    """What a weightless strip pushed to a strain has done, by theory."""
+    """Theoretical state of a weightless strip pushed to a strain."""
     slips_at = theory.strip_slip_strain(friction)
     if slips_at is not None and slips_at <= strain:
         return "slipped"
@@ -143,13 +143,16 @@ def push_strip(
         The solver did not converge.
     """
     if vertices < 8:
-        raise BadInput(f"protocol strip: vertices {vertices}: at least 8 are needed")
+        raise BadInput(f"protocol strip: vertices {vertices}: must be at least 8")
     if gamma > LARGEST_GAMMA:
         raise BadInput(
-            f"protocol strip: gamma {gamma:g}: at most {LARGEST_GAMMA}, or the weight matters"
+            f"protocol strip: gamma {gamma:g}: must be at most {LARGEST_GAMMA}, for the weight "
+            "to be negligible"
         )
     if not START_STRAIN < strain <= 0.5:
-        raise BadInput(f"protocol strip: strain {strain:g}: above {START_STRAIN:g}, at most 0.5")
+        raise BadInput(
+            f"protocol strip: strain {strain:g}: must be above {START_STRAIN:g}, at most 0.5"
+        )
     solver, start_m = _buckled_strip(settings, friction, vertices, gamma)
     step_s = settings.time_step_s
     foot = slice(-2, None)

@@ -57,7 +57,7 @@ class DragRun:
 
 @dataclass(frozen=True)
 class TrackedShape:
-    """What a camera sees, frame by frame (metres, seconds).
+    """Observations of a camera, frame by frame (metres, seconds).
 
     ``edge_m`` is the advance of the trailing edge, ``contact_m`` the length that lies on the floor.
     """

@@ -1,4 +1,4 @@
-"""Where an artefact comes from: atomic writes, code digests, records beside or inside files."""
+"""Provenance of artefacts: atomic writes, code digests, records beside or inside files."""
 
 from slipstitch.provenance.code import code_digest, code_sources
 from slipstitch.provenance.files import atomic_path, file_digest

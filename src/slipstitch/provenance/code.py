@@ -20,12 +20,16 @@ comments, layout, docstrings, descriptions and the words of errors
   it uses as its parameter, so that one more changes no other. Its functions and classes do.
 - A file that is no Python source (a table, a template) counts where a module or a template that
   counts names it, and in all of its package if none at all does.
+
+Of the libraries that a stage's modules import, the versions of those count whose releases change
+numbers or pixels (`RESULT_PACKAGES`), without the local tag that names a build.
 """
 
 import ast
 import functools
 import hashlib
-from collections.abc import Iterable
+import importlib.metadata
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from slipstitch.provenance.normal_form import (
@@ -47,10 +51,13 @@ NOT_PART_OF_A_RESULT = (
     "slipstitch.doctor",
     "slipstitch.errors",
     "slipstitch.progress",
+    "slipstitch.warp_start",
     "slipstitch.provenance",
 )
 CATALOGUES = ("slipstitch.catalogue", "slipstitch.material.fabrics")
 CONFIGURATION = "slipstitch.config"
+# Module -> the package whose version changes what a stage that imports it gives.
+RESULT_PACKAGES = {"bpy": "bpy", "torch": "torch", "warp": "warp-lang"}
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")
 
 
@@ -74,14 +81,17 @@ def _text(source: Path) -> str:
 
 def _imported(name: str, source: Path) -> frozenset[str]:
     """Dotted names that the module imports inside the package; some may be no modules."""
-    modules, members = _imports_in(name, source.name == "__init__.py", _text(source))
+    modules, members, _ = _imports_in(name, source.name == "__init__.py", _text(source))
     return modules | members
 
 
 @functools.cache
-def _imports_in(name: str, is_package: bool, text: str) -> tuple[frozenset[str], frozenset[str]]:
+def _imports_in(
+    name: str, is_package: bool, text: str
+) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
     """Modules that are imported or imported from, and what is imported from them, which may be
-    modules too; by the source's text, as an audit reads the same sources in several places.
+    modules too; and the packages whose versions count. By the source's text, as an audit reads the
+    same sources in several places.
     """
     parts = name.split(".")
     modules: set[str] = set()
@@ -97,7 +107,8 @@ def _imports_in(name: str, is_package: bool, text: str) -> tuple[frozenset[str],
                 base = node.module or ""
             modules.add(base)
             members.update(f"{base}.{alias.name}" for alias in node.names)
-    return _of_the_package(modules), _of_the_package(members)
+    foreign = {RESULT_PACKAGES.get(module.partition(".")[0]) for module in modules} - {None}
+    return _of_the_package(modules), _of_the_package(members), frozenset(map(str, foreign))
 
 
 def _of_the_package(names: set[str]) -> frozenset[str]:
@@ -131,7 +142,7 @@ def _modules(stage: str, base: Path) -> dict[str, Path]:
     start = f"{PACKAGE}.{stage}"
     entry = _module_file(start, base)
     if entry is None:
-        raise ModuleNotFoundError(f"there is no package {start} in {base}")
+        raise ModuleNotFoundError(f"no package {start} in {base}")
     whole = _is_in(start, [CONFIGURATION])
     waiting = [start]
     if entry.name == "__init__.py":
@@ -158,7 +169,7 @@ def _attributes_in(text: str, name: str) -> frozenset[str]:
 
 
 def _names_spoken(modules: dict[str, Path], base: Path) -> tuple[set[str], set[str]]:
-    """What modules speak of that may be a piece of the configuration.
+    """Names in modules that may refer to a part of the configuration.
 
     Returns
     -------
@@ -258,10 +269,8 @@ def _base(root: str | Path | None) -> Path:
     return Path(root) if root is not None else Path(__file__).resolve().parents[2]
 
 
-def _contents(stage: str, root: str | Path | None) -> dict[Path, bytes]:
-    """What counts of each file, sorted by the files' paths below the root."""
-    base = _base(root)
-    modules = _modules(stage, base)
+def _contents(modules: dict[str, Path], base: Path) -> dict[Path, bytes]:
+    """The relevant content of each file, sorted by path below the root."""
     contents = {path: path.read_bytes() for path in _data_files(modules, base)}
     for name, source in modules.items():
         form = without_entries if _is_in(name, CATALOGUES) else normal_form
@@ -288,19 +297,52 @@ def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     ModuleNotFoundError
         If there is no such package.
     """
-    return list(_contents(stage, root))
+    base = _base(root)
+    return list(_contents(_modules(stage, base), base))
+
+
+def _foreign(modules: Mapping[str, Path]) -> set[str]:
+    """Packages whose versions count that `modules` import."""
+    return {
+        package
+        for name, source in modules.items()
+        for package in _imports_in(name, source.name == "__init__.py", _text(source))[2]
+    }
 
 
 @functools.cache
-def code_digest(stage: str, root: str | Path | None = None) -> str:
-    """SHA-256 over what computes in the sources of `stage` (64 hexadecimal digits).
+def installed_version(package: str) -> str | None:
+    """Version of an installed package; None if it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
-    Deterministic: a function of the files' paths below the package and their contents only. The
-    answer is kept for the life of the process. Parameters and errors as for `code_sources`.
+
+@functools.cache
+def code_digest(
+    stage: str, root: str | Path | None = None, versions: tuple[tuple[str, str], ...] | None = None
+) -> str:
+    """SHA-256 over what computes in `stage` (64 hexadecimal digits): sources and versions.
+
+    Deterministic: a function of the files' paths below the package, their contents and the versions
+    of those `RESULT_PACKAGES` that they import. The answer is kept for the life of the process.
+
+    Parameters
+    ----------
+    stage, root
+        As for `code_sources`; the errors too.
+    versions : tuple of pairs, optional
+        Package and version, as a record names them; by default what is installed.
     """
     base = _base(root)
     digest = hashlib.sha256()
-    for file, content in _contents(stage, base).items():
+    modules = _modules(stage, base)
+    for file, content in _contents(modules, base).items():
         digest.update(f"{file.relative_to(base).as_posix()}\0{len(content)}\0".encode())
         digest.update(content)
+    stated = None if versions is None else dict(versions)
+    for package in sorted(_foreign(modules)):
+        version = installed_version(package) if stated is None else stated.get(package)
+        digest.update(f"{package}=={str(version).partition('+')[0]}\0".encode())
     return digest.hexdigest()

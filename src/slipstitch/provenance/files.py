@@ -1,4 +1,4 @@
-"""Files that are there completely or not at all, and their digests."""
+"""Atomically written files and their digests."""
 
 import contextlib
 import fcntl

@@ -1,15 +1,17 @@
-"""What of a Python module computes, as text: the same for sources that differ in words only.
+"""The computing part of a Python module as text, independent of wording.
 
 The text is written from the syntax tree. Left out are
 
 - comments, layout and docstrings, those of attributes too;
 - the words of errors: text that stands directly in ``raise X("...")``, also in f-strings, sums and
   ``"...".format(...)``. What such a text is filled with stays, as it is computed; so do other
-  arguments, as a caught error may hand on values. No code decides by the wording of an error;
+  arguments, as a caught error may hand on values. No code decides by the wording of an error.
+  Likewise Slipstitch's own errors where they are made, and what is printed to ``sys.stderr``;
 - the words of settings and options: ``description``, ``title`` and ``examples`` of pydantic's
-  ``Field``, and ``help``, ``metavar``, ``description`` and ``epilog`` of argparse.
+  ``Field``, and ``help``, ``metavar``, ``description`` and ``epilog`` of argparse; those of
+  progress bars.
 
-Printed lines, progress and the words of pages and tables stay: they are in results or in logs.
+Other printed lines and the words of pages and tables stay: they are in results.
 """
 
 import ast
@@ -19,6 +21,7 @@ from typing import Any
 
 _FIELD_WORDS = frozenset({"description", "title", "examples"})
 _OPTION_WORDS = frozenset({"help", "metavar", "description", "epilog"})
+_BAR_WORDS = frozenset({"description", "desc", "unit"})
 _WORDS_OF = {
     "Field": _FIELD_WORDS,
     "ArgumentParser": _OPTION_WORDS,
@@ -26,7 +29,10 @@ _WORDS_OF = {
     "add_argument_group": _OPTION_WORDS,
     "add_parser": _OPTION_WORDS,
     "add_subparsers": _OPTION_WORDS,
+    "progress": _BAR_WORDS,
+    "tqdm": _BAR_WORDS,
 }
+_SPOKEN = frozenset({"BadInput", "Damaged", "NotConverged", "SlipstitchError", "progress"})
 # They say how a name or a string was written, not what it is.
 _NO_MEANING = frozenset({"ctx", "kind", "type_comment"})
 _ASSIGNS = (ast.Assign, ast.AnnAssign)
@@ -40,7 +46,7 @@ def parsed(text: str, name: str) -> ast.Module:
     Raises
     ------
     SyntaxError
-        If it is no Python; `name` stands in the message.
+        If it is not Python; the message contains `name`.
     """
     tree = ast.parse(text, filename=name)
     for node in ast.walk(tree):
@@ -51,6 +57,9 @@ def parsed(text: str, name: str) -> ast.Module:
             for argument in node.exc.args:
                 _blank(argument)
         elif isinstance(node, ast.Call):
+            if called(node) in _SPOKEN or _to_stderr(node):
+                for argument in node.args:
+                    _blank(argument)
             words = _WORDS_OF.get(called(node) or "", frozenset())
             node.keywords = [word for word in node.keywords if word.arg not in words]
     return tree
@@ -62,6 +71,14 @@ def _is_text(statement: ast.stmt) -> bool:
         isinstance(statement, ast.Expr)
         and isinstance(statement.value, ast.Constant)
         and isinstance(statement.value.value, str)
+    )
+
+
+def _to_stderr(call: ast.Call) -> bool:
+    """Whether it is ``print(..., file=sys.stderr)``."""
+    return called(call) == "print" and any(
+        word.arg == "file" and getattr(word.value, "attr", None) == "stderr"
+        for word in call.keywords
     )
 
 
@@ -115,7 +132,7 @@ def without_entries(text: str, name: str) -> str:
 
 
 def computing_definitions(text: str, name: str) -> Iterator[tuple[str, bool, ast.AST]]:
-    """What computes in a source of settings, piece by piece.
+    """The computing parts of a source of settings.
 
     Functions, methods, properties and constants; of a class without its methods its decorators and
     bases. Fields are left out, with defaults and bounds, and so are validators: they decide which

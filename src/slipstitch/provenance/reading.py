@@ -1,4 +1,4 @@
-"""Reading files that may be missing, damaged, or made to do harm: one clear error for each.
+"""Reading files that may be missing, damaged or malicious: one clear error for each.
 
 Nothing here runs what it reads: YAML is loaded safely, Parquet and JSON hold data alone. Files that
 claim more than they can hold are refused before memory is taken for them.
@@ -36,7 +36,7 @@ def _first_line(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
-    """What goes wrong in the block is said of the file at `path`, which is to be a `kind`.
+    """Errors in the block are reported for the file at `path`, which should be a `kind`.
 
     Raises
     ------
@@ -52,11 +52,11 @@ def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise BadInput(f"{path}: a folder; a {kind} is needed") from None
+        raise BadInput(f"{path}: is a folder; must be a {kind}") from None
     except PermissionError:
-        raise BadInput(f"{path}: may not be read") from None
+        raise BadInput(f"{path}: permission denied") from None
     except _DAMAGE as error:
-        raise Damaged(path, f"damaged or no {kind}: {_first_line(error)}") from None
+        raise Damaged(path, f"damaged or not a {kind}: {_first_line(error)}") from None
 
 
 def _check_claims(path: str | os.PathLike, metadata) -> None:
@@ -110,7 +110,7 @@ def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
         needed = wanted or ()
         for name in needed:
             if name not in names:
-                raise BadInput(f"{path}: no column {name!r}; needed: {', '.join(needed)}")
+                raise BadInput(f"{path}: no column {name!r}; required: {', '.join(needed)}")
         table = file.read(columns=wanted)
         table.validate(full=True)  # text that is none, offsets that lead nowhere
         return table
@@ -169,11 +169,11 @@ def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
     if side.is_file():
         noted = json.loads(side.read_text(encoding="utf-8")).get("sha256")
         if noted is not None and noted != hashlib.sha256(raw).hexdigest():
-            raise ValueError("not the bytes that its record was written for")
+            raise ValueError("its content does not match its record")
 
 
 def _values(content: Any) -> int:
-    """How many values a structure has, aliases written out; stops at `YAML_VALUES_MAX`."""
+    """Number of values in a structure with aliases expanded; stops at `YAML_VALUES_MAX`."""
     count, waiting = 0, [content]
     while waiting and count <= YAML_VALUES_MAX:
         value = waiting.pop()
@@ -185,8 +185,25 @@ def _values(content: Any) -> int:
     return count
 
 
+class _UniqueKeys(yaml.SafeLoader):
+    """Plain data only, as `yaml.SafeLoader`; a key given twice is an error."""
+
+    def construct_mapping(self, node, deep=False):
+        """The mapping of a node."""
+        given = set()
+        for key_node, _ in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key in given and key != "<<":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is given twice", key_node.start_mark
+                )
+            given.add(key)
+            given.discard(None)
+        return super().construct_mapping(node, deep)
+
+
 def load_yaml(text: str, where: str) -> Any:
-    """What a YAML text says; plain data only.
+    """The content of a YAML text; plain data only.
 
     Parameters
     ----------
@@ -200,19 +217,19 @@ def load_yaml(text: str, where: str) -> Any:
         If it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
     """
     if len(text) > YAML_BYTES_MAX:
-        raise BadInput(f"{where}: {len(text)} characters, at most {YAML_BYTES_MAX} are read")
+        raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, Loader=_UniqueKeys)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}:" if mark else ""
         raise BadInput(f"{where}:{line} not YAML: {getattr(error, 'problem', error)}") from None
     except RecursionError:
-        raise BadInput(f"{where}: not YAML that can be read: nested too deeply") from None
+        raise BadInput(f"{where}: invalid YAML: nested too deeply") from None
     except ValueError as error:  # a date of month 13, say
         raise BadInput(f"{where}: not YAML: {_first_line(error)}") from None
     if _values(content) > YAML_VALUES_MAX:
-        raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values, aliases written out")
+        raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values with aliases expanded")
     return content
 
 

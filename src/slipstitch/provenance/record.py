@@ -1,4 +1,4 @@
-"""The record that goes with every artefact: what made it, from what, with what, at what cost."""
+"""The record of every artefact: its origin, inputs, software and cost."""
 
 import contextlib
 import functools
@@ -21,14 +21,18 @@ from slipstitch.provenance.reading import SIDECAR_SUFFIX, open_parquet
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
-# A checksum a page: damage is noticed when a file is read (slipstitch.provenance.reading).
+# A checksum per page: damage is noticed when a file is read (slipstitch.provenance.reading).
 WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
+#: What of a checkout decides about results, beside the configuration, whose values are recorded.
+TRACKED = ("Snakefile", "rules", "envs", "src", "workflow", "LICENSE", "CITATION.cff")
 RECORDED_PACKAGES = (
+    "av",
     "bpy",
     "cvxopt",
     "numpy",
     "opencv-python-headless",
     "pandas",
+    "pillow",
     "pyarrow",
     "pydantic",
     "safetensors",
@@ -70,7 +74,7 @@ def _git() -> tuple[str | None, bool | None]:
     top = ask("rev-parse", "--show-toplevel")
     if top is None or Path(top).resolve() != root:  # installed inside somebody else's checkout
         return None, None
-    changes = ask("status", "--porcelain", "--untracked-files=normal", "--", "src", "rules")
+    changes = ask("status", "--porcelain", "--untracked-files=normal", "--", *TRACKED)
     return ask("rev-parse", "HEAD"), None if changes is None else bool(changes)
 
 
@@ -88,7 +92,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def host_kind() -> str:
-    """What sort of machine this is (never which one): system, processor, number of CPUs."""
+    """The kind of machine (not its identity): system, processor, number of CPUs."""
     model = platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as stream:
@@ -130,7 +134,7 @@ def provenance_record(
     seed: int | None = None,
     started: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """What made an artefact.
+    """The origin of an artefact.
 
     Parameters
     ----------
@@ -322,10 +326,10 @@ def read_metadata(source) -> dict[str, Any]:
     keys = getattr(source, "schema", source).metadata or {}
     text = keys.get(METADATA_KEY, b"{}")
     if keys.get(DIGEST_KEY, None) not in (None, hashlib.sha256(text).hexdigest().encode()):
-        raise ValueError("its metadata is not as it was written")
+        raise ValueError("its metadata was altered or damaged")
     content = json.loads(text)
     if not isinstance(content, dict):
-        raise ValueError("its metadata is no mapping")
+        raise ValueError("its metadata is not a mapping")
     return content
 
 

@@ -1,1 +1,1 @@
-"""Release: the dataset as a folder that others load in one line, trust and can audit."""
+"""Release: the dataset as a folder that others can load in one line and audit."""

@@ -1,4 +1,4 @@
-"""Putting a release together in a temporary folder that takes its name at the very end."""
+"""Assembling a release in a temporary folder that is renamed at the very end."""
 
 import datetime
 import json
@@ -10,27 +10,27 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
-import yaml
-
-from slipstitch.catalogue import FLOORS
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
-from slipstitch.release.card import write_card
-from slipstitch.release.checksums import SUMS, files_below, write_sums
-from slipstitch.release.code import check_project, copy_code
+from slipstitch.release.card import CARD
+from slipstitch.release.checksums import SIGNATURE, SUMS, files_below, write_sums
+from slipstitch.release.code import check_project, copy_code, locked_versions
 from slipstitch.release.currency import (
     calibrated_by,
     catalogue_changes,
     config_changes,
     current_digest,
+    other_versions,
 )
+from slipstitch.release.description import card_of, facts_of
 from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
 from slipstitch.release.previews import write_previews
 from slipstitch.release.records import (
-    RECORDS,
+    CONFIG,
+    GRID,
+    RELEASE_RECORD,
     VERIFICATION,
     Artefact,
     carried_file,
@@ -39,15 +39,11 @@ from slipstitch.release.records import (
     locate,
     write_record,
 )
-from slipstitch.release.shards import features_of, write_shards
-from slipstitch.release.splits import parts, parts_of_splits, split_columns
+from slipstitch.release.shards import write_shards
+from slipstitch.release.signature import check_key, sign
+from slipstitch.release.splits import parts, split_columns
 from slipstitch.sample.manifest import MANIFEST_SCHEMA, read_manifest
 
-CONFIG = f"{RECORDS}/config.json"
-GRID = f"{RECORDS}/grid.parquet"
-RELEASE_RECORD = f"{RECORDS}/release.json"
-KEYWORDS = ("cloth", "friction", "simulation", "video", "material estimation")
-LICENCE_URL = "https://spdx.org/licenses/GPL-3.0-or-later"
 _ROOM = 1.02  # records, code and previews come on top of the shards
 
 
@@ -73,29 +69,14 @@ def release_date() -> str:
         raise BadInput(f"SOURCE_DATE_EPOCH={epoch}: must be a number of seconds") from None
 
 
-def _facts(config: Config, project: Path) -> dict[str, Any]:
-    citation = yaml.safe_load((project / "CITATION.cff").read_text(encoding="utf-8"))
-    paper = citation["references"][0]
-    settings = config.release
-    return {
-        "name": settings.name,
-        "version": settings.version,
-        "title": "Cloth dropped and dragged over a floor, by friction coefficient",
-        "description": "Rendered videos of simulated cloth that is lowered onto a floor and "
-        "dragged over it, labelled with the friction coefficient and the fabric.",
-        "licence_url": LICENCE_URL,
-        "citation": f"{citation['title']}, version {citation['version']}; method after: "
-        f"{paper['title']}, {paper['collection-title']}, {paper['year']}",
-        "date": release_date(),
-        "keywords": KEYWORDS,
-    }
-
-
-def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path) -> None:
+def check_current(
+    artefacts: Mapping[str, Artefact], config: Config, root: Path, lock: Mapping[str, str]
+) -> None:
     """Refuse to release what code, configuration or catalogue would not make now.
 
     Simulations are held against what they were told to use: the configuration with the settings
-    that the calibration (below `root`) chose.
+    that the calibration (below `root`) chose. Versions must be those of the `lock`, by which others
+    make the same again.
 
     Raises
     ------
@@ -108,15 +89,19 @@ def check_current(artefacts: Mapping[str, Artefact], config: Config, root: Path)
             continue
         if artefact.provenance["code_digest"] != current_digest(artefact.stage):
             raise BadInput(
-                f"{artefact.path}: made by other code of the stage {artefact.stage}; bring the "
-                "results up to date with: snakemake --cores 2 sample"
+                f"{artefact.path}: made by different code of the stage {artefact.stage}; update "
+                "the results with: snakemake --cores 2 sample"
+            )
+        for problem in other_versions(artefact.record, lock):
+            raise BadInput(
+                f"{artefact.path}: {problem}; install these versions, or update the lock"
             )
         changes = config_changes(artefact, config, calibrated)
         if changes:
-            raise BadInput(f"{artefact.path}: made with another configuration: {changes[0]}")
+            raise BadInput(f"{artefact.path}: made with a different configuration: {changes[0]}")
         changes = catalogue_changes(artefact)
         if changes:
-            raise BadInput(f"{artefact.path}: made with another catalogue: {changes[0]}")
+            raise BadInput(f"{artefact.path}: made with a different catalogue: {changes[0]}")
 
 
 def _outside(config: Config) -> dict[str, Path]:
@@ -129,9 +114,9 @@ def _check_target(out: Path) -> None:
     if out.is_dir() and not any(out.iterdir()):
         return
     if (out / SUMS).is_file():
-        raise BadInput(f"{out}: there is a release already; it is not overwritten, remove it first")
+        raise BadInput(f"{out}: contains a release, which is not overwritten; remove it first")
     if out.exists() or out.is_symlink():
-        raise BadInput(f"{out}: exists and is no release; it is left alone, choose another folder")
+        raise BadInput(f"{out}: exists and is not a release; choose another folder")
 
 
 def _check_room(out: Path, needed: float) -> None:
@@ -145,7 +130,11 @@ def _check_room(out: Path, needed: float) -> None:
 
 
 def write_release(
-    config: Config, results: str | os.PathLike, out: str | os.PathLike, project: str | os.PathLike
+    config: Config,
+    results: str | os.PathLike,
+    out: str | os.PathLike,
+    project: str | os.PathLike,
+    key: str | os.PathLike | None = None,
 ) -> Released:
     """Write a release of the sampled dataset.
 
@@ -159,6 +148,8 @@ def write_release(
         The release; must not exist yet.
     project : path
         Checkout of the code that runs.
+    key : path, optional
+        SSH key to sign it with.
 
     Raises
     ------
@@ -170,8 +161,10 @@ def write_release(
     started = start_clock()
     results, out = Path(results), Path(out)
     if results.resolve().name != "results":
-        raise BadInput(f"{results}: not a folder named results, as the records call it")
+        raise BadInput(f"{results}: must be a folder named results, as in the records")
     _check_target(out)
+    if key is not None:
+        check_key(key)
     project = check_project(project)
     sample = results / "sample"
     sampled, _ = read_manifest(sample)
@@ -179,12 +172,12 @@ def write_release(
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
     artefacts = collect(made, results.parent, _outside(config))
-    check_current(artefacts, config, results.parent)
+    check_current(artefacts, config, results.parent, locked_versions(project))
     _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
     try:
         with atomic_path(out) as folder:
             folder.mkdir()
-            return _fill(folder, config, results, sampled, artefacts, project, started)
+            return _fill(folder, config, results, sampled, artefacts, project, started, key)
     except OSError as error:
         raise SlipstitchError(f"{out}: cannot be written: {error.strerror or error}") from None
 
@@ -197,6 +190,7 @@ def _fill(
     artefacts: dict[str, Artefact],
     project: Path,
     started: tuple[float, float],
+    key: str | os.PathLike | None,
 ) -> Released:
     sample = results / "sample"
     splits = split_columns(sampled, config.release.unseen_share, config.seed)
@@ -214,21 +208,10 @@ def _fill(
     write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
     pictures = write_previews(folder, rows)
     copy_code(project, folder)
-    facts = _facts(config, project)
+    facts = facts_of(config, project, release_date())
     _write_records(folder, config, results, artefacts)
-    write_card(
-        folder,
-        facts,
-        rows,
-        parts_of_splits(splits, part_of),
-        list(features_of(pq.read_schema(folder / rows[0]["shard"]))),
-        config=config,
-        calibration=_calibration(folder, artefacts),
-        verification=_verification(folder),
-        pictures=pictures,
-        code=_commits(artefacts),
-        example=videos[0],
-    )
+    card = card_of(folder, facts, config, rows, artefacts, pictures)
+    (folder / CARD).write_text(card, encoding="utf-8")
     # rdflib and rocrate take a second to import.
     from slipstitch.release.crate import write_crate
     from slipstitch.release.croissant import write_croissant
@@ -243,11 +226,14 @@ def _fill(
     )
     # As the other records call it, whatever the working folder.
     record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
-    write_crate(folder, facts, artefacts | {".": Artefact(".", "", provenance=record)})
+    write_crate(folder, facts, artefacts, record)
     content = {name: file_digest(folder / name) for name in files_below(folder)}
     _write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
     digest = write_sums(folder)
     files = [*files_below(folder), SUMS]
+    if key is not None:
+        sign(folder, key)
+        files.append(SIGNATURE)
     for name in files:
         (folder / name).chmod(0o444)
     return Released(
@@ -275,50 +261,3 @@ def _write_records(
     _write_json(folder / CONFIG, config.model_dump(mode="json"))
     if (results / "grid.parquet").is_file():
         shutil.copyfile(results / "grid.parquet", folder / GRID)
-
-
-def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[str, Any]]:
-    """The largest error of each kind of check, beside what is allowed."""
-    worst: dict[str, dict[str, Any]] = {}
-    for path, artefact in artefacts.items():
-        if Path(path).name == "calibration.json" and is_carried(artefact):
-            content = json.loads((folder / carried_file(path)).read_text(encoding="utf-8"))
-            for check in content["checks"]:
-                unit = "(relative)" if check["relative"] else check["unit"]
-                kept = worst.get(check["name"])
-                if kept is None or check["error"] > kept["error"]:
-                    worst[check["name"]] = {**check, "unit": unit}
-    return list(worst.values())
-
-
-def _verification(folder: Path) -> list[dict[str, Any]]:
-    """How near composed images are to direct renders: floors that do not mirror, and that do."""
-    path = folder / carried_file(VERIFICATION)
-    if not path.is_file():
-        return []
-    comparisons = json.loads(path.read_text(encoding="utf-8"))["comparisons"]
-    kinds: dict[str, list[dict]] = {"matte": [], "mirrors": []}
-    for compared in comparisons:
-        kinds["matte" if FLOORS[compared["floor"]].reflectance[1] == 0 else "mirrors"].append(
-            compared
-        )
-    return [
-        {
-            "floor": kind,
-            "images": len(of_kind),
-            "least_psnr_db": of_kind[0]["least_psnr_db"],
-            "lowest_psnr_db": min(compared["psnr_db"] for compared in of_kind),
-            "mean_psnr_db": sum(compared["psnr_db"] for compared in of_kind) / len(of_kind),
-            "lowest_ssim": min(compared["ssim"] for compared in of_kind),
-        }
-        for kind, of_kind in kinds.items()
-        if of_kind
-    ]
-
-
-def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
-    records = [
-        artefact.provenance for artefact in artefacts.values() if artefact.provenance is not None
-    ]
-    commits = {record["git_commit"] for record in records if record["git_commit"]}
-    return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}

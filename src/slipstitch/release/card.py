@@ -1,4 +1,4 @@
-"""The dataset card: README.md with figures, limits and the lines that load the data."""
+"""The dataset card: README.md with figures, limits and code to load the data."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from slipstitch.release.manifest import SAMPLED, described
 from slipstitch.release.splits import PREFIX, question
 from slipstitch.sample.splits import SIDES
 
-FILE = "README.md"
+CARD = "README.md"
 _TEMPLATE = Path(__file__).with_name("card.md.j2")
 _NO_LABELS = frozenset(
     {"video", "pixels_sha256", "simulation", "frames", "pixels", "part", "shard", "first_row"}
@@ -25,6 +25,19 @@ def _size_category(images: int) -> str:
     return next((name for bound, name in _SIZES if images < bound), "1M<n<10M")
 
 
+def data_files(
+    parts: Mapping[str, Mapping[str, Sequence[str]]],
+) -> dict[tuple[str, str], list[str] | str]:
+    """(Split, side) -> patterns of the files that Hugging Face datasets loads for it."""
+    files: dict[tuple[str, str], list[str] | str] = {
+        (split, side): [f"data/{part}-*.parquet" for part in names]
+        for split, sides in parts.items()
+        for side, names in sides.items()
+    }
+    files["everything", "videos"] = "data/part*.parquet"
+    return files
+
+
 def front_matter(
     facts: Mapping[str, Any],
     images: int,
@@ -32,27 +45,18 @@ def front_matter(
     default: str,
 ) -> str:
     """The YAML block by which Hugging Face datasets finds the splits."""
-    configs = []
-    for split, sides in parts.items():
-        files = [
-            {"split": side, "path": [f"data/{part}-*.parquet" for part in names]}
-            for side, names in sides.items()
-        ]
-        entry = {"config_name": split, "data_files": files}
-        configs.append(entry | ({"default": True} if split == default else {}))
-    configs.append(
-        {
-            "config_name": "everything",
-            "data_files": [{"split": "videos", "path": "data/part*.parquet"}],
-        }
-    )
+    configs: dict[str, dict[str, Any]] = {}
+    for (split, side), path in data_files(parts).items():
+        entry = configs.setdefault(split, {"config_name": split, "data_files": []})
+        entry["data_files"].append({"split": side, "path": path})
+    configs[default]["default"] = True
     content = {
         "license": "gpl-3.0",
         "pretty_name": facts["title"],
         "task_categories": ["video-classification", "image-classification"],
         "tags": list(facts["keywords"]),
         "size_categories": [_size_category(images)],
-        "configs": configs,
+        "configs": list(configs.values()),
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
@@ -70,7 +74,7 @@ def split_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list
 
 
 def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """What the videos differ in: column of labels -> its values, test-only ones marked.
+    """Variation of the videos: column of labels -> its values, test-only ones marked.
 
     Numbers of many values are shown by their range. Ids, digests, places and splits are no labels.
     """
@@ -92,13 +96,16 @@ def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return shown
 
 
-def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_columns, **more) -> None:
-    """Write ``README.md``.
+def default_split(parts: Mapping[str, Any]) -> str:
+    """The split that is loaded if none is named."""
+    return "by_simulation" if "by_simulation" in parts else next(iter(parts))
+
+
+def card_text(facts: Mapping[str, Any], rows, parts, frame_columns, **more) -> str:
+    """Text of ``README.md``.
 
     Parameters
     ----------
-    folder : path
-        The release.
     facts : mapping
     rows : sequence of mappings
         The release's manifest.
@@ -107,12 +114,12 @@ def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_column
     frame_columns : sequence of str
         Columns of the shards.
     **more
-        What else the template shows: ``config, calibration, verification, pictures, code,
-        example``.
+        What else the template shows: ``config, calibration, verification, solver, pictures, code,
+        versions, example``.
     """
-    default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
+    default = default_split(parts)
     images = sum(row["frames"] for row in rows)
-    text = render(
+    return render(
         _TEMPLATE,
         front_matter=front_matter(facts, images, parts, default),
         facts=facts,
@@ -132,4 +139,3 @@ def write_card(folder: Path, facts: Mapping[str, Any], rows, parts, frame_column
         frame_columns=[(name, described(name)) for name in frame_columns],
         **more,
     )
-    (folder / FILE).write_text(text, encoding="utf-8")

@@ -10,19 +10,20 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest
 
 SUMS = "SHA256SUMS"
+SIGNATURE = "SHA256SUMS.sig"
 # Snakemake leaves this empty file in a folder that a rule makes.
 NOT_OURS = ".snakemake_timestamp"
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def files_below(folder: Path) -> list[str]:
-    """Relative paths of all files and links of a release but its sums, sorted."""
+    """Relative paths of all files of a release but its sums and their signature, sorted."""
     found = []
     for place, names, files in os.walk(folder):
         links = [name for name in names if os.path.islink(os.path.join(place, name))]
         for name in (*files, *links):
             found.append(Path(place, name).relative_to(folder).as_posix())
-    return sorted(name for name in found if name not in (SUMS, NOT_OURS))
+    return sorted(name for name in found if name not in (SUMS, SIGNATURE, NOT_OURS))
 
 
 def write_sums(folder: Path) -> str:
@@ -52,7 +53,7 @@ def read_sums(folder: Path) -> Mapping[str, str]:
             raise BadInput(f"{folder / SUMS} line {number}: not '<SHA-256>  <file>'")
         digest, name = match.groups()
         if name in sums:
-            raise BadInput(f"{folder / SUMS} line {number}: {name} is there twice")
+            raise BadInput(f"{folder / SUMS} line {number}: {name} is duplicated")
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise BadInput(f"{folder / SUMS} line {number}: {name} is outside the release")
         sums[name] = digest

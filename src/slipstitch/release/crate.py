@@ -22,9 +22,8 @@ from rocrate.rocrate import ROCrate
 from slipstitch.provenance import file_digest
 from slipstitch.release.checksums import files_below
 from slipstitch.release.code import CODE, SNAKEFILE
-from slipstitch.release.records import Artefact, record_file
+from slipstitch.release.records import CRATE, RELEASE_RECORD, Artefact, in_order, record_file
 
-FILE = "ro-crate-metadata.json"
 PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
@@ -41,8 +40,19 @@ def _media_type(name: str) -> str:
     return _TYPES.get(suffix) or mimetypes.guess_type(name)[0] or "text/plain"
 
 
-def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, Artefact]) -> None:
-    """Write ``ro-crate-metadata.json`` over everything else that is in `folder`.
+def write_crate(folder: Path, facts, artefacts, record: Mapping[str, Any]) -> None:
+    """Write ``ro-crate-metadata.json``; see `crate_text`."""
+    text = crate_text(folder, facts, artefacts, record)
+    (folder / CRATE).write_text(text, encoding="utf-8")
+
+
+def crate_text(
+    folder: Path,
+    facts: Mapping[str, Any],
+    artefacts: Mapping[str, Artefact],
+    record: Mapping[str, Any],
+) -> str:
+    """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it.
 
     Parameters
     ----------
@@ -51,8 +61,11 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
     facts : mapping
         ``title, description, licence_url, date, keywords, version``.
     artefacts : mapping
-        Path -> record of every file behind the release; of the release itself under ``"."``.
+        Path -> record of every file behind the release.
+    record : mapping
+        The release's own.
     """
+    artefacts = in_order(artefacts) | {".": Artefact(".", "", provenance=dict(record))}
     crate = ROCrate(version="1.1")  # which the profiles are based on
     crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
     root = crate.root_dataset
@@ -91,7 +104,7 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
             )
         )
         for name in files_below(folder)
-        if name not in (SNAKEFILE, FILE) and not name.startswith(f"{CODE}/src")
+        if name not in (SNAKEFILE, CRATE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
     }
     crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
     for path, artefact in artefacts.items():
@@ -118,12 +131,10 @@ def write_crate(folder: Path, facts: Mapping[str, Any], artefacts: Mapping[str, 
         "#run",
         object=[entities["records/config.json"]],
         result=[entities["manifest.parquet"], *_shards(entities)],
-        properties={"name": "The run of the workflow that made this release"},
+        properties={"name": "The workflow run that generated this release"},
     )
     root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
-    (folder / FILE).write_text(
-        json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
-    )
+    return json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n"
 
 
 def _organised(crate: ROCrate, main, whole, actions: list):
@@ -201,7 +212,7 @@ def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
                 "name": f"slipstitch {stage}",
                 "softwareVersion": record["versions"]["slipstitch"],
                 "sha256": record["code_digest"],
-                "identifier": record["git_commit"] or "no commit known",
+                "identifier": record["git_commit"] or "unknown commit",
             },
         )
     )

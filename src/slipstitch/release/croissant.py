@@ -1,4 +1,4 @@
-"""Croissant metadata: what the files of a release hold, for machines."""
+"""Croissant metadata: machine-readable description of the files of a release."""
 
 import datetime
 import json
@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 from slipstitch.errors import SlipstitchError
 from slipstitch.provenance import file_digest
 from slipstitch.release.manifest import MANIFEST, described
+from slipstitch.release.records import CROISSANT
 from slipstitch.release.shards import FOLDER
 
-FILE = "croissant.json"
 VIDEOS, FRAMES = "videos", "frames"
 _SHARDS = "shards"
 
@@ -65,7 +65,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
         mlc.FileObject(
             id=MANIFEST,
             name=MANIFEST,
-            description="One row a video: labels, splits, where its images are, their digest",
+            description="One row per video: labels, splits, location and digest of its images",
             content_url=MANIFEST,
             content_size=f"{manifest.stat().st_size} B",
             encoding_formats=[parquet],
@@ -74,7 +74,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
         mlc.FileSet(
             id=_SHARDS,
             name=_SHARDS,
-            description="Image shards, one row an image",
+            description="Image shards, one row per image",
             encoding_formats=[parquet],
             includes=[f"{FOLDER}/*.parquet"],
         ),
@@ -114,8 +114,8 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
     )
 
 
-def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``croissant.json``; mlcroissant has checked it against the specification then.
+def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
+    """Text of ``croissant.json``; mlcroissant has checked it against the specification then.
 
     Raises
     ------
@@ -126,5 +126,9 @@ def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
         content = croissant(folder, facts).to_json()
     except mlc.ValidationError as error:
         raise SlipstitchError(f"Croissant metadata is not valid: {error}") from None
-    text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
-    (folder / FILE).write_text(text + "\n", encoding="utf-8")
+    return json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n"
+
+
+def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write ``croissant.json``; see `croissant_text`."""
+    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")

@@ -1,32 +1,73 @@
-"""Whether artefacts are what code, configuration and catalogue would make now."""
+"""Whether artefacts match the current code, configuration and catalogue."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from slipstitch.catalogue import catalogue_entries
-from slipstitch.config import Config
+from slipstitch.config import Config, resolve_config
 from slipstitch.config.load import calibrated_settings
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import fabric_digest
 from slipstitch.provenance import code_digest
+from slipstitch.provenance.code import RESULT_PACKAGES
+from slipstitch.release.code import LOCK
 from slipstitch.release.records import Artefact
 
 # Which viewpoints there are decides which shards there are, not what one shard holds
 # (rules/render.smk); a shard's own viewpoint is compared by its id.
-NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints"})
+NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints", "test_viewpoint_videos"})
 ONE_VIEW = "viewpoint"
+NO_INPUT = frozenset({"threads"})
 CALIBRATION = "calibration.json"
+_RESULT_PACKAGES = tuple(sorted(RESULT_PACKAGES.values()))
 
 
-def current_digest(stage: str, root: str | Path | None = None) -> str | None:
-    """Digest of the stage's code below `root`; None if there is no such stage."""
+# What sources that somebody else wrote may make of reading them.
+_NO_SOURCES = (
+    ModuleNotFoundError,
+    SyntaxError,
+    ValueError,
+    OSError,
+    RecursionError,
+    MemoryError,
+    AttributeError,
+)
+
+
+def current_digest(
+    stage: str, root: str | Path | None = None, versions: Mapping[str, Any] | None = None
+) -> str | None:
+    """Digest of the stage's code; None if there is no such stage, or it cannot be read.
+
+    Parameters
+    ----------
+    stage : str
+    root : path, optional
+        Folder of the package; the running one's by default.
+    versions : mapping, optional
+        Package -> version, as a record states them; by default what is installed.
+    """
+    stated = None
+    if versions is not None:
+        counting = (str(versions.get(package)) for package in _RESULT_PACKAGES)
+        stated = tuple(zip(_RESULT_PACKAGES, counting, strict=True))
     try:
-        return code_digest(stage, root) if stage else None
-    except ModuleNotFoundError:
+        return code_digest(stage, root, stated) if stage else None
+    except _NO_SOURCES:
         return None
 
 
-def _plain(config: Config) -> dict[str, Any]:
+def other_versions(record: Mapping[str, Any], lock: Mapping[str, str]) -> Iterator[str]:
+    """Packages of a record that have other versions than a lock file names."""
+    versions = record.get("versions")
+    for package, version in sorted(versions.items() if isinstance(versions, Mapping) else ()):
+        locked = lock.get(package.lower())
+        if locked is not None and str(version).partition("+")[0] != locked:
+            yield f"was made with {package} {version}; {LOCK} has {locked}"
+
+
+def _plain(config: Config | SimulationSettings) -> dict[str, Any]:
     return config.model_dump(mode="json")
 
 
@@ -50,14 +91,31 @@ def config_changes(
     """
     recorded = artefact.record.get("config", {})
     now = _plain(config)
-    for path in artefact.inputs:
-        now["simulation"] = {**now["simulation"], **calibrated.get(path, {})}
+    now["simulation"] = _plain(calibrated_simulation(artefact, config, calibrated))
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now:
-            skip = NOT_IN_A_SHARD if section == "render" and ONE_VIEW in recorded else frozenset()
+            of_others = section == "render" and ONE_VIEW in recorded
+            skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
             changes += _differences(section, value, now[section], skip)
     return changes
+
+
+def calibrated_simulation(
+    artefact: Artefact, config: Config, calibrated: Mapping[str, Mapping[str, Any]]
+) -> SimulationSettings:
+    """What a simulation was told to use: the configured settings, as its calibration chose.
+
+    Raises
+    ------
+    BadInput
+        If the calibration's settings are none.
+    """
+    told = _plain(config.simulation)
+    for path in artefact.inputs:
+        told |= calibrated.get(path, {})
+    # With the other sections: fewer frames than the default samples would be refused alone.
+    return resolve_config({**_plain(config), "simulation": told}).simulation
 
 
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:

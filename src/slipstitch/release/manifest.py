@@ -1,4 +1,4 @@
-"""The manifest of a release: the sample stage's, with the named splits and where images are."""
+"""The manifest of a release: that of the sample stage, with named splits and image locations."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,38 +20,43 @@ COLUMNS = {
     "simulation": "id of the simulation: fabric, friction, replicate",
     "material_id": "id of the fabric",
     "friction_id": "id of the friction coefficient",
-    "replicate_id": "id of the replicate: same fabric and friction, bench set up anew",
+    "replicate_id": "id of the replicate: same fabric and friction, independent bench set-up",
     "texture_id": "id of the texture",
     "viewpoint_id": "id of the viewpoint",
     "material": "fabric (Wang, O'Brien and Ramamoorthi 2011)",
-    "friction": "Coulomb friction coefficient of cloth and floor, and of cloth on itself where "
-    "the simulation has self-contact",
+    "friction": "Coulomb friction coefficient between cloth and floor, and between layers of "
+    "cloth if the simulation has self-contact",
     "texture": "texture of the cloth: its name in the manifest, its id in the shards",
     "viewpoint": "viewpoint: its name in the manifest, its id in the shards",
     "viewpoint_turn_deg": "azimuth of the viewpoint minus the calibrated one's, degrees",
+    "pose_yaw_deg": "azimuth of the camera minus the calibrated viewpoint's, as it was calibrated, "
+    "degrees; this and the other numbers of the pose are 0 where images were not rectified",
+    "pose_pitch_deg": "elevation of the camera minus the calibrated viewpoint's, degrees",
+    "pose_roll_deg": "turn of the camera about its own axis, degrees",
+    "pose_log_distance": "logarithm of the camera's distance over the calibrated viewpoint's",
     "floor": "substrate, by name",
-    "floor_reflectance": "share of light that the floor mirrors at normal incidence",
-    "floor_roughness": "roughness of the floor's mirror, as Blender has it",
-    "frames": "images of the video",
-    "pixels": "side of the square images",
+    "floor_reflectance": "specular reflectance of the floor at normal incidence",
+    "floor_roughness": "roughness of the floor's reflection, as defined in Blender",
+    "frames": "number of images of the video",
+    "pixels": "side length of the square images",
     "pixels_sha256": "SHA-256 of the decoded pixels: uint8, (frames, pixels, pixels, 3), RGB",
-    "position": "place of the image in its video, from 0",
+    "position": "position of the image in its video, from 0",
     "frame": "number of the simulated frame",
     "time_s": "time since the stage began to move, s",
     "stage_x_m": "position of the stage along the drag direction, m",
     "image": "PNG, RGB",
-    "part": "videos with the same side in every split share a part",
-    "shard": "file that holds the images",
+    "part": "number of the part; videos with the same side in every split share one",
+    "shard": "file that contains the images",
     "first_row": "row of the first image in it; the others follow",
 }
 
 
 def described(column: str) -> str:
-    """What a column of the manifest or of a shard means."""
+    """The meaning of a column of the manifest or of a shard."""
     if column in COLUMNS:
         return COLUMNS[column]
     if column.endswith("_role"):
-        return f"train, or test where the {column.removesuffix('_role')} is for testing only"
+        return f"train, or test if the {column.removesuffix('_role')} is for testing only"
     if column.startswith(SAMPLED):
         return f"`{column.removeprefix(SAMPLED)}` as the sampling stage wrote it"
     if column.startswith(PREFIX):
@@ -92,14 +97,21 @@ def released_schema(sampled: pa.Schema, splits: Sequence[str]) -> pa.Schema:
     return pa.schema(fields)
 
 
+def notes_of(
+    rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str]
+) -> dict[str, Any]:
+    """What the release's manifest says of itself."""
+    return {
+        "dataset_digest": dataset_digest(rows),
+        "sampled_columns": sampled.names,
+        "splits": {name: question(name) for name in splits},
+    }
+
+
 def write_manifest(
     rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str], folder: Path
 ) -> None:
     """Write ``manifest.parquet``; nothing in it differs between equal runs."""
     table = pa.Table.from_pylist(list(rows), schema=released_schema(sampled, splits))
-    notes = {
-        "dataset_digest": dataset_digest(rows),
-        "sampled_columns": sampled.names,
-        "splits": {name: question(name) for name in splits},
-    }
+    notes = notes_of(rows, sampled, splits)
     pq.write_table(attach_metadata(table, notes), folder / MANIFEST, compression="zstd")

@@ -1,4 +1,4 @@
-"""Pictures of a release, drawn from its own shards: what the images look like and vary in."""
+"""Preview pictures of a release, drawn from its own shards: appearance and variation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,11 +11,13 @@ from PIL import Image, ImageDraw, ImageFont
 from slipstitch.sample.shards import decode
 
 FOLDER = "previews"
+NAMES = ("fabrics_by_friction", "viewpoints_by_texture", "through_time")
 _LARGEST_TILES = 12  # in a row or a column
 _SMALLEST_TILE_PX = 112
 _GAP = 4
-_LEFT = 150
-_TOP = 22
+# Words stand to the left of the tiles and above them.
+LEFT = 150
+TOP = 22
 _PAPER, _INK = "#ffffff", "#22262b"
 
 Row = Mapping[str, Any]
@@ -51,18 +53,18 @@ def sheet(
     side = next(tile for line in tiles for tile in line if tile is not None).shape[0]
     scale = max(1, -(-_SMALLEST_TILE_PX // side))
     step = side * scale + _GAP
-    width, height = _LEFT + step * len(columns), _TOP + step * len(rows)
+    width, height = LEFT + step * len(columns), TOP + step * len(rows)
     picture = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(picture)
     font = ImageFont.load_default(12)
     for across, word in enumerate(columns):
-        draw.text((_LEFT + step * across, 4), str(word), fill=_INK, font=font)
+        draw.text((LEFT + step * across, 4), str(word), fill=_INK, font=font)
     for down, (word, line) in enumerate(zip(rows, tiles, strict=True)):
-        draw.text((4, _TOP + step * down + 4), str(word), fill=_INK, font=font)
+        draw.text((4, TOP + step * down + 4), str(word), fill=_INK, font=font)
         for across, tile in enumerate(line):
             if tile is not None:
                 image = Image.fromarray(tile).resize((side * scale,) * 2, Image.Resampling.NEAREST)
-                picture.paste(image, (_LEFT + step * across, _TOP + step * down))
+                picture.paste(image, (LEFT + step * across, TOP + step * down))
     return picture
 
 
@@ -85,6 +87,15 @@ def _table(
 
 
 def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
+    """Draw the previews of a release into it; path in the release -> what it shows."""
+    (folder / FOLDER).mkdir()
+    drawn = draw_previews(folder, rows)
+    for path, (_, picture) in drawn.items():
+        picture.save(folder / path)
+    return {path: words for path, (words, _) in drawn.items()}
+
+
+def draw_previews(folder: Path, rows: Sequence[Row]) -> dict[str, tuple[str, Image.Image]]:
     """Draw the previews of a release.
 
     Parameters
@@ -97,42 +108,38 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     Returns
     -------
     dict
-        Path in the release -> what it shows.
+        Path in the release -> what it shows, and the picture.
     """
     show = reader(folder)
-    out = folder / FOLDER
-    out.mkdir()
     rows = sorted(rows, key=lambda row: row["video"])
     first = rows[0]
     middle = first["frames"] // 2
     alike = [row for row in rows if all(row[k] == first[k] for k in ("texture_id", "viewpoint_id"))]
-    pictures = {}
+    pictures: dict[str, tuple[str, Image.Image]] = {}
 
-    def save(name: str, tiles, downs, acrosses, words: str) -> None:
-        path = f"{FOLDER}/{name}.png"
-        sheet(tiles, downs, acrosses).save(folder / path)
-        pictures[path] = words
+    def draw(name: str, tiles, downs, acrosses, words: str) -> None:
+        pictures[f"{FOLDER}/{name}.png"] = words, sheet(tiles, downs, acrosses)
 
     tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
-    save(
-        "fabrics_by_friction", tiles, downs, [f"friction {mu:g}" for mu in acrosses],
-        f"Fabrics by friction coefficient, all at the same moment (texture {first['texture']}, "
+    draw(
+        NAMES[0], tiles, downs, [f"friction {mu:g}" for mu in acrosses],
+        f"Fabrics by friction coefficient, all at the same time (texture {first['texture']}, "
         f"viewpoint {first['viewpoint']})",
     )  # fmt: skip
     same = [row for row in rows if row["simulation"] == first["simulation"]]
     tiles, downs, acrosses = _table(same, "viewpoint", "texture", middle, show)
-    save(
-        "viewpoints_by_texture", tiles, downs, acrosses,
+    draw(
+        NAMES[1], tiles, downs, acrosses,
         f"One moment of one simulation ({first['material']}, friction {first['friction']:g}) from "
         "every viewpoint in every texture",
     )  # fmt: skip
     positions = _spread(range(first["frames"]), 8)
     chosen = _spread(alike, 6)
-    save(
-        "through_time",
+    draw(
+        NAMES[2],
         [[show(row, position) for position in positions] for row in chosen],
         [f"{row['material']}\nfriction {row['friction']:g}" for row in chosen],
         [f"image {position}" for position in positions],
-        "Videos through time, one a line",
+        "Videos over time, one per row",
     )
     return pictures

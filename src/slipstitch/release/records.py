@@ -1,4 +1,4 @@
-"""What made what: the records of all artefacts that lie behind a dataset."""
+"""The records of all artefacts that a dataset depends on."""
 
 import hashlib
 import json
@@ -16,6 +16,11 @@ from slipstitch.provenance import file_digest, read_metadata, read_parquet, read
 RECORDS = "records"
 #: Written beside the dataset: a sample of its images against direct renders.
 VERIFICATION = "results/render/verification.json"
+CONFIG = f"{RECORDS}/config.json"
+GRID = f"{RECORDS}/grid.parquet"
+RELEASE_RECORD = f"{RECORDS}/release.json"
+CROISSANT = "croissant.json"
+CRATE = "ro-crate-metadata.json"
 RECORD_SUFFIX = ".record.json"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
@@ -64,7 +69,12 @@ class Artefact:
 
 def rows_digest(path: str | os.PathLike) -> str:
     """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
-    table = read_parquet(path).replace_schema_metadata(None)
+    return table_digest(read_parquet(path))
+
+
+def table_digest(table: pa.Table) -> str:
+    """SHA-256 of a table's rows, whatever its metadata and chunks."""
+    table = table.replace_schema_metadata(None)
     sink = hashlib.sha256()
     sink.update(table.schema.to_string().encode())
     for name in table.column_names:
@@ -100,7 +110,7 @@ def read_artefact(path: str, place: Path) -> Artefact:
         provenance = read_provenance(place) if is_ours(path) else None
     except FileNotFoundError:
         raise BadInput(
-            f"{path}: no record of what made it; make it anew with: snakemake --cores 2 sample"
+            f"{path}: no provenance record; regenerate it with: snakemake --cores 2 sample"
         ) from None
     kept = {key: value for key, value in metadata.items() if key not in NOT_RECORDED}
     return Artefact(path, file_digest(place), rows, kept, provenance)
@@ -112,7 +122,7 @@ def is_ours(path: str) -> bool:
 
 
 def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
-    """Where the file is that records call `path`."""
+    """The location of the file called `path` in the records."""
     place = root / path
     return place if place.exists() else outside.get(path, place)
 
@@ -147,8 +157,8 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
             for name, digest in artefact.inputs.items():
                 if visit(name).sha256 != digest:
                     raise BadInput(
-                        f"{name}: not the file that {path} was made from; "
-                        "bring the results up to date with: snakemake --cores 2 sample"
+                        f"{name}: not the file that {path} was made from; update the results "
+                        "with: snakemake --cores 2 sample"
                     )
             found[path] = artefact
         return found[path]
@@ -158,13 +168,30 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
     return found
 
 
+def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
+    """The same, inputs before what was made from them, whatever order they came in."""
+    found: dict[str, Artefact] = {}
+
+    def visit(path: str) -> None:
+        if path in artefacts and path not in waiting:
+            waiting.add(path)
+            for name in sorted(artefacts[path].inputs):
+                visit(name)
+            found[path] = artefacts[path]
+
+    waiting: set[str] = set()
+    for path in sorted(artefacts):
+        visit(path)
+    return found
+
+
 def carried_file(path: str) -> str:
-    """Where a release keeps the artefact `path` itself, if it carries it."""
+    """Location of the artefact `path` in a release, if included."""
     return f"{RECORDS}/{path.removeprefix('results/')}"
 
 
 def record_file(path: str) -> str:
-    """Where a release keeps the record of the artefact `path`."""
+    """Location of the record of the artefact `path` in a release."""
     return carried_file(path) + RECORD_SUFFIX
 
 
@@ -191,11 +218,11 @@ def read_record(path: Path) -> Artefact:
     """
     content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, Mapping):
-        raise ValueError("not a record: no mapping")
+        raise ValueError("not a record: not a mapping")
     try:
         artefact = Artefact(**content)
     except TypeError:
-        raise ValueError("not a record: other keys than a record's") from None
+        raise ValueError("not a record: wrong keys") from None
     kinds = {"path": str, "sha256": str, "metadata": dict}
     for name, kind in kinds.items():
         if not isinstance(getattr(artefact, name), kind):

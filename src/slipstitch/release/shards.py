@@ -1,4 +1,4 @@
-"""Image shards of a release: Parquet, one row an image, one part of the splits a shard."""
+"""Image shards of a release: Parquet, one row per image, one part of the splits per shard."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -130,7 +130,7 @@ def write_shards(
         for file in progress(files):
             table = read_parquet(sample_dir / file)
             if shard_schema(table.schema) != schema:
-                raise BadInput(f"{sample_dir / file}: other columns than {files[0]}")
+                raise BadInput(f"{sample_dir / file}: columns differ from {files[0]}")
             table = table.replace_schema_metadata(schema.metadata)
             starts = _starts(table, sample_dir / file)
             for part in sorted({part_of[video] for video in videos_of[file]}):
@@ -164,7 +164,7 @@ def _starts(table: pa.Table, where: Path) -> dict[str, tuple[int, int]]:
     start = 0
     for video, end in zip(runs.values.to_pylist(), ends, strict=True):
         if video in found:
-            raise BadInput(f"{where}: the rows of {video} do not follow each other")
+            raise BadInput(f"{where}: the rows of {video} are not consecutive")
         found[video] = (start, end - start)
         start = end
     return found

@@ -1,4 +1,4 @@
-"""The named splits of a release: which videos train, validate and test, for which question.
+"""The named splits of a release: training, validation and test videos for each question.
 
 Every split is a column ``split_<name>`` of the manifest; a video that a split does not use has no
 side in it. The videos that have the same side in every split form a *part*: shards hold whole
@@ -17,23 +17,23 @@ PREFIX = "split_"
 Row = Mapping[str, Any]
 
 QUESTIONS = {
-    "by_video": "videos at random, as the paper splits: the simulation of a test video stands in "
-    "the training set too, in another texture or view",
-    "by_simulation": "whole simulations kept from training: the honest figure",
-    "unseen_friction": "whole friction coefficients kept from training, between the lowest and the "
-    "highest unless the grid keeps others for testing",
-    "unseen_fabric": "whole fabrics kept from training",
+    "by_video": "videos at random, as in the paper: the simulation of a test video is also in "
+    "the training set, with another texture or view",
+    "by_simulation": "generalisation to unseen simulations: whole simulations held out",
+    "unseen_friction": "whole friction coefficients held out, between the lowest and the highest "
+    "unless the grid has test-only ones",
+    "unseen_fabric": "whole fabrics held out",
 }
 
 
 def question(name: str) -> str:
-    """What a split asks, in words."""
+    """The question of a split, in words."""
     if name in QUESTIONS:
         return QUESTIONS[name]
     kind = name.removeprefix("unseen_")
     return (
-        f"trained as by_video, tested with the test-only {kind}s in otherwise training conditions: "
-        f"the {kind} is new, the cloth's motion is not"
+        f"trained as by_video, tested with test-only {kind}s under training conditions: the "
+        f"{kind} is unseen, the motion of the cloth is not"
     )
 
 

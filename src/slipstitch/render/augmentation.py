@@ -1,4 +1,4 @@
-"""What a real camera does to an image and no network should read: seeded, drawn once a video.
+"""Camera effects that networks must be invariant to: seeded, drawn once per video.
 
 In the order of a camera: exposure and colour cast scale the light; the sensor adds shot and read
 noise; the image is encoded, and compressed.

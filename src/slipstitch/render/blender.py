@@ -38,7 +38,7 @@ _FILL_FROM = (-0.30, -0.80, 0.52)
 
 
 class Rendering(NamedTuple):
-    """What Blender drew.
+    """The output of Blender.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Rendering(NamedTuple):
     uv : ndarray (rows, columns, 3) float32
         Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
     glossy : ndarray (rows, columns, 3) float32, optional
-        The part of the image that the floor mirrors, if it does.
+        The part of the image reflected by the floor, if reflective.
     """
 
     radiance: np.ndarray
@@ -212,7 +212,7 @@ class ClothScene:
         self._link(self._bpy.data.objects.new("floor", mesh))
 
     def _polish(self, tree) -> None:
-        """Put a mirror over the floor's Lambertian body, as the camera sees it.
+        """Add a specular layer, visible to the camera, to the floor's Lambertian body.
 
         Light that the floor throws onto the cloth stays Lambertian, with the mirror's share in its
         albedo: mirrored light on rough ground is what few paths resolve worst.
@@ -345,7 +345,7 @@ class ClothScene:
                 channels = read_exr(path)
             except (OSError, struct.error, ValueError, IndexError) as error:
                 raise SlipstitchError(
-                    f"Blender's image could not be read back from {folder} (is it full?): {error}"
+                    f"Blender's image could not be read from {folder} (disk full?): {error}"
                 ) from None
         layer = self._scene.view_layers[0].name
 

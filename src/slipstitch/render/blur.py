@@ -24,7 +24,7 @@ GAUSSIAN = ((1.0, 1.0),)
 
 
 def blur_weights(width: np.ndarray, shape: tuple[tuple[float, float], ...]) -> np.ndarray:
-    """How much of an image blurred by each of the widths makes up each pixel.
+    """Weights of the images blurred by each width at each pixel.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Camera files: a real camera's lens and place at the stage, as calibration writes them.
+"""Camera files: a real camera's lens and position at the stage, as written by calibration.
 
 A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
-same pinhole (`slipstitch.capture.rectification`).
+same pinhole (`slipstitch.render.rectification`).
 """
 
 import json
@@ -76,7 +76,7 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
         raise BadInput(f"{path}: not a camera file: its format is not {FORMAT!r}")
     if content.get("rotation") is None or content.get("translation_m") is None:
         raise BadInput(
-            f"{path}: does not say where the camera stands; calibrate it with --stage-view"
+            f"{path}: does not contain the position of the camera; calibrate it with --stage-view"
         )
     size = _numbers(path, content, "image_size_px", (2,))
     focal = _numbers(path, content, "focal_px", (2,))
@@ -88,7 +88,7 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
         raise BadInput(f"{path}: rotation is not a rotation matrix")
     terms = content.get("distortion")
     if not isinstance(terms, dict) or set(terms) != set(_DISTORTION):
-        raise BadInput(f"{path}: distortion must hold {', '.join(_DISTORTION)}")
+        raise BadInput(f"{path}: distortion must contain {', '.join(_DISTORTION)}")
     matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
     translation = _numbers(path, content, "translation_m", (3,))
     camera = Camera(rotation, translation, matrix, int(size[0]), int(size[1]))
@@ -100,9 +100,9 @@ def _numbers(path, content: dict, key: str, shape: tuple[int, ...]) -> np.ndarra
     try:
         array = np.array(content[key], dtype=np.float64)
     except KeyError:
-        raise BadInput(f"{path}: no {key!r} in it") from None
+        raise BadInput(f"{path}: no {key!r}") from None
     except (TypeError, ValueError):
-        raise BadInput(f"{path}: {key} does not hold numbers") from None
+        raise BadInput(f"{path}: {key} must contain numbers") from None
     if array.shape != shape or not np.isfinite(array).all():
-        raise BadInput(f"{path}: {key} must hold {'x'.join(map(str, shape))} finite numbers")
+        raise BadInput(f"{path}: {key} must contain {'x'.join(map(str, shape))} finite numbers")
     return array

@@ -1,7 +1,7 @@
-"""Put any texture on the cloth of one shading render (`slipstitch.render.shading`).
+"""Apply any texture to the cloth of one shading render (`slipstitch.render.shading`).
 
 The albedo of the point that a ray sees is the texture's; that of other points that light came by is
-taken as the texture's mean nearby (on the cloth) or all over (on the floor). A floor that mirrors
+taken as the texture's mean nearby (on the cloth) or all over (on the floor). A reflective floor
 adds a third kind of point: cloth that is seen in it, whose light of each order comes from the
 shading render and whose texture from `slipstitch.render.mirrored_texture`. No Blender is needed.
 """
@@ -44,9 +44,8 @@ class Layers:
     light : ndarray (3, N)
         Scene, first- and second-order light there, divided by the rays per pixel.
     mirrored : ndarray (2, pixels^2), optional
-        First- and second-order light that the floor mirrors.
-    rays : MirroredRays, optional
-        What cloth it mirrors.
+        First- and second-order light reflected by the floor.
+    rays : MirroredRays, optional        The cloth in its reflection.
     """
 
     pixels: int
@@ -80,7 +79,7 @@ def join(shading: Shading, sight: Sight) -> Layers:
 
 
 def _texture_blur(rays: int) -> float:
-    """Standard deviation (texels) that spreads a texture over what one of so many rays stands for.
+    """Standard deviation (texels) that spreads a texture over the area of one of so many rays.
 
     Rays that sample single texels would alias; the factor is what a fit to direct renders gave.
     """

@@ -1,6 +1,6 @@
-"""The light that a floor mirrors, smoothed within the cloth's mirror image and beside it.
+"""The light reflected by a floor, smoothed inside and outside the reflection of the cloth.
 
-Blender renders how much light of each order the floor mirrors towards the camera, with the true
+Blender renders the light of each order that the floor reflects towards the camera, with the true
 distribution of slopes, from few paths.
 """
 
@@ -25,7 +25,7 @@ _GUIDED_EDGE = 1e-3
 
 @dataclass(frozen=True)
 class MirrorShares:
-    """What a mirror shows at each pixel of the shading render.
+    """The reflected scene at each pixel of the shading render.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class MirrorShares:
 
 
 def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
-    """What the mirror shows, in so many cells along each side of an image's pixel."""
+    """The reflected scene, in this many cells along each side of an image pixel."""
     step, side = sight.rays // cells, (sight.camera.pixels + 2 * sight.margin) * cells
     y, x = np.divmod(sight.seen, side * step)
     cell = (y // step) * side + x // step
@@ -97,7 +97,7 @@ def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) ->
 def smooth_mirrored_light(
     light: np.ndarray, where: np.ndarray, shares: MirrorShares, squeeze: float
 ) -> np.ndarray:
-    """Light (C, H, W) of the mirrored cloth, smoothed within its mirror image.
+    """Light (C, H, W) of the mirrored cloth, smoothed within its reflection.
 
     Parameters
     ----------

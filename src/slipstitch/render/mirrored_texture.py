@@ -1,4 +1,4 @@
-"""The texture of the cloth that a floor mirrors; no Blender is needed."""
+"""The texture of the cloth in its reflection on the floor, without Blender."""
 
 from dataclasses import dataclass
 
@@ -52,7 +52,7 @@ def mirrored_rays(sight: MirroredSight) -> MirroredRays:
 
 
 def mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) -> np.ndarray:
-    """Mean albedo (pixels, pixels, 3) of the cloth that each pixel of floor mirrors.
+    """Mean albedo (pixels, pixels, 3) of the cloth reflected in each floor pixel.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Shading packs: the light of one simulation from one viewpoint, all that Blender has to give.
+"""Shading packs: the light of one simulation from one viewpoint, the complete output of Blender.
 
 Any texture is composed from a pack and the trajectory, without Blender. Light is kept in half
 precision (relative error 2^-11, under a tenth of an 8-bit level), its high and low bytes apart,
@@ -6,7 +6,7 @@ which compresses better. Packs are read and written frame by frame.
 """
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config import Config
+from slipstitch.config.grid import films
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -25,6 +26,7 @@ from slipstitch.provenance import (
     read_metadata,
     start_clock,
 )
+from slipstitch.render.bench_camera import BenchCamera, draw_bench_camera
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
     Shot,
@@ -67,6 +69,8 @@ class Job:
         How many frames the sample stage uses.
     seed : int
         The configuration's.
+    textures : mapping
+        Those that the cloth wears, id -> name.
     """
 
     trajectory_path: str | os.PathLike
@@ -75,6 +79,7 @@ class Job:
     settings: RenderSettings
     frames_sampled: int
     seed: int
+    textures: Mapping[str, str]
 
     @classmethod
     def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "Job":
@@ -91,17 +96,22 @@ class Job:
             known = ", ".join(f"{key} ({value})" for key, value in ids.items())
             raise BadInput(
                 f"no viewpoint {viewpoint!r}; the configuration has {known}; "
-                f"by name there are: {', '.join(VIEWPOINTS)}"
+                f"known names: {', '.join(VIEWPOINTS)}"
             )
         # A viewpoint given by name keeps its id if the configuration has one.
-        identity = next((key for key, value in ids.items() if value == name), name)
+        named = next((key for key, value in ids.items() if value == name), name)
+        identity = viewpoint if viewpoint in ids else named
         return cls.of_view(config, trajectory_path, identity, name)
 
     @classmethod
     def of_view(
         cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
     ) -> "Job":
-        """The job of a configuration, with id and name of a viewpoint."""
+        """The job of a configuration, with id and name of a viewpoint.
+
+        A simulation or viewpoint that the configuration does not have is filmed in all textures.
+        """
+        film = (Path(trajectory_path).stem, viewpoint_id)
         return cls(
             trajectory_path,
             viewpoint_id,
@@ -109,12 +119,25 @@ class Job:
             config.render,
             config.sample.frames_kept,
             config.seed,
+            films(config).get(film) or config.render.texture_ids(),
         )
 
     @property
     def simulation(self) -> str:
         """The simulation's id."""
         return Path(self.trajectory_path).stem
+
+    @property
+    def bench_camera(self) -> BenchCamera | None:
+        """Pose of the camera, if its viewpoint belongs to a family; otherwise None."""
+        if not VIEWPOINTS[self.viewpoint].drawn:
+            return None
+        return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
+
+    @property
+    def other_floors(self) -> str:
+        """The key of the floors that this viewpoint does not show."""
+        return "floors" if self.settings.reflective(self.viewpoint_id) else "reflective_floors"
 
     def inputs(self) -> list:
         """The files that the light depends on."""
@@ -123,7 +146,8 @@ class Job:
 
     def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
         """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
-        return catalogue_entries([self.viewpoint], textures, self.settings.floors)
+        floors = self.settings.floors_of(self.viewpoint_id)
+        return catalogue_entries([self.viewpoint], textures, floors)
 
 
 @dataclass(frozen=True)
@@ -161,7 +185,7 @@ def usable_trajectory(path: str | os.PathLike) -> Trajectory:
     """A trajectory that can be rendered; BadInput if it cannot."""
     trajectory = read_trajectory(path)
     if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
-        raise BadInput(f"{path}: texture coordinates lie outside 0 ... 1")
+        raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
     if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
         raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
     return trajectory
@@ -187,7 +211,7 @@ def render_shadings(
     for shot in wanted:
         rendering = scene.render(
             trajectory.positions_m[shot.row],
-            shot.camera.at_resolution(settings.pixels * LIGHT_OVERSAMPLING),
+            shot.camera.at_resolution(shot.camera.pixels * LIGHT_OVERSAMPLING),
             samples=samples,
             seed=shot.frame,
         )
@@ -207,12 +231,13 @@ def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
         Wraps the list of frames, to show how far the work is.
     """
     settings = job.settings
-    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled)
-    surroundings = draw_surroundings(settings, job.seed, job.simulation)
+    bench = job.bench_camera
+    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled, bench)
+    surroundings = draw_surroundings(settings, job.seed, job.simulation, job.viewpoint_id)
     metadata = {
         "simulation": job.simulation,
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
-        "camera": camera_record(wanted, settings),
+        "camera": camera_record(wanted, settings, bench),
         "surroundings": surroundings.record(),
         "smallest_share_of_cloth_in_image": min(
             share_in_image(trajectory, shot) for shot in wanted
@@ -237,7 +262,16 @@ def write_pack(job: Job, out: str | os.PathLike, progress=iter) -> Pack:
 def _pack_record(job: Job, started: tuple[float, float]) -> dict:
     # What the light does not depend on.
     unused: dict = dict.fromkeys(
-        ("textures", "test_textures", "viewpoints", "test_viewpoints", "verified_images"), True
+        (
+            "textures",
+            "test_textures",
+            "viewpoints",
+            "test_viewpoints",
+            "test_viewpoint_videos",
+            "verified_images",
+            job.other_floors,
+        ),
+        True,
     )
     unused["augmentation"] = {"exposure_stops", "colour_cast", "noise", "jpeg_quality"}
     return provenance_record(
@@ -267,7 +301,7 @@ def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pa
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
             raise BadInput(f"{path}: not a shading pack")
     if metadata["trajectory_sha256"] != file_digest(trajectory_path):
-        raise BadInput(f"{path}: rendered from another trajectory than {trajectory_path}")
+        raise BadInput(f"{path}: not rendered from {trajectory_path}")
     trajectory = usable_trajectory(trajectory_path)
     return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(path))
 

@@ -34,7 +34,7 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
     table = read_parquet(path)
     for name in SCHEMA.names:
         if name not in table.column_names:
-            raise BadInput(f"{path}: not an image shard: it has no column {name!r}")
+            raise BadInput(f"{path}: not an image shard: no column {name!r}")
     videos: dict[tuple[str, str, str], dict[int, bytes]] = {}
     for row in table.to_pylist():
         key = (row["simulation"], row["texture"], row["viewpoint"])
@@ -78,12 +78,12 @@ def preview(
     for path in shards:
         for key, frames in read_images(path).items():
             if key in videos:
-                raise BadInput(f"{path}: holds {'_'.join(key)}, which another shard holds too")
+                raise BadInput(f"{path}: holds {'_'.join(key)}, which is also in another shard")
             videos[key] = {number: (data, path) for number, data in frames.items()}
     numbers = [set(frames) for frames in videos.values()]
     common = sorted(set.intersection(*numbers)) if numbers else []
     if not common:
-        raise BadInput(f"no frame is in all of {', '.join(map(str, shards))}")
+        raise BadInput(f"no common frame in {', '.join(map(str, shards))}")
     textures: dict[tuple[str, str], list[str]] = {}
     for simulation, texture, view in sorted(videos):
         textures.setdefault((simulation, view), []).append(texture)
@@ -95,7 +95,7 @@ def preview(
     record = provenance_record("render", inputs=shards, started=started)
     if sheet is not None:
         if Path(sheet).suffix != ".png":
-            raise BadInput(f"{sheet}: a contact sheet's name must end in .png")
+            raise BadInput(f"{sheet}: the name of a contact sheet must end in .png")
         times = [common[k] for k in _evenly(len(common), _SHEET_COLUMNS)]
         middle = common[len(common) // 2]
         rows = [[image(s, all_[0], v, n) for n in times] for (s, v), all_ in textures.items()]
@@ -106,7 +106,7 @@ def preview(
             temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
     if video is not None:
         if Path(video).suffix != ".mp4":
-            raise BadInput(f"{video}: a video's name must end in .mp4")
+            raise BadInput(f"{video}: the name of a video must end in .mp4")
         pictures = (
             _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
         )

@@ -1,6 +1,6 @@
-"""The cloth mirrored in the floor: which point of it each ray sees, and how blurred.
+"""The reflection of the cloth in the floor: the point seen by each ray, and its blur.
 
-A mirror at z = 0 shows what lies at -z, so the mirrored cloth is seen by the same rasteriser. A
+A mirror at z = 0 shows points at -z, so the mirrored cloth is seen by the same rasteriser. A
 floor of roughness r has slopes t about either axis of the GGX distribution (Walter et al. 2007),
 with the parameter r^2. A point that lies d behind the floor along the mirrored ray is moved by
 2 t d along the plane of incidence and 2 t d cos(angle of incidence) across it. GGX has long tails:
@@ -33,7 +33,7 @@ _LYING_M = 1e-3
 
 @dataclass(frozen=True)
 class MirroredSight:
-    """What the floor mirrors where, in the image and a margin around it.
+    """The reflection in the floor, in the image and a margin around it.
 
     Attributes
     ----------

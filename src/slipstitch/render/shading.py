@@ -1,4 +1,4 @@
-"""The light of one frame, separated by how often it met the cloth, and what its rays see.
+"""The light of one frame, separated by the number of bounces on the cloth, and visibility.
 
 Lamps, floor and background are grey and the cloth is Lambertian, so the light that reaches a
 pixel is a power series in the cloth's albedo a: with a uniform cloth,
@@ -16,7 +16,7 @@ three channels follow the same paths, so the solution holds path by path and add
 
 Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths
 a pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16
-rays a pixel, 64 in small images (`slipstitch.render.visibility`). `slipstitch.render.composition`
+rays per pixel, 64 in small images (`slipstitch.render.visibility`). `slipstitch.render.composition`
 joins the two and puts textures on.
 """
 
@@ -44,7 +44,7 @@ LIGHT_OVERSAMPLING = 2
 # the edges of shadows in it, the dome's is smooth but noisier.
 _FLOOR_BLUR = (0.7, 2.0)
 _CLOTH_BLUR = (1.2, 2.0)
-# Of light that the cloth throws onto a floor that mirrors besides.
+# Of light that the cloth casts onto a reflective floor.
 _CLOTH_LIGHT_BLUR = 1.4
 # On the cloth: this many pixels around, and weighted by nearness in texture coordinates.
 _CLOTH_RADIUS = 3
@@ -53,7 +53,7 @@ _CLOTH_NEARBY = 0.06
 
 @dataclass(frozen=True)
 class Sight:
-    """What one frame's rays see.
+    """Visibility of the rays of one frame.
 
     Attributes
     ----------
@@ -63,8 +63,7 @@ class Sight:
         Of the rays.
     floor : ndarray (rays pixels, rays pixels) bool
         The rays that see the floor.
-    mirrored : MirroredSight, optional
-        On a floor that mirrors.
+    mirrored : MirroredSight, optional        On a reflective floor.
     """
 
     rays: int
@@ -84,7 +83,7 @@ class Shading:
     cloth : ndarray (3, 2 pixels, 2 pixels)
         The same of the cloth, where there is any.
     mirrored : ndarray (2, pixels, pixels), optional
-        First- and second-order light that the floor mirrors (its scene light is in `still`).
+        First- and second-order light reflected by the floor (its scene light is in `still`).
     """
 
     still: np.ndarray
@@ -107,7 +106,7 @@ def look(
     camera: Camera,
     surroundings: Surroundings = MATTE,
 ) -> Sight:
-    """What the rays of an image see.
+    """Visibility of the rays of an image.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -11,10 +12,11 @@ import pyarrow as pa
 from slipstitch.config import Config
 from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
+from slipstitch.render.bench_camera import POSE, BenchCamera, rectified, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
-from slipstitch.render.shots import Shot
+from slipstitch.render.shots import Shot, cloth_size, viewpoint_rotation_and_translation
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -38,8 +40,59 @@ def cameras(job: Job) -> dict[str, Augmentation]:
     augmentation = job.settings.augmentation
     return {
         name: draw_augmentation(augmentation, job.seed, job.simulation, name, job.viewpoint)
-        for name in job.settings.texture_ids().values()
+        for name in job.textures.values()
     }
+
+
+@dataclass(frozen=True)
+class Rectifier:
+    """Brings a video's images into the calibrated viewpoint; leaves those that need it not.
+
+    Attributes
+    ----------
+    job : Job
+    trajectory : Trajectory
+    bench : BenchCamera, optional
+        None: the images are what they shall be.
+    viewpoint : tuple of ndarray
+        Rotation and translation of the calibrated viewpoint.
+    size_m : tuple of float
+        Of the cloth.
+    """
+
+    job: Job
+    trajectory: Trajectory
+    bench: BenchCamera | None
+    viewpoint: tuple[np.ndarray, np.ndarray]
+    size_m: tuple[float, float]
+
+    @classmethod
+    def of(cls, job: Job, trajectory: Trajectory) -> "Rectifier":
+        """The rectifier of a job."""
+        viewpoint = viewpoint_rotation_and_translation(job.viewpoint, job.settings)
+        return cls(job, trajectory, job.bench_camera, viewpoint, cloth_size(trajectory))
+
+    def __call__(self, image: np.ndarray, shot: Shot) -> np.ndarray:
+        """The image (pixels, pixels, 3) uint8 of a shot."""
+        if self.bench is None:
+            return image
+        return rectified(
+            image,
+            shot.camera,
+            self.bench,
+            self.viewpoint,
+            self.trajectory,
+            shot.row,
+            self.job.settings,
+            self.size_m,
+        )
+
+    def pose(self, shots: list[Shot]) -> dict[str, float]:
+        """Pose of the camera relative to the calibrated viewpoint, according to its calibration."""
+        if self.bench is None:
+            return dict.fromkeys(POSE, 0.0)
+        stated = self.bench.stated(shots[0].camera)
+        return relative_pose(stated.rotation, stated.translation_m, self.viewpoint)
 
 
 def composed_images(
@@ -47,12 +100,12 @@ def composed_images(
 ) -> Iterator[tuple[Shot, str, np.ndarray]]:
     """Every frame in every texture: shot, texture id, image (pixels, pixels, 3) uint8."""
     of = cameras(job)
-    names = job.settings.texture_ids()
+    rectify = Rectifier.of(job, trajectory)
     for shot, shading, sight in pack.frames(trajectory):
-        composed = compose_light(join(shading, sight), list(names.values()))
-        for (identity, name), light in zip(names.items(), composed, strict=True):
+        composed = compose_light(join(shading, sight), list(job.textures.values()))
+        for (identity, name), light in zip(job.textures.items(), composed, strict=True):
             noise = pixel_noise(job.seed, job.simulation, name, job.viewpoint, shot.frame)
-            yield shot, identity, of[name].photograph(light, noise)
+            yield shot, identity, rectify(of[name].photograph(light, noise), shot)
 
 
 def render_shard(
@@ -64,7 +117,7 @@ def render_shard(
     ----------
     job : Job
     out : path
-        Parquet file, one row an image; written whole or not at all.
+        Parquet file, one row per image; written whole or not at all.
     pack_path : path, optional
         Take the light from this file, instead of rendering it in Blender; the pixels are the same.
     progress : callable
@@ -83,12 +136,11 @@ def render_shard(
     started = start_clock()
     cv2.setNumThreads(job.settings.threads)
     trajectory = usable_trajectory(job.trajectory_path)
-    files = [file for name in job.settings.texture_ids().values() if (file := texture_file(name))]
+    files = [file for name in job.textures.values() if (file := texture_file(name))]
     if pack_path is None:
         pack = shade_job(job, trajectory, progress)
     else:
         pack = read_pack(pack_path, job.trajectory_path)
-    names = job.settings.texture_ids()
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
     images = 0
@@ -98,12 +150,14 @@ def render_shard(
             group.append(_row(job, trajectory, shot, identity, image))
             images += 1
             # A group holds some tens of images, whole frames of them.
-            if len(group) >= _GROUP and identity == list(names)[-1]:
+            if len(group) >= _GROUP and identity == list(job.textures)[-1]:
                 stream.write(group)
                 group = []
         if group:
             stream.write(group)
-        stream.describe(*_description(job, pack, [*files, *filter(None, [pack_path])], started))
+        files += filter(None, [pack_path])
+        pose = Rectifier.of(job, trajectory).pose(pack.shots)
+        stream.describe(*_description(job, pack, pose, files, started))
     return {
         "frames": len(pack.shots),
         "images": images,
@@ -147,25 +201,27 @@ def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.n
 
 
 def _description(
-    job: Job, pack: Pack, files: list, started: tuple[float, float]
+    job: Job, pack: Pack, pose: dict[str, float], files: list, started: tuple[float, float]
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
-    names = job.settings.texture_ids()
     of = cameras(job)
-    augmentation = {identity: of[name].record() for identity, name in names.items()}
+    augmentation = {identity: of[name].record() for identity, name in job.textures.items()}
     metadata = pack.metadata | {
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
-        "textures": names,
+        "textures": dict(job.textures),
         "augmentation": augmentation,
+        "pose": pose,
     }
     record = provenance_record(
         "render",
         inputs=[*job.inputs(), *files],
         config={
-            "render": job.settings.model_dump(mode="json", exclude={"verified_images"}),
+            "render": job.settings.model_dump(
+                mode="json", exclude={"verified_images", job.other_floors}
+            ),
             "sample": {"frames": job.frames_sampled},
             "viewpoint": job.viewpoint,
-            "catalogue": job.catalogue_entries(names.values()),
+            "catalogue": job.catalogue_entries(job.textures.values()),
         },
         seed=job.seed,
         started=started,

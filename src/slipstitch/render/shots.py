@@ -1,13 +1,14 @@
-"""Which frames of a trajectory are rendered, and the camera of each."""
+"""The rendered frames of a trajectory, and the camera of each."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from slipstitch.bench.frames import sampled_frames
-from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.catalogue import VIEWPOINTS, Viewpoint
 from slipstitch.config.render import RenderSettings
-from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, turned
+from slipstitch.render.bench_camera import BenchCamera, bench_room
+from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose, turned
 from slipstitch.render.camera_file import read_camera_file
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -22,7 +23,11 @@ class Shot:
 
 
 def shots(
-    trajectory: Trajectory, viewpoint: str, settings: RenderSettings, frames_sampled: int
+    trajectory: Trajectory,
+    viewpoint: str,
+    settings: RenderSettings,
+    frames_sampled: int,
+    bench: BenchCamera | None = None,
 ) -> list[Shot]:
     """The frames to render and the crop of each.
 
@@ -34,6 +39,8 @@ def shots(
     settings : RenderSettings
     frames_sampled : int
         How many frames the sample stage uses.
+    bench : BenchCamera, optional
+        Where the camera of a drawn viewpoint stands.
     """
     count = len(trajectory.frame)
     if settings.frames == "all":
@@ -42,24 +49,36 @@ def shots(
         rows = sampled_frames(count, frames_sampled)
     width, length = cloth_size(trajectory)
     x, z = trajectory.stage_x_m, trajectory.stage_z_m
-    fixed = viewpoint_pose(viewpoint, settings)
+    fixed = viewpoint_rotation_and_translation(viewpoint, settings)
     result = []
     for row in rows:
         at_x, at_z = (x, z) if settings.crop == "fixed" else (x[row], z[row])
         room = cloth_room(at_x, at_z, width, length)
         camera = crop_to(fixed, room, settings.pixels)
+        if bench:
+            pixels = round(settings.pixels * settings.bench_camera.oversampling)
+            room = bench_room(camera, float(x[row]), room)
+            camera = crop_to(bench.pose(*fixed), room, pixels)
         result.append(Shot(int(row), int(trajectory.frame[row]), camera))
     return result
 
 
 def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
-    """Where a viewpoint's fixed camera stands: as calibrated, or as the catalogue says."""
+    """Pose of a viewpoint's fixed camera: from the calibration or the catalogue."""
     seen_from = VIEWPOINTS[viewpoint]
     path = settings.camera_of(viewpoint)
     if path is None:
         return seen_from
     turn = seen_from.azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
     return turned(*read_camera_file(path).pose, turn)
+
+
+def viewpoint_rotation_and_translation(
+    viewpoint: str, settings: RenderSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same as arrays (3, 3) and (3,), world to camera."""
+    fixed = viewpoint_pose(viewpoint, settings)
+    return pose(fixed) if isinstance(fixed, Viewpoint) else fixed
 
 
 def cloth_size(trajectory: Trajectory) -> tuple[float, float]:
@@ -80,14 +99,17 @@ def share_in_image(trajectory: Trajectory, shot: Shot) -> float:
     return float(inside.all(axis=1).mean())
 
 
-def camera_record(wanted: list[Shot], settings: RenderSettings) -> dict:
+def camera_record(
+    wanted: list[Shot], settings: RenderSettings, bench: BenchCamera | None = None
+) -> dict:
     """The cameras of all shots, as a shard's metadata holds them."""
     first = wanted[0].camera
     return {
         "convention": "OpenCV: x_camera = rotation x_world + translation_m; x right, y down, "
         "z forward; the centre of the first pixel is (0, 0); no distortion",
         "crop": settings.crop,
-        "pixels": settings.pixels,
+        "pixels": first.pixels,
+        "bench": bench and bench.record(),
         "rotation": first.rotation.tolist(),
         "translation_m": first.translation_m.tolist(),
         "frames": {

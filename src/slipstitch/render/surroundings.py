@@ -1,11 +1,12 @@
-"""What a simulation is rendered on and by: the floor's look and the lamp's place.
+"""Surroundings of a rendered simulation: appearance of the floor and position of the lamp.
 
 Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
 textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no
-look tells a coefficient.
+look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ class Surroundings:
 
     @property
     def reflects(self) -> bool:
-        """Whether the floor mirrors anything."""
+        """Whether the floor is reflective."""
         return self.reflectance > 0
 
     def record(self) -> dict:
@@ -64,7 +65,9 @@ def generator(seed: int, *names: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
 
-def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> Surroundings:
+def draw_surroundings(
+    settings: RenderSettings, seed: int, simulation: str, viewpoint_id: str = "v00"
+) -> Surroundings:
     """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
     Parameters
@@ -75,13 +78,25 @@ def draw_surroundings(settings: RenderSettings, seed: int, simulation: str) -> S
         The configuration's.
     simulation : str
         Its id.
+    viewpoint_id : str
+        One of the second training set, or any other: they share floor and lamp.
     """
     rng = generator(seed, bench_of(simulation), "surroundings")
-    name = settings.floors[int(rng.integers(len(settings.floors)))]
+    floor = _draw_floor(settings.floors, rng)
+    moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
+    x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
+    if settings.reflective(viewpoint_id):
+        view = settings.viewpoint_ids()[viewpoint_id]
+        own = generator(seed, bench_of(simulation), view, "reflective floor")
+        floor = _draw_floor(settings.reflective_floors, own)
+    return Surroundings(*floor, (x, y, z))
+
+
+def _draw_floor(names: Sequence[str], rng: np.random.Generator) -> tuple[str, float, float, float]:
+    """A floor's name, albedo, reflectance and roughness."""
+    name = names[int(rng.integers(len(names)))]
     floor = FLOORS[name]
     albedo, reflectance, roughness = (
         float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
     )
-    moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
-    x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
-    return Surroundings(name, albedo, reflectance, roughness, (x, y, z))
+    return name, albedo, reflectance, roughness

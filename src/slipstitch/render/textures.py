@@ -59,7 +59,7 @@ def texture_file(name: str) -> Path | None:
         return None
     path = Path(name)
     if not is_texture_file(name):
-        raise BadInput(f"no texture {name!r}; there are: {', '.join(TEXTURES)}, or image files")
+        raise BadInput(f"unknown texture {name!r}; known: {', '.join(TEXTURES)}, or image files")
     if not path.is_file():
         raise BadInput(f"{path}: no such texture file")
     return path
@@ -69,7 +69,7 @@ def _read(path: Path) -> np.ndarray:
     """An image file as sRGB values (512, 512, 3) in 0 ... 1, its upper edge the cloth's."""
     image = cv2.imdecode(np.frombuffer(image_bytes(path), np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise BadInput(f"{path}: a texture must be an image file, and this is none")
+        raise BadInput(f"{path}: not an image file; a texture must be one")
     size = (TEXELS, TEXELS)
     shrinks = min(image.shape[:2]) >= TEXELS
     how = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC

@@ -1,5 +1,6 @@
-"""A random sample of the dataset's images against Blender with the texture itself on the cloth."""
+"""Comparison of a random sample of images with direct renders of the textured cloth in Blender."""
 
+import base64
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -20,21 +21,21 @@ from slipstitch.provenance import (
 )
 from slipstitch.render.augmentation import pixel_noise
 from slipstitch.render.composition import compose_light, join
-from slipstitch.render.encoding import encode_srgb
+from slipstitch.render.encoding import encode_png, encode_srgb
 from slipstitch.render.packing import Job, read_pack, usable_trajectory
 from slipstitch.render.preview import decode_image
-from slipstitch.render.shards import SCHEMA, cameras
+from slipstitch.render.shards import SCHEMA, Rectifier, cameras
 from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture
 
-#: Paths a pixel of the direct renders, by whether the floor mirrors: on rough metal two renders of
-#: 256 paths agree to an SSIM of 0.96 only, less than is demanded of a composed image.
+#: Paths per pixel of direct renders, for matte and reflective floors: on rough metal two renders
+#: of 256 paths agree to an SSIM of 0.96 only, less than required of a composed image.
 SAMPLES = {False: 256, True: 1024}
-#: What a composed image must reach, by whether its floor mirrors.
+#: Requirements on a composed image, for matte and reflective floors.
 LEAST_PSNR_DB = {False: 38.0, True: 36.0}
 LEAST_SSIM = 0.97
 #: What a verification does not depend on.
-VIEWS = {"viewpoints", "test_viewpoints"}
+VIEWS = {"viewpoints", "test_viewpoints", "test_viewpoint_videos", "reflective_floors"}
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ class Comparison:
     ssim: float
     least_psnr_db: float
     as_stored: bool
+    #: PNG files, base64: whoever has them can compare again.
+    composed_png: str
+    direct_png: str
 
     @property
     def passed(self) -> bool:
@@ -112,7 +116,7 @@ def compare(
     camera = cameras(job)[name]
     (light,) = compose_light(join(shading, sight), [name])
     noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
-    again = camera.photograph(light, noise)
+    again = Rectifier.of(job, trajectory)(camera.photograph(light, noise), shot)
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
     scene.wear(texture(name))
     # Another seed than the shading render's: the two share no noise.
@@ -130,7 +134,14 @@ def compare(
         ssim(composed, reference),
         LEAST_PSNR_DB[pack.surroundings.reflects],
         bool((image[..., ::-1] == again).all()),
+        *(base64.b64encode(encode_png(one)).decode() for one in (composed, reference)),
     )
+
+
+def drawn_rows(seed: int, wanted: int, rows: int) -> list[int]:
+    """Which of the rows of all shards, in the order of their names, are compared."""
+    chosen = generator(seed, "verification").choice(rows, min(wanted, rows), replace=False)
+    return sorted(map(int, chosen))
 
 
 def verify(
@@ -170,9 +181,8 @@ def verify(
             if file.schema_arrow.names != SCHEMA.names:
                 raise BadInput(f"{path}: not an image shard")
             rows += [(path, row) for row in range(file.metadata.num_rows)]
-    rng = generator(config.seed, "verification")
-    count = min(config.render.verified_images, len(rows))
-    chosen = [rows[k] for k in sorted(rng.choice(len(rows), count, replace=False))]
+    drawn = drawn_rows(config.seed, config.render.verified_images, len(rows))
+    chosen = [rows[k] for k in drawn]
     comparisons, inputs = [], set()
     for path, row in progress(chosen):
         simulation = Path(path).stem.rsplit("_", 1)[0]
@@ -205,9 +215,9 @@ def verify(
 def _complaint(shown: Comparison) -> str:
     where = f"{shown.video} frame {shown.frame}"
     if not shown.as_stored:
-        return f"{where}: the stored image is not what its shading pack gives"
+        return f"{where}: the stored image differs from the one composed from its shading pack"
     return (
         f"{where} (floor {shown.floor}): {shown.psnr_db:.1f} dB and SSIM {shown.ssim:.3f} "
-        f"against the direct render, at least {shown.least_psnr_db:g} dB and {LEAST_SSIM:g} "
-        "are needed"
+        f"against the direct render; at least {shown.least_psnr_db:g} dB and {LEAST_SSIM:g} are "
+        "required"
     )

@@ -1,4 +1,4 @@
-"""Which point of the cloth each ray of a camera meets: a rasteriser with a depth buffer.
+"""The point of the cloth seen by each camera ray: a rasteriser with a depth buffer.
 
 Texture edges and outlines need many rays per pixel, light only few. Blender traces the light; the
 rays that only ask what is where are answered here, at a tenth of the cost.
@@ -30,7 +30,7 @@ def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Visibility:
-    """What a camera's rays see, one ray a pixel.
+    """Visibility of a camera's rays, one ray per pixel.
 
     Attributes
     ----------

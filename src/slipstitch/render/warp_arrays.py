@@ -1,4 +1,4 @@
-"""NumPy's arrays in Warp's hands, on the CPU: what loops over rays is compiled.
+"""NumPy arrays in Warp kernels on the CPU, for compiled loops over rays.
 
 On the CPU Warp runs a kernel's threads one after the other, in order.
 """
@@ -6,7 +6,9 @@ On the CPU Warp runs a kernel's threads one after the other, in order.
 import numpy as np
 import warp as wp
 
-wp.config.log_level = wp.LOG_WARNING  # standard output belongs to results
+from slipstitch.warp_start import start_warp
+
+start_warp()
 
 _KINDS = {
     wp.int32: np.int32,

@@ -1,1 +1,1 @@
-"""Report: one page that shows what was run, what came out, and what is missing."""
+"""Report: one page with what was run, the results, and what is missing."""

@@ -1,12 +1,11 @@
 """The paper's Fig. 6: cumulative errors on the simulated test set and on captures."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from slipstitch.errors import BadInput
+from slipstitch.config.train import REFLECTIVE, split_of
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.capture_scores import subsets, what_they_are
 from slipstitch.evaluate.metrics import (
@@ -22,53 +21,52 @@ from slipstitch.page.figures import svg_uri
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import MODEL_TITLES, NETWORKS, SPLIT_TITLES, seeds_of
 from slipstitch.report.results import Results
+from slipstitch.sample.videos import takes_part
 
 SUBSET_TITLES = {
     "all": "all captures",
     "matte": "captures without reflective",
     "reflective": "captures, reflective only",
 }
-REFLECTIVE = "all captures, reflective training"
+LAST_CURVE = "all captures, reflective training"
 COLUMNS = metrics_of(CAPTURES, "friction", "capture")
 
 
 def training_floors(
     manifest: Sequence[Mapping[str, Any]], split: str
 ) -> dict[str, tuple[int, bool]]:
-    """Floor -> number of training simulations on it, and whether it mirrors.
+    """Floor -> training simulations on it, once a viewpoint, and whether it mirrors.
 
     Parameters
     ----------
     manifest : sequence of mapping
         Rows of the dataset's manifest.
-    split : {"by_video", "by_simulation"}
+    split : str
+        One of `slipstitch.config.train.TRAINED_ON`.
     """
-    roles = ("material_role", "friction_role", "texture_role", "viewpoint_role")
-    floors: dict[str, set[str]] = {}
+    floors: dict[str, set[tuple[str, str]]] = {}
     mirrors: dict[str, bool] = {}
     for row in manifest:
-        if row[f"split_{split}"] == "train" and all(row[role] == "train" for role in roles):
-            floors.setdefault(row["floor"], set()).add(row["simulation"])
+        if row[f"split_{split_of(split)}"] == "train" and takes_part(row, split):
+            floors.setdefault(row["floor"], set()).add((row["simulation"], row["viewpoint_id"]))
             mirrors[row["floor"]] = mirrors.get(row["floor"], False) or row["floor_reflectance"] > 0
     return {name: (len(found), mirrors[name]) for name, found in sorted(floors.items())}
 
 
 def floors_in_words(floors: Mapping[str, tuple[int, bool]]) -> str:
-    """What the floors of the training simulations were."""
+    """What the floors of the training films were."""
     if not floors:
-        return "floors not known"
+        return "floors unknown"
     mirrors = {name: count for name, (count, mirror) in floors.items() if mirror}
     if not mirrors:
         return "trained on matte floors only"
     whole = sum(count for count, _ in floors.values())
     listed = ", ".join(f"{name} {count}" for name, count in mirrors.items())
-    return (
-        f"trained with reflective floors: {sum(mirrors.values())} of {whole} simulations ({listed})"
-    )
+    return f"trained with reflective floors: {sum(mirrors.values())} of {whole} films ({listed})"
 
 
 def captures_section(results: Results, metrics, details, predictions) -> dict[str, Any] | None:
-    """Captures beside the simulated test set: a table a model, and the curves.
+    """Captures beside the simulated test set: one table per model, and the curves.
 
     Parameters
     ----------
@@ -86,13 +84,15 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
     if not scores or not rows:
         return None
     manifest = results.manifest() or []
-    other = _trained_with_reflective_floors(results, rows)
+    whole = next(of_model for name, of_model in scores.items() if name.endswith("_all"))
     groups, panels = [], []
     for label in next(iter(scores.values())):
         model, _, split = label.partition(", trained ")
         own = _of_model(rows, model, split)
         floors = floors_in_words(training_floors(manifest, split))
         title = f"{MODEL_TITLES[model]}, {SPLIT_TITLES[split]}"
+        # The same with the second training set: the last curve.
+        mirrors = whole.get(f"{model}, trained {REFLECTIVE}") if split == "by_video" else None
         simulated = _simulated_errors(predictions, model, split)
         groups.append(
             {
@@ -104,7 +104,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
                     _row(SUBSET_TITLES[name.split("_")[1]], of_model[label], of_model[label])
                     for name, of_model in scores.items()
                 ]
-                + [_row(REFLECTIVE, entry, entry) for entry in other.scores(label)],
+                + ([_row(LAST_CURVE, mirrors, mirrors)] if mirrors else []),
             }
         )
         panels.append(
@@ -113,8 +113,12 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
                 + floors.split(":")[0],
                 "curves": {
                     "simulated test set": np.concatenate([*simulated.values(), []]),
-                    **_capture_errors(own),
-                    **({REFLECTIVE: other.errors(model, split)} if other.scores(label) else {}),
+                    **{SUBSET_TITLES[name]: off for name, off in _capture_errors(own).items()},
+                    **(
+                        {LAST_CURVE: _capture_errors(_of_model(rows, model, REFLECTIVE))["all"]}
+                        if mirrors
+                        else {}
+                    ),
                 },
             }
         )
@@ -122,61 +126,28 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
         "first_line": what_they_are(rows),
         "real": not rows[0]["surrogate"],
         "columns": COLUMNS,
-        "paper": paper.captures_cells(metric.name for metric in COLUMNS),
+        "paper": {
+            subset: paper.captures_cells(subset, [metric.name for metric in COLUMNS])
+            for subset in paper.CAPTURES
+        },
         "groups": groups,
-        "reflective_floors": any("reflective" in group["floors"] for group in groups),
-        "reflective_training": other.floors,
+        "reflective_training": any(label.endswith(REFLECTIVE) for label in whole),
         "other_networks": results.captures_of_other_networks(),
         "figure": svg_uri(
-            learning_pictures.cumulative_captures(panels, paper.CAPTURES["within_0.1"])
+            learning_pictures.cumulative_captures(
+                panels,
+                {
+                    SUBSET_TITLES.get(subset, LAST_CURVE): figures["within_0.1"]
+                    for subset, figures in paper.CAPTURES.items()
+                    if figures
+                },
+            )
         ),
     }
 
 
-@dataclass(frozen=True)
-class _OtherTraining:
-    """What networks of another run, trained with reflective floors, say of the same captures."""
-
-    floors: str = ""
-    metrics: Mapping[str, Any] = field(default_factory=dict)
-    rows: Sequence[Mapping[str, Any]] = ()
-
-    def scores(self, label: str) -> list[Mapping[str, Any]]:
-        """Its scores on all captures; none if it has no such networks."""
-        return [self.metrics[label]] if label in self.metrics else []
-
-    def errors(self, model: str, split: str) -> np.ndarray:
-        """Errors on all captures, all seeds together."""
-        return _capture_errors(_of_model(self.rows, model, split))[SUBSET_TITLES["all"]]
-
-
-def _trained_with_reflective_floors(results: Results, rows) -> _OtherTraining:
-    """The run that `evaluate.reflective_results` names; an empty one if it names none."""
-    folder = results.config.evaluate.reflective_results
-    if folder is None:
-        return _OtherTraining()
-    where = f"evaluate.reflective_results, {folder}"
-    other = Results(folder, results.config)
-    metrics, theirs = other.capture_metrics(), other.capture_predictions()
-    manifest = other.manifest()
-    if not (metrics and theirs and manifest):
-        raise BadInput(f"{where}: no captures and dataset in it (run the target captures there)")
-    if {_capture(row) for row in theirs} != {_capture(row) for row in rows}:
-        raise BadInput(f"{where}: its captures are not those of {results.folder}")
-    splits = sorted({row["trained_on"] for row in theirs})
-    floors = {split: floors_in_words(training_floors(manifest, split)) for split in splits}
-    if not all("reflective" in words for words in floors.values()):
-        raise BadInput(f"{where}: its networks were not trained with reflective floors")
-    whole = next(of_model for name, of_model in metrics.items() if name.endswith("_all"))
-    return _OtherTraining(floors[splits[0]], whole, theirs)
-
-
 def _of_model(rows: Sequence[Mapping[str, Any]], model: str, split: str) -> list[Mapping[str, Any]]:
     return [row for row in rows if (row["model"], row["trained_on"]) == (model, split)]
-
-
-def _capture(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return row["video"], row["mu_ref"], row["mu_ref_error"], row["reflective"]
 
 
 def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
@@ -186,9 +157,7 @@ def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
         np.array([row["mu_ref"] for row in rows]),
         np.array([row["mu_ref_error"] for row in rows]),
     )
-    return {
-        SUBSET_TITLES[name.split("_")[1]]: off[chosen] for name, chosen in subsets(rows).items()
-    }
+    return {name.split("_")[1]: off[chosen] for name, chosen in subsets(rows).items()}
 
 
 def _simulated_errors(predictions, model: str, split: str) -> dict[int, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What the page shows of cost: CPU time, wall time and memory of every stage."""
+"""Cost section of the report: CPU time, wall time and memory of every stage."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from slipstitch.report.results import Benchmark
 
 
 def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
-    """A row a stage, their picture and their sum; None without benchmark files."""
+    """One row per stage, their picture and their sum; None without benchmark files."""
     if not benchmarks:
         return None
     return {
@@ -43,7 +43,7 @@ def _figure(benchmarks: Sequence[Benchmark]):
     wall_min = [stage.wall_s / 60 for stage in benchmarks]
     axes.barh(places + 0.17, cpu_min, height=0.32, color=BLUE, label="CPU time")
     axes.barh(
-        places - 0.17, wall_min, height=0.32, color=PALE_BLUE, label="wall time, jobs added up"
+        places - 0.17, wall_min, height=0.32, color=PALE_BLUE, label="wall time, summed over jobs"
     )
     axes.set_yticks(places, [stage.stage for stage in benchmarks])
     axes.tick_params(axis="y", length=0)

@@ -1,4 +1,4 @@
-"""What the page shows of the dataset: pictures by label, sides of the splits."""
+"""Dataset section of the report: images by label, sizes of the splits."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from slipstitch.page.wording import evenly
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
 
-# The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s a stroke).
+# The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s per stroke).
 MID_STROKE_S = 22.5
 
 
@@ -44,7 +44,7 @@ def dataset(results: Results) -> dict[str, Any] | None:
     same = [simulation for simulation in grid if simulation.material == grid[0].material]
     middle = same[len(same) // 2]
     views = {
-        item["name"]: [
+        item["name"] + (" (mirrors)" if item["floor_role"] == "test" else ""): [
             cell(middle, kind["id"], item["id"], mid_stroke) for kind in textures(config)
         ]
         for item in viewpoints(config)
@@ -63,7 +63,9 @@ def dataset(results: Results) -> dict[str, Any] | None:
             )
     sides = {
         split: {
-            side: sum(row[f"split_{split}"] == side for row in rows)
+            side: sum(
+                row[f"split_{split}"] == side and row["floor_role"] == "train" for row in rows
+            )
             for side in ("train", "validation", "test")
         }
         for split in ("by_video", "by_simulation")

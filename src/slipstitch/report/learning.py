@@ -1,19 +1,25 @@
-"""The networks' tables: the paper's Table 2 and Sec. 6.2.1 beside ours, and every test set."""
+"""Tables of the networks: comparison with the paper's Table 2 and Sec. 6.2.1, and all test sets."""
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from slipstitch.ablate.summary import interval
 from slipstitch.config import Config
-from slipstitch.evaluate import paper
+from slipstitch.evaluate import paper, probes
 from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of
 from slipstitch.page.wording import percent, seeds_in_words
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",
     "by_simulation": "whole simulations held out",
-    "off_grid": "friction off the grid",
-    "unseen_texture": "texture never trained on",
-    "unseen_fabric": "fabric never trained on",
+    "off_grid": "off-grid friction",
+    "by_video_reflective": "videos held out, also trained on reflective floors",
+    "reflective_floors": "unseen reflective floors",
+    "unseen_texture": "unseen texture",
+    "unseen_fabric": "unseen fabric",
 }
 MODEL_TITLES = {
     "lrcn_baseline": "baseline network",
@@ -65,7 +71,7 @@ def score(metrics, details, test_set: str, network: str, metric: str) -> Score:
 
 
 def seeds_of(entries: Mapping[str, Mapping[str, Any]]) -> str:
-    """How many seeds the models of a test set have, in words."""
+    """The number of seeds of the models of a test set, in words."""
     counts = sorted({len(row["seeds"]) for row in entries.values() if row.get("seeds")})
     if not counts:
         return ""
@@ -73,35 +79,67 @@ def seeds_of(entries: Mapping[str, Mapping[str, Any]]) -> str:
     return most if len(counts) == 1 else f"{counts[0]} to {most}"
 
 
-def headline(config: Config, metrics, details) -> dict[str, Any] | None:
-    """The result that counts: friction on simulations that no network has seen."""
+def headline(config: Config, metrics, details, predictions) -> list[dict[str, Any]]:
+    """The result that counts, of simulations that no network has seen; then the paper's split.
+
+    Each with what a linear probe of one frame gives.
+    """
+    found = []
     for split in ("by_simulation", "by_video"):
         rows = (metrics or {}).get(split, {})
-        scored = {name: row for name, row in rows.items() if row.get("friction_lt_0.1") is not None}
+        scored = {
+            name: row
+            for name, row in rows.items()
+            if row.get("friction_lt_0.1") is not None and not name.startswith(probes.PREFIX)
+        }
         if not scored:
             continue
         best = max(scored, key=lambda name: scored[name]["friction_lt_0.1"])
-        detail = details.get(split, {}).get(NETWORKS.get(best, best), {})
+        network = NETWORKS.get(best, best)
+        detail = details.get(split, {}).get(network, {})
         chance = detail.get("chance", {})
-        return {
-            "split": SPLIT_TITLES[split],
-            "model": MODEL_TITLES.get(best, best),
-            "share": scored[best]["friction_lt_0.1"],
-            "error": scored[best].get("mean_absolute_error"),
-            "chance": chance.get("uniform", 1.0 / len(config.grid.frictions)),
-            "majority": chance.get("majority"),
-            "chance_error": chance.get("mean_absolute_error"),
-            "n": scored[best]["n"],
-            "simulations": detail.get("simulations"),
-            "classes": len(config.grid.frictions),
-        }
-    return None
+        found.append(
+            {
+                "split": SPLIT_TITLES[split],
+                "model": MODEL_TITLES.get(best, best),
+                "share": scored[best]["friction_lt_0.1"],
+                "interval": share_interval(predictions or (), split, network),
+                "seeds": len(scored[best].get("seeds") or ()),
+                "probe": rows.get(probes.MIDDLE_FRAME, {}).get("friction_lt_0.1"),
+                "error": scored[best].get("mean_absolute_error"),
+                "chance": chance.get("uniform", 1.0 / len(config.grid.frictions)),
+                "majority": chance.get("majority"),
+                "chance_error": chance.get("mean_absolute_error"),
+                "n": scored[best]["n"],
+                "simulations": detail.get("simulations"),
+                "classes": len(config.grid.frictions),
+            }
+        )
+    return found
+
+
+def share_interval(
+    predictions: Iterable[Mapping[str, Any]], split: str, network: str
+) -> tuple[float, float] | None:
+    """90 % interval of the share below half a step, over simulations and seeds; None of one."""
+    right: dict[tuple[int, str], list[bool]] = defaultdict(list)
+    for row in predictions:
+        if (row["split"], row["network"]) == (split, network):
+            off = abs(row["predicted_value"] - row["true_value"])
+            right[row["seed"], row["simulation"]].append(off < 0.05 - 1e-9)
+    seeds = sorted({seed for seed, _ in right})
+    names = sorted({name for _, name in right})
+    if len(names) < 2:
+        return None
+    table = [[float(np.mean(right[seed, name])) for name in names] for seed in seeds]
+    _, low, high = interval(np.array(table))
+    return max(0.0, low), min(1.0, high)
 
 
 def beside_paper(
     metrics, details, titles: Mapping[str, str], quoted: Mapping[tuple[str, str], float]
 ) -> dict[str, Any]:
-    """A table of the paper's metrics: its own figures, then a column a test set of ours.
+    """A table of the paper's metrics: its own figures, then one column per test set of ours.
 
     Parameters
     ----------
@@ -157,10 +195,10 @@ def unseen_texture(metrics, details) -> dict[str, Any] | None:
 
 
 def not_tested(metrics, captures) -> list[str]:
-    """What of the paper's Sec. 6 this run has no videos for, and where they would come from."""
+    """Parts of the paper's Sec. 6 without videos in this run, and their sources."""
     wanted = {
         "an unseen texture (Sec. 6.2.1; render.test_textures)": "unseen_texture" in metrics,
-        "turned viewpoints (Table 3; render.test_viewpoints)": any(
+        "rotated viewpoints (Table 3; render.test_viewpoints)": any(
             name.startswith(TURNED) for name in metrics
         ),
         "captures (Fig. 6; snakemake captures)": captures is not None,
@@ -196,7 +234,7 @@ def _test_row(model: str, row, detail, of_split) -> dict[str, Any]:
     fabric = of_split.get("material_baseline", {}) if model == "lrcn_baseline" else detail
     spread = (fabric.get("spread") or {}) | (detail.get("spread") or {})
     return {
-        "model": MODEL_TITLES.get(model, model).replace("network", "").strip(),
+        "model": _model_title(model),
         "n": row["n"],
         "simulations": detail.get("simulations"),
         "seeds": len(row.get("seeds") or []) or None,
@@ -205,8 +243,16 @@ def _test_row(model: str, row, detail, of_split) -> dict[str, Any]:
     }
 
 
+def _model_title(model: str) -> str:
+    """Of a row of the test sets."""
+    if model.startswith(probes.PREFIX):
+        what = probes.WHAT[model.removesuffix(probes.NETWORK)]
+        return f"{'small network' if model.endswith(probes.NETWORK) else 'linear'}: {what}"
+    return MODEL_TITLES.get(model, model).replace("network", "").strip()
+
+
 def alarms(details) -> list[dict[str, Any]]:
-    """How often the instruments' alarm is raised, a row an instrument."""
+    """Alarm rates of the instruments, one row per instrument."""
     return [
         {"split": SPLIT_TITLES[split], "seed": seed, "rates": rates}
         for split in ("by_simulation", "by_video")

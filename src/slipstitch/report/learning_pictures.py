@@ -1,4 +1,4 @@
-"""Figures of training and test. Every function returns None without data."""
+"""Figures of training and testing. Every function returns None without data."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -19,11 +19,15 @@ NETWORK_NAMES = {
     "friction_conditional": "friction, given the material",
     "instrument": "instrument (score in µ)",
 }
-SPLIT_NAMES = {"by_video": "by video (the paper's)", "by_simulation": "by simulation"}
+SPLIT_NAMES = {
+    "by_video": "by video (the paper's)",
+    "by_simulation": "by simulation",
+    "by_video_reflective": "by video, mirrors too",
+}
 
 
 def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """Where the schedule changes: (last epoch before, name of what follows)."""
+    """Changes of the schedule: (last epoch before, name of the next phase)."""
     return [
         (0.5 * (before["epoch"] + after["epoch"]), str(after["stage"]))
         for before, after in pairwise(epochs)
@@ -33,7 +37,7 @@ def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]
 
 @styled
 def training(histories: Sequence[History]) -> Figure | None:
-    """Loss against epoch, a panel a network and split; chance as a dotted line."""
+    """Loss against epoch, one panel per network and split; chance as a dotted line."""
     if not histories:
         return None
     networks = [
@@ -182,7 +186,7 @@ def cumulative(predictions, frictions: Sequence[float]) -> Figure | None:
 
 
 _LINES = {
-    "material_baseline": ("fabric, first guess", GREEN),
+    "material_baseline": ("fabric, top 1", GREEN),
     "friction_baseline": ("friction, baseline", BLUE),
     "friction_conditional": ("friction, given the material", MEASURED),
     "instrument": ("instrument", INK),
@@ -214,10 +218,10 @@ def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> Fig
                 yerr=[score[1] or 0.0 for score in known.values()], color=colour, lw=1.4,
                 marker="o", ms=3.5, capsize=2.5, ls="--" if network == "material_baseline" else "-",
             )  # fmt: skip
-        axes.set(xlabel="turn of the camera, degrees", ylim=(0, 1.04))
+        axes.set(xlabel="rotation of the camera, degrees", ylim=(0, 1.04))
         axes.set_xticks(sorted({turn for values in curves.values() for turn in values}))
-    panels[0].set(title="exact step of friction (< 0.1); fabric", ylabel="share of test videos")
-    panels[1].set_title("one step off at most (< 0.2)")
+    panels[0].set(title="exact friction class (< 0.1); fabric", ylabel="share of test videos")
+    panels[1].set_title("within one friction class (< 0.2)")
     figure.legend(
         [*lines.values()], [*lines], loc="outside upper center", ncols=4, frameon=False, fontsize=8
     )
@@ -234,15 +238,17 @@ _CURVES = {
 
 
 @styled
-def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float) -> Figure | None:
+def cumulative_captures(
+    panels: Sequence[Mapping[str, Any]], paper_shares: Mapping[str, float]
+) -> Figure | None:
     """Share of videos against the error, simulated and captured, a panel a model.
 
     Parameters
     ----------
     panels : sequence of mapping
         ``title``, and ``curves``: name -> errors, shape (n,).
-    paper_share : float
-        The paper's share of real films with an error of 0.1 at most.
+    paper_shares : mapping
+        Name of a curve -> the paper's share of real films with an error of 0.1 at most.
     """
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -257,7 +263,8 @@ def cumulative_captures(panels: Sequence[Mapping[str, Any]], paper_share: float)
         for name, errors in panel["curves"].items():
             if len(errors):
                 draw_cumulative(axes, errors, widest, label=name, **_CURVES[name])
-        axes.plot(0.1, paper_share, "*", color=MEASURED, ms=8, label="the paper's real films")
+        for name, share in paper_shares.items():
+            axes.plot(0.1, share, "*", color=_CURVES[name]["color"], ms=8, mec=INK, mew=0.4)
         axes.set(xlim=(0, widest), ylim=(0, 1.02))
         axes.set_title(panel["title"], fontsize=8.5)
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))

@@ -1,4 +1,4 @@
-"""The report's page: what the results folder holds, put into words, tables and pictures."""
+"""The page of the report: contents of the results folder as text, tables and figures."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from slipstitch.config import Config
-from slipstitch.config.grid import simulations, viewpoints
+from slipstitch.config.grid import films
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
 from slipstitch.page.figures import svg_uri
@@ -20,6 +20,7 @@ from slipstitch.provenance import provenance_record, start_clock, write_text
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import captures_section
 from slipstitch.report.cost import cost_section
+from slipstitch.report.criticism import criticism_section, release_section
 from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import (
     alarms,
@@ -29,6 +30,7 @@ from slipstitch.report.learning import (
     test_sets,
     unseen_texture,
 )
+from slipstitch.report.limits import limits
 from slipstitch.report.physics import convergence, physics
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import simulation_section
@@ -39,17 +41,17 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def scale_in_words(config: Config) -> str:
-    """What the grid holds, in one line."""
+    """The grid in one line."""
     grid = config.grid
-    names = len(config.render.textures) + len(config.render.test_textures)
-    views = len(config.render.viewpoints) + len(config.render.test_viewpoints)
+    shown = films(config)
     count = len(grid.materials) * len(grid.frictions) * grid.replicates
     return (
         f"{counted(len(grid.materials), 'fabric')} × "
         f"{counted(len(grid.frictions), 'friction coefficient')} × "
         f"{counted(grid.replicates, 'replicate')} = {counted(count, 'simulation')}; "
-        f"{counted(names, 'texture')} × {counted(views, 'viewpoint')} = "
-        f"{counted(count * names * views, 'video')} of {config.sample.frames} frames at "
+        f"{counted(len(config.render.texture_ids()), 'texture')}, "
+        f"{counted(len(set(config.render.viewpoint_ids().values())), 'viewpoint')}: "
+        f"{counted(sum(map(len, shown.values())), 'video')} of {config.sample.frames} frames at "
         f"{config.render.pixels} × {config.render.pixels} pixels"
     )
 
@@ -109,7 +111,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     Returns
     -------
     dict
-        One entry a section; None or empty where a stage was not run.
+        One entry per section; None or empty where a stage was not run.
     """
     config = results.config
     metrics, details = results.metrics(), results.details()
@@ -119,6 +121,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
     step = closest_frictions(frictions)
     calibrated = config.calibrated_view
     captures = captures_section(results, metrics, details, predictions)
+    found = headline(config, metrics, details, predictions)
     record = provenance_record("report")
     return {
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
@@ -130,20 +133,24 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
             config.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100
         ),
         "grid": config.grid,
-        "headline": headline(config, metrics, details),
+        "headline": found,
+        "limits": limits(config, next(iter(found), None), captures),
         "simulations": simulation_section(results),
         "physics": physics(results),
         "convergence": convergence(results),
         "rendered": results.rendered(),
-        "shards": len(simulations(config)) * len(viewpoints(config)),
+        "shards": len(films(config)),
         "dataset": dataset(results),
         "training": svg_uri(learning_pictures.training(histories)),
         "networks": len(histories),
         "table_2": table_2(metrics, details),
         "unseen_texture": unseen_texture(metrics, details),
         "table_3": table_3(metrics, details, calibrated),
+        "drawn_turns": config.render.test_viewpoint_videos is not None,
         "captures": captures,
         "not_tested": not_tested(metrics, captures) if metrics else [],
+        "criticism": criticism_section(results),
+        "release": release_section(results),
         "metrics": metrics_of(TEST_SETS),
         "test_sets": test_sets(metrics, details),
         "alarms": alarms(details),
@@ -210,6 +217,7 @@ def write_report(
             found.folder / "evaluate" / "predictions.parquet",
             found.folder / "captures" / "metrics.json",
             found.folder / "captures" / "predictions.parquet",
+            found.folder / "audit" / "audit.json",
         )
         if path.exists()
     ]

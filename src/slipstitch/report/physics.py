@@ -1,4 +1,4 @@
-"""What the page says of the simulator: checks against theory, convergence."""
+"""Physics section of the report: checks against theory, convergence."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -104,8 +104,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
                         "shifted": quantity(found["shifted_mean_m"], 1e3, "mm", 2),
                         "shift": quantity(found["event_shift_s"], 1.0, "s", 2),
                         "missing": ", ".join(found["events_missing"]),
-                        "met": found["mean_largest_m"]
-                        <= study["settings"]["convergence"]["mean_distance_m"],
+                        "verdict": found.get("verdict") or _old_verdict(found, study),
                     }
                 )
     return {
@@ -117,9 +116,15 @@ def convergence(results: Results) -> dict[str, Any] | None:
     }
 
 
+def _old_verdict(found: dict[str, Any], study: dict[str, Any]) -> str:
+    """Of a study that was published before it had words for events."""
+    demand_m = study["settings"]["convergence"]["mean_distance_m"]
+    return "converged" if found["mean_largest_m"] <= demand_m else "not converged"
+
+
 def _refinement(kind: str, finest: str) -> str:
-    """What the finest run of a kind was, from its id such as m05_f01_n61_h0."""
+    """Description of the finest run of a kind, from its id such as m05_f01_n61_h0."""
     side, _, halvings = finest.partition("_n")[2].partition("_h")
     if not halvings:
         return f"finest {kind}"
-    return f"{side} vertices a side" if kind == "mesh" else f"time step over {2 ** int(halvings)}"
+    return f"{side} vertices per side" if kind == "mesh" else f"time step over {2 ** int(halvings)}"

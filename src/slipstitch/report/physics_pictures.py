@@ -1,4 +1,4 @@
-"""Figures of physics and simulations, or None where there is nothing to draw."""
+"""Figures of physics and simulations, or None without data."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ def friction_colour(friction: float, frictions: Sequence[float]):
 
 @styled
 def calibration(data: Mapping[str, Any]) -> Figure:
-    """Measured against theory, a panel an experiment."""
+    """Measured against theory, one panel per experiment."""
     return calibration_figure(data)
 
 
@@ -116,7 +116,7 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
 
 @styled
 def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
-    """Where the lower edge is, relative to the clamps, over time: what a camera can read.
+    """Position of the lower edge relative to the clamps over time: the main visual cue.
 
     Parameters
     ----------

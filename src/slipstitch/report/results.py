@@ -1,8 +1,9 @@
-"""Reading a results folder, whatever of it there is."""
+"""Reading a results folder, complete or not."""
 
 import csv
 import io
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -30,13 +31,16 @@ STAGES = (
     "train",
     "instrument",
     "evaluate",
+    "criticise",
+    "release",
+    "audit",
     "report",
 )
 
 
 @dataclass(frozen=True)
 class SimulationSummary:
-    """What the report shows of one simulation.
+    """The content of the report on one simulation.
 
     Attributes
     ----------
@@ -54,8 +58,6 @@ class SimulationSummary:
         What it had to stay below, from the run's own settings.
     newton_iterations : int
         Newton iterations of the whole run.
-    cpu_s : float or None
-        CPU time, from the record inside the file.
     """
 
     simulation: Simulation
@@ -66,12 +68,11 @@ class SimulationSummary:
     residual: float
     tolerance: float | None
     newton_iterations: int
-    cpu_s: float | None
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What the jobs of one stage cost together, from Snakemake's benchmark files.
+    """Total cost of the jobs of one stage, from Snakemake's benchmark files.
 
     Attributes
     ----------
@@ -148,7 +149,7 @@ class Results:
         return own or _json_if_there(self.folder / "published" / "convergence" / "convergence.json")
 
     def simulation_path(self, simulation: Simulation) -> Path:
-        """Where a simulation's trajectory lies."""
+        """Path of a simulation's trajectory."""
         return self.folder / "simulate" / f"{simulation.id}.parquet"
 
     def simulated(self) -> list[Simulation]:
@@ -183,12 +184,11 @@ class Results:
             residual=float(np.max(solver["residual"].to_numpy())),
             tolerance=(run.metadata.get("settings") or {}).get("friction_tolerance"),
             newton_iterations=int(np.sum(solver["newton_iterations"].to_numpy())),
-            cpu_s=(run.metadata.get("provenance") or {}).get("cpu_s"),
         )
 
-    def preview(self, simulation: Simulation) -> Path | None:
-        """Contact sheet of a simulation."""
-        path = self.folder / "render" / "preview" / f"{simulation.id}.png"
+    def preview(self, simulation: Simulation, suffix: str = ".png") -> Path | None:
+        """Contact sheet of a simulation, or (``.mp4``) its film."""
+        path = self.folder / "render" / "preview" / f"{simulation.id}{suffix}"
         return path if path.exists() else None
 
     def rendered(self) -> int:
@@ -242,7 +242,8 @@ class Results:
         path = self.folder / "evaluate" / "predictions.parquet"
         if not path.exists():
             return None
-        columns = ["split", "network", "seed", "true", "true_value", "predicted_value", "predicted"]
+        columns = ["simulation", "split", "network", "seed", "true", "true_value"]
+        columns += ["predicted_value", "predicted"]
         return _table(path, columns).to_pylist()
 
     def capture_metrics(self) -> Mapping[str, Any] | None:
@@ -250,7 +251,7 @@ class Results:
         return _json_if_there(self.folder / "captures" / "metrics.json")
 
     def capture_predictions(self) -> list[dict[str, Any]] | None:
-        """What every model says of every capture."""
+        """Predictions of every model for every capture."""
         path = self.folder / "captures" / "predictions.parquet"
         if not path.exists():
             return None
@@ -269,16 +270,47 @@ class Results:
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
         return not weights[0] <= weights[1]
 
-    def benchmarks(self) -> list[Benchmark]:
-        """Cost of every stage that has benchmark files, in the order of the chain."""
+    def verdict(self, case: str) -> Mapping[str, Any] | None:
+        """Content of a measured case's verdict.json."""
+        return _json_if_there(self.folder / "criticise" / case / "verdict.json")
+
+    def criticism_picture(self, case: str) -> str | None:
+        """What the friction law leaves over in a case, as the text of an SVG."""
+        path = self.folder / "criticise" / case / "picture.svg"
+        return path.read_text(encoding="utf-8") if path.exists() else None
+
+    def simulated_again(self, case: str) -> Mapping[str, Any] | None:
+        """Errors of a case's runs in the cloth simulator, without and with the extended law."""
+        again = _json_if_there(self.folder / "criticise" / case / "resimulation.json") or {}
+        return again.get("all")
+
+    def audit(self) -> Mapping[str, Any] | None:
+        """What an audit of the release found."""
+        return _json_if_there(self.folder / "audit" / "audit.json")
+
+    def benchmarks(self, job_classes: bool = False) -> list[Benchmark]:
+        """Cost of every stage that has benchmark files, in the order of the chain.
+
+        With `job_classes`, of every class of jobs that the files' names tell: ``render/shade``.
+        """
         folder = self.folder / "benchmarks"
-        names = [path.name for path in sorted(folder.glob("*")) if path.is_dir()]
-        names.sort(key=lambda name: (STAGES.index(name) if name in STAGES else 99, name))
+        classes: dict[str, list[Path]] = {}
+        for path in sorted(folder.glob("*/*.tsv")):
+            name = path.parent.name
+            if job_classes:
+                # A network, or the word before what the job was of: sweep_..., shade_...
+                job = re.search(r"[a-z]+_[a-z]+(?=_seed)|^(?!by_)[a-z]+(?=_|$)", path.stem)
+                name += f"/{job[0]}" if job else ""
+            classes.setdefault(name, []).append(path)
+        stages = {name: name.split("/")[0] for name in classes}
         found = []
-        for name in names:
+        for name in sorted(
+            classes,
+            key=lambda name: (STAGES.index(stages[name]) if stages[name] in STAGES else 99, name),
+        ):
             rows = [
                 row
-                for path in sorted((folder / name).glob("*.tsv"))
+                for path in classes[name]
                 for row in csv.DictReader(
                     io.StringIO(path.read_text(encoding="utf-8", errors="replace")), delimiter="\t"
                 )

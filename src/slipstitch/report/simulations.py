@@ -1,4 +1,4 @@
-"""What the page shows of the simulations: side views, tails, contact sheets."""
+"""Simulations section of the report: side views, tails, contact sheets."""
 
 import io
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from slipstitch.report.results import Results, SimulationSummary
 MOST_FRICTIONS_SHOWN = 6
 MOST_SHEETS_SHOWN = 6
 SHEET_WIDTH = 1000
+FILM_BYTES_MAX = 3_000_000
 
 
 def simulation_section(results: Results) -> dict[str, Any]:
@@ -29,7 +30,6 @@ def simulation_section(results: Results) -> dict[str, Any]:
     first: dict[tuple[str, float], SimulationSummary] = {}
     for run in trajectories:
         first.setdefault((run.simulation.material, run.simulation.friction), run)
-    cpu = sorted(run.cpu_s for run in trajectories if run.cpu_s is not None)
     return {
         "planned": len(planned),
         "done": len(done),
@@ -42,10 +42,26 @@ def simulation_section(results: Results) -> dict[str, Any]:
         "tolerance": max(
             (run.tolerance for run in trajectories if run.tolerance is not None), default=None
         ),
-        "cpu_median": cpu[len(cpu) // 2] if cpu else None,
-        "cpu_largest": cpu[-1] if cpu else None,
+        # The table of costs has the same number.
+        "cpu_median": next(
+            (one.cpu_median_s for one in results.benchmarks() if one.stage == "simulate"), None
+        ),
         "duration": max((float(run.time_s[-1]) for run in trajectories), default=None),
         "sheets": _sheets(results, done),
+        "film": _film(results, done),
+    }
+
+
+def _film(results: Results, done: Sequence[Simulation]) -> dict[str, str] | None:
+    """The film of the simulation in the middle of those that have one, if it is small."""
+    films = [(one, results.preview(one, ".mp4")) for one in done]
+    there = [(one, path) for one, path in films if path and path.stat().st_size <= FILM_BYTES_MAX]
+    if not there:
+        return None
+    simulation, path = there[len(there) // 2]
+    return {
+        "title": f"{simulation.material}, µ = {simulation.friction:g}",
+        "video": data_uri(path.read_bytes(), "video/mp4"),
     }
 
 

@@ -1,8 +1,9 @@
-"""The paper's Table 3: the calibrated viewpoint turned by some degrees."""
+"""The paper's Table 3: rotations of the calibrated viewpoint."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from slipstitch.evaluate import paper
 from slipstitch.evaluate.metrics import Metric
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.wording import percent
@@ -80,6 +81,7 @@ def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
             {
                 **row,
                 "turn": f"{turn:+d}°".replace("-", "−") if turn else "0°",
+                "paper": paper.TABLE_3.get(turn),
                 "cells": [percent(*of_network) for of_network in row["scores"]],
             }
             for turn, row in sorted(rows.items())

@@ -11,19 +11,22 @@ import numpy as np
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
-from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.config.grid import Simulation, films, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock
+from slipstitch.render.bench_camera import POSE
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest
+from slipstitch.sample.probes import PIXELS, check_first_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of
 from slipstitch.sample.splits import (
     check_no_simulation_on_both_sides,
     split_by_simulation,
     split_by_video,
 )
+from slipstitch.sample.videos import resized, takes_part
 
 
 def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
@@ -31,7 +34,8 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
 
     Videos in a test-only texture or from a test-only viewpoint are test videos by video; by
     simulation they go with their simulation (and never train, whatever their side). Simulations of
-    a test-only fabric or friction coefficient are test simulations in both.
+    a test-only fabric or friction coefficient are test simulations in both. A video on a floor of
+    the second training set has the side of the same video on its own floor.
     """
     grid = simulations(config)
     trained = [
@@ -49,26 +53,27 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
         seed=config.seed,
         hold_out=config.sample.hold_out,
     )
-    roles = {
-        (texture["id"], view["id"]): (texture["role"], view["role"])
-        for texture in textures(config)
-        for view in viewpoints(config)
-    }
+    views = viewpoints(config)
+    main = {view["name"]: view["id"] for view in reversed(views)}  # each name's first id
     trainable = [
-        f"{simulation.id}_{texture}_{view}"
+        f"{simulation.id}_{texture['id']}_{main[view]}"
         for simulation in trained
-        for (texture, view), role in roles.items()
-        if role == ("train", "train")
+        for texture in textures(config)
+        for view in config.render.viewpoints
+        if texture["role"] == "train"
     ]
     of_video = split_by_video(trainable, *fractions, seed=config.seed)
+    names = {view["id"]: view["name"] for view in views}
+    simulated = {simulation.id: simulation for simulation in grid}
     sides = {}
-    for simulation in grid:
+    for (name, view), worn in films(config).items():
+        simulation = simulated[name]
         side = of_simulation.get(
             (simulation.material_id, simulation.friction_id, simulation.replicate_id), "test"
         )
-        for texture, view in roles:
-            video = f"{simulation.id}_{texture}_{view}"
-            sides[video] = (of_video.get(video, "test"), side)
+        for texture in worn:
+            twin = f"{name}_{texture}_{main[names[view]]}"
+            sides[f"{name}_{texture}_{view}"] = (of_video.get(twin, "test"), side)
     return sides
 
 
@@ -94,7 +99,8 @@ def write_dataset(
     ------
     BadInput
         If a shard is damaged, a video or frame of the grid is missing, there twice or not of the
-        grid, an image cannot be decoded or has the wrong size, or no valid split exists.
+        grid, an image cannot be decoded or has the wrong size, no valid split exists, or the first
+        frames tell the friction coefficient.
     """
     started = start_clock()
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
@@ -104,7 +110,7 @@ def write_dataset(
     for path in map(str, shards):
         for name in simulations_of(path):
             if name not in grid:
-                raise BadInput(f"{path}: simulation {name!r} is not of the configured grid")
+                raise BadInput(f"{path}: simulation {name!r} is not in the configured grid")
             paths_of[name].append(path)
     missing = [name for name in grid if name not in paths_of]
     if missing:
@@ -114,10 +120,17 @@ def write_dataset(
         )
 
     rows: list[dict[str, Any]] = []
+    first: list[np.ndarray] = []
     for simulation in progress(grid.values(), "sample: ", unit="simulation"):
-        rows += _write_simulation(
+        written, images = _write_simulation(
             config, simulation, paths_of[simulation.id], frames, sides, Path(out_dir)
         )
+        rows += written
+        first += [resized(image[None], PIXELS)[0] for image in images]
+    trainable = [k for k, row in enumerate(rows) if takes_part(row)]
+    check_first_frames(
+        str(out_dir), [rows[k] for k in trainable], np.stack([first[k] for k in trainable])
+    )
     check_no_simulation_on_both_sides(
         [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
     )
@@ -139,25 +152,28 @@ def _write_simulation(
     frames: np.ndarray,
     sides: dict[str, tuple[str, str]],
     out_dir: Path,
-) -> list[dict[str, Any]]:
-    """Write one simulation's frames; return its manifest rows, sorted by video."""
+) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
+    """Write one simulation's frames; return its rows, sorted by video, and their first frames."""
     started = start_clock()
     videos: dict[tuple[str, str], list] = {}
-    floor: dict[str, Any] = {}
+    floors: dict[str, dict[str, Any]] = {}
+    poses: dict[str, dict[str, float]] = {}
     for path in paths:
-        # One simulation, one floor: the same in every shard.
-        floor = read_metadata(path).get("surroundings") or MATTE.record()
+        metadata = read_metadata(path)
+        floor = metadata.get("surroundings") or MATTE.record()
         for (name, texture, view), images in read_shard(path, frames).items():
             if name != simulation.id:
                 continue
             video = f"{simulation.id}_{texture}_{view}"
             if video not in sides:
-                raise BadInput(f"{path}: video {video!r} is not of the configured grid")
+                raise BadInput(f"{path}: video {video!r} is not in the configured grid")
             if (texture, view) in videos:
-                raise BadInput(f"{path}: video {video} is in another shard too")
+                raise BadInput(f"{path}: video {video} is in more than one shard")
             videos[texture, view] = images
+            poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
+            floors[view] = floor
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
-    rows, images = [], []
+    rows, images, first = [], [], []
     file = f"{simulation.id}.parquet"
     for video in sorted(name for name in sides if name.startswith(f"{simulation.id}_")):
         texture, view = video.split("_")[3:]
@@ -182,6 +198,7 @@ def _write_simulation(
                     "image": {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"},
                 }
             )
+        first.append(pixels[0])
         view_name = catalogue[view]["name"]
         turn = VIEWPOINTS[view_name].azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
         by_video, by_simulation = sides[video]
@@ -202,10 +219,12 @@ def _write_simulation(
                 "friction_role": simulation.friction_role,
                 "texture_role": catalogue[texture]["role"],
                 "viewpoint_role": catalogue[view]["role"],
+                "floor_role": catalogue[view]["floor_role"],
                 "viewpoint_turn_deg": turn,
-                "floor": floor["floor"],
-                "floor_reflectance": floor["reflectance"],
-                "floor_roughness": floor["roughness"],
+                **{f"pose_{name}": poses[view][name] for name in POSE},
+                "floor": floors[view]["floor"],
+                "floor_reflectance": floors[view]["reflectance"],
+                "floor_roughness": floors[view]["roughness"],
                 "split_by_video": by_video,
                 "split_by_simulation": by_simulation,
                 "frames": len(frames),
@@ -222,4 +241,4 @@ def _write_simulation(
         started=started,
     )
     write_frames(images, out_dir / file, record)
-    return rows
+    return rows, first

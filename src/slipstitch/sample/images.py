@@ -42,6 +42,10 @@ def _hugging_face(schema: pa.Schema) -> pa.Schema:
     return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
 
 
+#: As written: what `_hugging_face` makes of `FRAMES_SCHEMA`.
+DATASET_SCHEMA = _hugging_face(FRAMES_SCHEMA)
+
+
 def pixels_digest(video: np.ndarray) -> str:
     """SHA-256 of a video's decoded pixels, uint8 of shape (frames, pixels, pixels, 3)."""
     return hashlib.sha256(np.ascontiguousarray(video).tobytes()).hexdigest()
@@ -52,7 +56,7 @@ def write_frames(
 ) -> None:
     """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
     write_parquet(
-        pa.Table.from_pylist(list(images), schema=_hugging_face(FRAMES_SCHEMA)),
+        pa.Table.from_pylist(list(images), schema=DATASET_SCHEMA),
         path,
         {},
         record,

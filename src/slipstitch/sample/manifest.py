@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import read_metadata, read_parquet, write_parquet
+from slipstitch.render.bench_camera import POSE
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 MANIFEST = "manifest.parquet"
@@ -32,7 +33,9 @@ MANIFEST_SCHEMA = pa.schema(
         ("friction_role", pa.string()),
         ("texture_role", pa.string()),
         ("viewpoint_role", pa.string()),
+        ("floor_role", pa.string()),
         ("viewpoint_turn_deg", pa.float64()),
+        *((f"pose_{name}", pa.float64()) for name in POSE),
         ("floor", pa.string()),
         ("floor_reflectance", pa.float64()),
         ("floor_roughness", pa.float64()),
@@ -74,7 +77,7 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
     path = Path(dataset) / MANIFEST
     rows = read_parquet(path, MANIFEST_SCHEMA.names).to_pylist()
     if not rows:
-        raise BadInput(f"{path}: no video in it")
+        raise BadInput(f"{path}: contains no videos")
     for split in ("split_by_video", "split_by_simulation"):
         for row in rows:
             if row[split] not in SIDES:
@@ -90,5 +93,5 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
         raise BadInput(f"{path}: {problem}") from None
     digest = dataset_digest(rows)
     if read_metadata(path).get("dataset_digest") != digest:
-        raise Damaged(path, "was altered: its rows do not have the digest noted in it")
+        raise Damaged(path, "was altered: its rows do not match their digest")
     return rows, digest

@@ -1,4 +1,4 @@
-"""Reading the render stage's image shards, and everything that can be wrong with them."""
+"""Reading and validating the image shards of the render stage."""
 
 import io
 import os
@@ -48,8 +48,8 @@ def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     side = pixels or array.shape[0]
     if mode != "RGB" or array.shape != (side, side, 3):
         raise BadInput(
-            f"{where}: image is {'x'.join(map(str, array.shape[1::-1]))} {mode}, "
-            f"{side}x{side} RGB is needed"
+            f"{where}: image is {'x'.join(map(str, array.shape[1::-1]))} {mode}; must be "
+            f"{side}x{side} RGB"
         )
     return array
 
@@ -58,7 +58,7 @@ def simulations_of(path: str | os.PathLike) -> set[str]:
     """Ids of the simulations that a shard holds images of."""
     names = set(read_parquet(path, ["simulation"]).column(0).to_pylist())
     if not names:
-        raise BadInput(f"{path}: no image in it")
+        raise BadInput(f"{path}: contains no images")
     return names
 
 

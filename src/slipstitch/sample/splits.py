@@ -1,7 +1,7 @@
-"""Which videos train a network, which watch it, which test it.
+"""Assignment of videos to training, validation and test.
 
 Two ways, because they answer different questions. `split_by_video` is the paper's: videos at
-random, so that the simulation of a test video stands in the training set too, seen from another
+random, so that the simulation of a test video is in the training set too, seen from another
 side or in another cloth. `split_by_simulation` keeps whole simulations from training; only it tells
 what a network is worth on a cloth that it has never watched move. docs/learning.md argues both.
 """
@@ -40,7 +40,7 @@ def split_by_video(
         With fewer than two videos.
     """
     if len(videos) < 2:
-        raise BadInput(f"{len(videos)} video(s): a split by video needs at least 2")
+        raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
     tests = min(max(1, round(len(videos) * test_fraction)), len(videos) - 1)
     validations = min(round(len(videos) * validation_fraction), len(videos) - 1 - tests)
     order = np.random.default_rng(seed).permutation(sorted(videos))
@@ -60,9 +60,9 @@ def split_by_simulation(
 
     With replicates, the last ones of every (material, friction) pair are held out (they differ by
     seeded perturbations only, so which ones does not matter): every pair trains and is tested on
-    a bench set up anew. Without, whole pairs are held out, in diagonals of the table of materials
-    and frictions: the network has met either, never both together. What is held out is divided
-    between validation and test for each friction separately, going round the materials.
+    an independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
+    materials and frictions: the network has seen each, never both together. They are
+    divided between validation and test for each friction separately, cycling through the materials.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def split_by_simulation(
     if hold_out == "replicate" and fewest < 2:
         raise BadInput(
             "by_simulation cannot hold out replicates: a (material, friction) pair has only "
-            f"{fewest} (grid.replicates must be 2 at least)"
+            f"{fewest} (grid.replicates must be at least 2)"
         )
 
     held_fraction = validation_fraction + test_fraction
@@ -143,7 +143,7 @@ def split_by_simulation(
 
 
 def _held(count: int, fraction: float) -> int:
-    """How many of `count` are held out: some, never all."""
+    """Number of held-out items of `count`: at least one, never all."""
     return min(max(1, round(count * fraction)), max(0, count - 1))
 
 
@@ -162,6 +162,6 @@ def check_no_simulation_on_both_sides(simulations: Sequence[str], sides: Sequenc
     if leaking:
         where = " and ".join(side for side in SIDES if side in found[leaking[0]])
         raise BadInput(
-            f"the split by simulation leaks: {leaking[0]} stands in {where} "
+            f"the split by simulation leaks: {leaking[0]} is in {where} "
             f"({len(leaking)} of {len(found)} simulations on more than one side)"
         )

@@ -1,4 +1,4 @@
-"""Reading the dataset: its videos in memory, every frame decoded once, as bytes of colour.
+"""Reading the dataset: its videos in memory, every frame decoded once, as 8-bit RGB.
 
 216 videos of 30 frames at 64 pixels take 80 MB; the paper's 3840 training videos 1.4 GB.
 """
@@ -13,12 +13,13 @@ import numpy as np
 from PIL import Image
 
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.sample.images import pixels_digest, read_frames
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import decode
 
-ROLES = ("material", "friction", "texture", "viewpoint")
+ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Videos:
         stored, side = self.pixels.shape[1:3]
         seen = self.pixels[:, sampled_frames(stored, frames or stored)]
         if pixels != side:
-            seen = np.stack([_resized(video, pixels) for video in seen])
+            seen = np.stack([resized(video, pixels) for video in seen])
         return Videos(self.rows, seen, self.digest)
 
 
@@ -83,7 +84,7 @@ def read_videos(
     every, digest = read_manifest(dataset)
     rows = [row for row in every if chosen(row)]
     if not rows:
-        raise BadInput(f"{dataset}: none of its {len(every)} videos is of the wanted kind")
+        raise BadInput(f"{dataset}: none of its {len(every)} videos matches the selection")
     rows.sort(key=lambda row: row["video"])
     shapes = {(row["frames"], row["pixels"]) for row in rows}
     if len(shapes) > 1:
@@ -102,33 +103,37 @@ def read_videos(
             decoded = found.setdefault(video, [])
             where = f"{path}: {video} position {position}"
             if position != len(decoded):
-                raise BadInput(f"{where}: position {len(decoded)} should come here")
+                raise BadInput(f"{where}: position {len(decoded)} expected here")
             decoded.append(decode(png, where, rendered))
         for video in (row["video"] for row in rows if row["file"] == file):
             row = rows[place[video]]
             images = found.get(video, [])
             if len(images) != stored:
-                raise BadInput(f"{path}: {video} has {len(images)} frames, {stored} are needed")
+                raise BadInput(f"{path}: {video} has {len(images)} frames; must be {stored}")
             whole = np.stack(images)
             if pixels_digest(whole) != row["pixels_sha256"]:
-                raise Damaged(path, f"{video} was altered: not the pixels that the manifest has")
+                raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
-            array[place[video]] = seen if side == rendered else _resized(seen, side)
+            array[place[video]] = seen if side == rendered else resized(seen, side)
     return Videos(rows, array, digest)
 
 
-def _resized(video: np.ndarray, side: int) -> np.ndarray:
+def resized(video: np.ndarray, side: int) -> np.ndarray:
+    """Frames (frames, any, any, 3) averaged down (or blown up) to another side."""
     filtered = Image.Resampling.BOX if side < video.shape[1] else Image.Resampling.BICUBIC
     return np.stack(
         [np.asarray(Image.fromarray(frame).resize((side, side), filtered)) for frame in video]
     )
 
 
-def takes_part(row: dict[str, Any]) -> bool:
-    """Whether a video may train: nothing in it (fabric, friction, texture, view) is for testing."""
-    return not test_only(row)
+def takes_part(row: dict[str, Any], trained_on: str = "") -> bool:
+    """Whether a video may train: nothing in it (`ROLES`) is for testing.
+
+    Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
+    """
+    return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 
 def test_only(row: dict[str, Any]) -> set[str]:
-    """What in a video is for testing only: material, friction, texture, viewpoint."""
+    """Test-only properties of a video: material, friction, texture, viewpoint."""
     return {kind for kind in ROLES if row[f"{kind}_role"] == "test"}

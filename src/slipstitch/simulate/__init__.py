@@ -1,1 +1,1 @@
-"""The drop-and-drag protocol, simulated and written as one trajectory."""
+"""The drop-and-drag protocol, simulated and written as a trajectory."""

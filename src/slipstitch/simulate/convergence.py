@@ -1,100 +1,136 @@
-"""What the convergence study found for runs like the one at hand, for its own record."""
+"""Results of the convergence study for runs similar to a given one, for its metadata."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from slipstitch.bench.gravity import GRAVITY_M_S2
-from slipstitch.config.simulation import SimulationSettings, StageSettings
-from slipstitch.material import load_fabric
+from slipstitch.config.simulation import SimulationSettings
 
 # Written by `slipstitch convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")
+CONVERGED = "converged"
+BUT_FOR_AN_EVENT = "converged but for the moment of an event (± {:.2f} s)"
+NOT_CONVERGED = "not converged"
+# Settings that may be finer than the studied ones; all others must be the same but for these.
+FINER = ("vertices_per_side", "step_error_m", "friction_tolerance")
+DO_NOT_MATTER = {
+    "time_step_s",  # the step that is used divides a frame's interval: compared apart
+    "frames",
+    "frame_rate_hz",
+    "newton_iterations_max",
+    "halvings_max",
+    "yaw_sd_deg",
+    "height_sd_m",
+    "fabric_sd_rel",
+    "curl_side",
+}
 
 
-def bending_length_m(material: str) -> float:
-    """(ke / rho g)^(1/3) of nearly flat cloth, the mean over directions: how a fabric drapes."""
-    fabric = load_fabric(material)
-    stiffness_N_m = fabric.bending_N_m[:, 0].mean()
-    return float(np.cbrt(stiffness_N_m / fabric.areal_density_kg_m2 / GRAVITY_M_S2))
+def worst_verdict(verdicts: Sequence[str]) -> str | None:
+    """The verdict that says least; of events the one farthest apart. None of none."""
+
+    def rank(verdict: str) -> tuple[bool, bool, str]:
+        return verdict == NOT_CONVERGED, verdict != CONVERGED, verdict
+
+    return max(verdicts, key=rank, default=None)
+
+
+def step_of(settings: SimulationSettings) -> float:
+    """The longest time step that is used, in s."""
+    frame_s = 1.0 / settings.frame_rate_hz
+    return frame_s / ceil(frame_s / settings.time_step_s - 1e-9)
+
+
+def studied_settings_that_differ(
+    studied: Mapping[str, Any], settings: SimulationSettings
+) -> list[str]:
+    """Settings for which a study does not speak: other ones, or coarser."""
+    own, theirs = settings.model_dump(mode="json"), studied["simulation"]
+    differ = [] if step_of(settings) <= studied["time_step_s"] * (1 + 1e-9) else ["time_step_s"]
+    for name in sorted(set(own) - DO_NOT_MATTER):
+        if name in FINER and name in theirs:
+            finer = own[name] >= theirs[name] if name == FINER[0] else own[name] <= theirs[name]
+            differ += [] if finer else [name]
+        elif name not in theirs or own[name] != theirs[name]:
+            differ.append(name)
+    return differ
+
+
+def read_study(measured: Path = MEASURED) -> dict[str, Any] | None:
+    """The summary of the study that came with the package, or None."""
+    if not measured.is_file():
+        return None
+    return json.loads(measured.read_text(encoding="utf-8"))
 
 
 def measured_convergence(
-    material: str,
-    friction: float,
-    settings: SimulationSettings,
-    step_s: float,
-    measured: Path = MEASURED,
+    material: str, friction: float, settings: SimulationSettings, measured: Path = MEASURED
 ) -> dict[str, Any] | None:
-    """The studied case nearest to a run: the fabric that drapes most alike, then the friction.
+    """What is known of a run: of its own fabric, at its coefficient or those on either side.
 
     Parameters
     ----------
     material, friction, settings
         Of the run.
-    step_s : float
-        The time step that it uses.
     measured : path
         Summary of a study.
 
     Returns
     -------
     dict or None
-        ``nearest`` (material, friction), ``studied`` (time_step_s, vertices_per_side, window_s),
-        ``applies`` (whether the run is at least as fine, and its stage moves as the paper's),
-        ``time_step`` and ``mesh`` (distances to the finest run, timing of events; see
-        `slipstitch.convergence.study.summary`), ``converged`` (None: not known), and ``note`` in
-        words. None if no study came with the package.
+        ``studied`` (time_step_s, window_s, mean_distance_m), ``differ`` (the settings for which it
+        does not speak), ``cases`` (what was found, see `slipstitch.convergence.study.summary`),
+        ``verdict`` (the worse of them; None: not known) and ``note`` in words. None if no study
+        came with the package.
     """
-    if not measured.is_file():
+    study = read_study(measured)
+    if study is None:
         return None
-    study = json.loads(measured.read_text(encoding="utf-8"))
-    length_m = bending_length_m(material)
-
-    def far(case):
-        return abs(np.log(bending_length_m(case["material"]) / length_m)), abs(
-            case["friction"] - friction
-        )
-
-    case = min(study["cases"], key=far)
-    studied = study["studied"]
-    same_stage = settings.stage == StageSettings()
-    applies = (
-        same_stage
-        and step_s <= studied["time_step_s"] * (1 + 1e-9)
-        and settings.vertices_per_side >= studied["vertices_per_side"]
-    )
+    differ = studied_settings_that_differ(study["studied"], settings)
+    own = [case for case in study["cases"] if case["material"] == material]
+    below = [case for case in own if case["friction"] <= friction + 1e-9]
+    above = [case for case in own if case["friction"] >= friction - 1e-9]
+    cases = []
+    if below and above:
+        cases = [max(below, key=lambda case: case["friction"])]
+        cases += [min(above, key=lambda case: case["friction"])]
+        cases = cases[: 1 if cases[0] is cases[1] else 2]
+    verdict = None
+    if cases and not differ:
+        known = [case["verdict"] for case in cases if case["verdict"] is not None]
+        worst = worst_verdict(known)
+        verdict = worst if len(known) == len(cases) or worst == NOT_CONVERGED else None
     return {
-        "nearest": {"material": case["material"], "friction": case["friction"]},
-        "studied": studied,
-        "applies": applies,
-        "time_step": case["time_step"],
-        "mesh": case["mesh"],
-        "converged": case["converged"] if applies else None,
-        "note": _note(case, applies) if same_stage else "another stage path: nothing is known",
+        "studied": {
+            name: value for name, value in study["studied"].items() if name != "simulation"
+        },
+        "differ": differ,
+        "cases": cases,
+        "verdict": verdict,
+        "note": _note(cases, differ, verdict),
     }
 
 
-def _note(case: dict[str, Any], applies: bool) -> str:
-    if not applies:
-        return "coarser than the settings that were studied: nothing is known"
+def _note(cases: Sequence[Mapping[str, Any]], differ: Sequence[str], verdict: str | None) -> str:
+    if not cases:
+        return "this fabric was not studied at this friction: nothing is known"
+    if differ:
+        return f"other settings than those studied ({', '.join(differ)}): nothing is known"
     parts = []
-    for key, name in (("time_step", "finest time step"), ("mesh", "finest mesh")):
-        found = case[key]
-        if found is None:
-            parts.append(f"{name.removeprefix('finest ')} not studied")
-        else:
-            parts.append(
-                f"{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
-                f"{1e3 * found['mean_largest_m']:.2f} mm at the worst moment, "
-                f"{1e3 * found['worst_m']:.1f} mm at the worst vertex, events up to "
-                f"{found['event_shift_s']:.2f} s apart"
-            )
-    verdict = {True: "converged", False: "not converged", None: "not known to be converged"}[
-        case["converged"]
-    ]
-    return f"{verdict} at {case['material']}, friction {case['friction']:g}: {'; '.join(parts)}"
+    for case in cases:
+        for key, name in (("time_step", "finest time step"), ("mesh", "finest mesh")):
+            found = case[key]
+            where = f"at friction {case['friction']:g} "
+            if found is None:
+                parts.append(f"{where}{name.removeprefix('finest ')} not studied")
+            else:
+                parts.append(
+                    f"{where}{1e3 * found['mean_m']:.2f} mm from the {name} on average, "
+                    f"{1e3 * found['mean_largest_m']:.2f} mm at the worst moment "
+                    f"({1e3 * found['shifted_largest_m']:.2f} mm if it may be shifted in time)"
+                )
+    return f"{verdict or 'not known to be converged'}: {'; '.join(parts)}"

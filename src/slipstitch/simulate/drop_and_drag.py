@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from math import ceil, cos, radians, sin
+from math import ceil, cos, pi, radians, sin
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.bench.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.cloth import (
     ClothSolver,
+    ContactConditions,
     Sheets,
     SolverSettings,
     StepRecord,
     rectangle,
     run_together,
 )
+from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.friction_law import FrictionLaw
@@ -31,7 +33,7 @@ from slipstitch.simulate.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class BenchPerturbation:
-    """What a bench cannot hold constant from one replicate to the next.
+    """Quantities that vary between replicates on a bench.
 
     Attributes
     ----------
@@ -57,13 +59,14 @@ def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbat
     """Draw the perturbation of one replicate; the same seed gives the same numbers."""
     random = np.random.default_rng(seed)
     factors = np.exp(settings.fabric_sd_rel * random.standard_normal(3))
+    sides = {"drawn": [-1.0, 1.0], "same": [1.0]}[settings.curl_side]
     return BenchPerturbation(
         yaw_deg=float(settings.yaw_sd_deg * random.standard_normal()),
         height_m=float(settings.height_sd_m * random.standard_normal()),
         density_factor=float(factors[0]),
         stretching_factor=float(factors[1]),
         bending_factor=float(factors[2]),
-        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice([-1.0, 1.0])),
+        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice(sides)),
     )
 
 
@@ -86,7 +89,7 @@ class DropAndDrag:
     seed: int
 
     def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
-        """What the record says of the fabric's measured numbers."""
+        """The fabric's measured data for the record."""
         return {"fabrics": {self.material: fabric_digest(self.material)}}
 
 
@@ -183,8 +186,8 @@ class _Bench:
         sheets: Sheets,
         member: int,
     ):
-        if not (np.isfinite(run.friction) and run.friction >= 0):
-            raise BadInput(f"friction {run.friction}: must be a finite number, at least 0")
+        if not 0 <= run.friction <= FRICTION_MAX:  # nor where it is not a number
+            raise BadInput(f"friction {run.friction:g}: must lie between 0 and {FRICTION_MAX:g}")
         self.run, self.settings, self.path = run, settings, path
         self.mesh = mesh = sheets.mesh
         self.model = model = (
@@ -209,8 +212,9 @@ class _Bench:
             hung_m,
             friction=model.law_at(run.friction),
             fixed=sheets.fixed,
-            settings=SolverSettings.of(settings),
+            settings=SolverSettings.of(settings.of_fabric(run.material)),
             gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
+            conditions=ContactConditions(warp_angle_rad=0.0 if settings.warp == "u" else pi / 2),
             rest_curvature_per_m=perturbation.natural_curl_per_m,
             sheets=sheets,
             member=member,
@@ -277,6 +281,6 @@ class _Bench:
                 "step_s": step_s,
                 "solver": asdict(totals),
                 "device": self.solver.device,
-                "convergence": measured_convergence(run.material, run.friction, settings, step_s),
+                "convergence": measured_convergence(run.material, run.friction, settings),
             },
         )

@@ -1,4 +1,4 @@
-"""Simulations as files: those of the grid with their place in it; what failed, for diagnosis."""
+"""Simulations as files: those of the grid, with their ids; states of failed ones, for diagnosis."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -111,4 +111,4 @@ def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverg
     path = Path(out).with_suffix(".failed.npz")
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         np.savez_compressed(stream, **error.state)
-    return NotConverged(f"{error}; its state is in {path}")
+    return NotConverged(f"{error}; its state was saved to {path}")

@@ -1,4 +1,4 @@
-"""A simulated run as a file: one row a frame, the mesh and the provenance in the metadata."""
+"""A simulated run as a file: one row per frame, mesh and provenance in the metadata."""
 
 import math
 import os
@@ -84,17 +84,17 @@ def read_trajectory(path: str | os.PathLike) -> Trajectory:
     Raises
     ------
     BadInput
-        If the file is missing, damaged, or not a trajectory; or holds numbers that are not finite.
+        If the file is missing, damaged, or not a trajectory; or contains non-finite numbers.
     """
     with open_parquet(path) as file:
         table = file.read()
         metadata = read_metadata(table)
     for name in (*_SCALARS, "positions_m"):
         if name not in table.column_names:
-            raise BadInput(f"{path}: not a trajectory: it has no column {name!r}")
+            raise BadInput(f"{path}: not a trajectory: no column {name!r}")
     for name in _MESH:
         if name not in metadata:
-            raise BadInput(f"{path}: not a trajectory: its metadata has no {name!r}")
+            raise BadInput(f"{path}: not a trajectory: no {name!r} in its metadata")
     try:
         values = {name: table[name].to_numpy() for name in _SCALARS}
         mesh = {
@@ -116,14 +116,14 @@ def _check(path, mesh: dict, vertices: int, positions: np.ndarray, values: dict)
     shapes = {"rest_positions_m": (vertices, 3), "uv": (vertices, 2)}
     for name, shape in shapes.items():
         if mesh[name].shape != shape:
-            raise BadInput(f"{path}: {name} is {mesh[name].shape}, {shape} is needed")
+            raise BadInput(f"{path}: {name} has shape {mesh[name].shape}; must be {shape}")
     faces = mesh["faces"]
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise BadInput(f"{path}: faces is {faces.shape}, triangles (F, 3) are needed")
+        raise BadInput(f"{path}: faces has shape {faces.shape}; must be triangles (F, 3)")
     if faces.min() < 0 or faces.max() >= vertices:
-        raise BadInput(f"{path}: faces name vertices outside 0 ... {vertices - 1}")
+        raise BadInput(f"{path}: faces refer to vertices outside 0 ... {vertices - 1}")
     if not len(positions):
-        raise BadInput(f"{path}: no frame in it")
+        raise BadInput(f"{path}: contains no frames")
     for name, array in (*mesh.items(), ("positions_m", positions), *values.items()):
         if not math.isfinite(float(np.sum(array, dtype=np.float64))):
-            raise BadInput(f"{path}: {name} holds numbers that are not finite")
+            raise BadInput(f"{path}: {name} contains non-finite numbers")

@@ -1,1 +1,1 @@
-"""What a run of the workflow has done, is doing and will cost, for a person who watches."""
+"""The state of a workflow run: finished and running jobs, failures, cost and time remaining."""

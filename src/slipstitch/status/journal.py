@@ -1,6 +1,6 @@
-"""The journal that a run of the workflow keeps: a plan of its jobs, then a line for every event.
+"""The journal of a workflow run: a plan of its jobs, then a line for every event.
 
-Snakemake hands its events to `Journal` as structured log records; nothing is read off its text.
+Snakemake hands its events to `Journal` as structured log records; no text is parsed.
 Only the main process writes, from the first job's start on: a dry run, or a run that has nothing to
 do, leaves no trace.
 """
@@ -21,12 +21,12 @@ EVENTS = "journal.jsonl"
 
 
 def process_identity() -> dict[str, Any]:
-    """What tells this process from any other, on this machine, without naming the machine."""
+    """Unique identity of this process on this machine, without naming the machine."""
     return {"pid": os.getpid(), "born": process_birth(os.getpid()), "boot": boot_identity()}
 
 
 def boot_identity() -> str | None:
-    """A random number that is drawn when a machine starts; None where there is none."""
+    """A random number drawn when a machine boots; None if unavailable."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
@@ -34,7 +34,7 @@ def boot_identity() -> str | None:
 
 
 def process_birth(pid: int) -> int | None:
-    """When a process was started, in clock ticks since the machine was; None if it is no more."""
+    """Start time of a process in clock ticks since boot; None if it has ended."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -44,7 +44,7 @@ def process_birth(pid: int) -> int | None:
 
 
 def plan_of(dag) -> list[dict[str, Any]]:
-    """The jobs of Snakemake's graph that make files, in the order of their ids."""
+    """The jobs of Snakemake's graph with output files, in the order of their ids."""
     needed = set(dag.needrun_jobs())
     jobs = [
         {
@@ -74,7 +74,7 @@ class Journal(logging.Handler):
     Parameters
     ----------
     folder : path
-        Where plan and journal lie; relative to the working folder when the first job starts.
+        Folder of plan and journal; relative to the working folder when the first job starts.
     """
 
     def __init__(self, folder: str | os.PathLike = FOLDER):
@@ -83,7 +83,7 @@ class Journal(logging.Handler):
         self._begun = False
 
     def begin(self, dag, cores: int) -> None:
-        """Write the plan and the head of the run."""
+        """Write the plan and the first entry of the run."""
         self._begun = True
         plan = plan_of(dag)
         write_json(self._folder / PLAN, {"jobs": plan}, indent=None)
@@ -97,7 +97,7 @@ class Journal(logging.Handler):
             self._write("end", success=success, own_cpu_s=own, jobs_cpu_s=jobs)
 
     def emit(self, record: Any) -> None:
-        """Take what concerns single jobs from Snakemake's log records."""
+        """Write the job events among Snakemake's log records."""
         if not self._begun:
             return
         event = getattr(getattr(record, "event", None), "value", None)
@@ -119,5 +119,5 @@ class Journal(logging.Handler):
         try:
             with open(self._folder / EVENTS, "a", encoding="utf-8") as stream:
                 stream.write(line + "\n")
-        except OSError as error:  # a full disk shall stop jobs, not the telling of it
+        except OSError as error:  # a full disk must not turn logging into a failure
             logging.getLogger(__name__).debug("journal: %s", error)

@@ -21,13 +21,13 @@ class Failure:
     Attributes
     ----------
     time_s : float
-        When, in seconds since 1970.
+        Time of failure, in seconds since 1970.
     rule : str
     output, log : list of str
-        What it was to make, and where it wrote what it said.
+        Its outputs and log files.
     then : str
-        ``retried`` if another attempt of the same run followed, ``made later`` if its output is
-        there now, else ``not made``.
+        ``retried`` if another attempt of the same run followed, ``completed later`` if its output
+        exists now, else ``not completed``.
     """
 
     time_s: float
@@ -44,7 +44,7 @@ class Run:
     Attributes
     ----------
     head : dict
-        The journal's line that opened it.
+        The journal's first entry of the run.
     state : dict of int to str
         Last event of each job that had one: started, finished or failed.
     started_s : dict of int to float
@@ -52,11 +52,11 @@ class Run:
     failures : list of dict
         The journal's lines.
     success : bool or None
-        None if it never said that it ended.
+        None if it has no end entry.
     last_s : float
-        When it last said anything.
+        Time of its last entry.
     own_cpu_s, jobs_cpu_s : float
-        CPU time of Snakemake itself and of the jobs that it ran here, once it has ended.
+        CPU time of Snakemake itself and of its jobs on this machine, once it has ended.
     """
 
     head: dict[str, Any]
@@ -78,7 +78,7 @@ class Run:
 
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
-    """The journal's lines; one that a crash cut short is left out."""
+    """The entries of the journal, without one truncated by a crash."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
@@ -98,7 +98,7 @@ _HEAD = {"cores": int, "pid": int, "born": int | None, "boot": str | None}
 
 
 def _is_event(event: Any) -> bool:
-    """Whether a line is one that the journal writes."""
+    """Whether an entry has the format of the journal."""
     if not isinstance(event["event"], str) or not isinstance(event["time"], float | int):
         return False
     if event["event"] == "run":
@@ -112,7 +112,7 @@ def _is_event(event: Any) -> bool:
 
 
 def read_runs(folder: str | os.PathLike) -> list[Run]:
-    """All runs that a results folder's journal tells of, the last one last.
+    """All runs in the journal of a results folder, in order.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def read_plan(folder: str | os.PathLike) -> list[dict[str, Any]]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
-        raise BadInput(f"{path}: damaged; the next run of snakemake writes it anew") from None
+        raise BadInput(f"{path}: damaged; the next run of snakemake regenerates it") from None
     return jobs
 
 
@@ -185,14 +185,14 @@ def failures(folder: str | os.PathLike, runs: list[Run]) -> list[Failure]:
                 then = "retried"
             else:
                 there = output and all((base / path).exists() for path in output)
-                then = "made later" if there else "not made"
+                then = "completed later" if there else "not completed"
             logs = list(event.get("log") or [])
             found.append(Failure(event["time"], event.get("rule", "?"), output, logs, then))
     return found
 
 
 def last_lines(path: str | os.PathLike, count: int = LOG_LINES) -> list[str]:
-    """The last lines of a log that are not empty, control characters taken out."""
+    """The last non-empty lines of a log, without control characters."""
     try:
         with open(path, "rb") as stream:
             size = stream.seek(0, os.SEEK_END)
@@ -210,20 +210,20 @@ def last_lines(path: str | os.PathLike, count: int = LOG_LINES) -> list[str]:
 def failure_lines(
     folder: str | os.PathLike, event: Failure | dict[str, Any], count: int = LOG_LINES
 ) -> list[str]:
-    """What one failure has to say: what failed, where its log is, and the log's end."""
+    """The description of a failure: job, log file, end of the log."""
     failure = event if isinstance(event, dict) else vars(event)
     made = ", ".join(failure["output"][:3]) + (" ..." if len(failure["output"]) > 3 else "")
-    lines = [f"failed: {failure['rule']}, which makes {made}"]
+    lines = [f"failed: {failure['rule']}, output {made}"]
     for log in failure["log"]:
-        lines.append(f"  the end of {log}:")
+        lines.append(f"  end of {log}:")
         lines += [f"    {line}" for line in last_lines(Path(folder).parent / log, count)]
     return lines
 
 
 def last_failures(folder: str | os.PathLike, most: int = 3) -> str:
-    """What the failures of the last run have to say, for the end of a failed run."""
+    """The failures of the last run, to be printed at the end of a failed run."""
     runs = read_runs(folder)
-    # Of a job that was tried several times, the last attempt.
+    # For a retried job, the last attempt.
     failed = {event["job"]: event for event in (runs[-1].failures if runs else [])}
     standing = [event for job, event in failed.items() if runs[-1].state[job] == "failed"]
     lines = []
@@ -232,5 +232,5 @@ def last_failures(folder: str | os.PathLike, most: int = 3) -> str:
     if len(standing) > most:
         lines += ["", f"and {len(standing) - most} more: slipstitch status"]
     if standing:
-        lines += ["", "Finished work is kept: the same command goes on once the cause is mended."]
+        lines += ["", "Finished work is kept: fix the cause and repeat the command."]
     return "\n".join(lines)

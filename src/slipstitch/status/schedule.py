@@ -1,4 +1,4 @@
-"""How long a graph of jobs takes on a number of cores."""
+"""Duration of a job graph on a number of cores."""
 
 import heapq
 from collections.abc import Collection, Mapping
@@ -10,20 +10,20 @@ def finish_times_s(
     cores: int,
     threads: Mapping[int, int] | None = None,
 ) -> dict[int, float]:
-    """When each job ends if every job starts as soon as it is ready and its cores are free.
+    """End time of each job if jobs start as soon as they are ready and their cores are free.
 
-    Of several ready jobs, those with the lower number start first; a job that finds too few cores
-    lets smaller ones pass, as Snakemake does.
+    Of several ready jobs, those with the lower number start first; a job with too few free
+    cores lets smaller ones overtake it, as in Snakemake.
 
     Parameters
     ----------
     duration_s : mapping
         By job, in s.
     after : mapping
-        Jobs that must end first; those without a duration are done already.
+        Prerequisites; those without a duration are already done.
     cores : int
     threads : mapping, optional
-        Cores a job needs, 1 if not given; never more than there are.
+        Cores required by a job, default 1; limited to the number of cores.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Where the last run stands: jobs by stage, cost so far, time and disk still to come."""
+"""State of the last run: jobs by stage, cost so far, time and disk space remaining."""
 
 import csv
 import math
@@ -11,11 +11,11 @@ from statistics import median
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.doctor.cost import JOB_KINDS, estimate, estimate_release, job_cpu_s
+from slipstitch.doctor.cost import JOB_KINDS, estimate, job_cpu_s
 from slipstitch.status.runs import Failure, Run, failures, read_plan, read_runs
 from slipstitch.status.schedule import finish_times_s
 
-# What a job of a rule costs, by the cost model, where the rule's name alone does not say it.
+# The cost model's job kind for rules where it differs from the rule's name.
 KIND = {
     "render_shading": "render",
     "render_images": "compose",
@@ -26,7 +26,7 @@ KIND = {
 
 @dataclass(frozen=True)
 class Measured:
-    """What one finished job took, from its benchmark file (s, MiB); NaN where it was too short."""
+    """Cost of a finished job from its benchmark file (s, MiB); NaN if it was too short."""
 
     wall_s: float
     cpu_s: float
@@ -35,7 +35,7 @@ class Measured:
 
 @dataclass
 class StageProgress:
-    """One stage of the run: its jobs by state, their cost (s), disk used and to be used (bytes)."""
+    """One stage of the run: its jobs by state, their cost (s), disk used and expected (bytes)."""
 
     name: str
     jobs: int = 0
@@ -72,11 +72,11 @@ class Status:
         Whether it still runs; None if that cannot be known here.
     stages : list of StageProgress
     running : list of Running
-        Jobs under way, or interrupted if the run is no more.
+        Running jobs, or interrupted ones if the run has ended.
     failures : list of Failure
         Of all runs.
     left_s : float or None
-        Seconds until the run is through; None if nothing says what a waiting job will take.
+        Time remaining in the run (s); None if the duration of a waiting job is unknown.
     """
 
     run: Run | None
@@ -88,7 +88,7 @@ class Status:
 
 
 def read_benchmark(path: str | os.PathLike) -> Measured | None:
-    """A benchmark file of Snakemake; None if it is not there or holds nothing."""
+    """A benchmark file of Snakemake; None if it is missing or empty."""
     try:
         with open(path, encoding="utf-8", errors="replace") as stream:
             rows = list(csv.DictReader(stream, delimiter="\t"))
@@ -103,7 +103,7 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
 
 
 def _number(text: Any) -> float:
-    """A cell as a number; Snakemake writes ``-`` or ``NA`` for a job too short to be looked at."""
+    """A cell as a number; Snakemake writes ``-`` or ``NA`` for a job too short to be measured."""
     try:
         return float(text)
     except (TypeError, ValueError):
@@ -111,13 +111,13 @@ def _number(text: Any) -> float:
 
 
 def stage_of(job: dict[str, Any]) -> str:
-    """The stage that a job belongs to: the folder below results/ that its output lies in."""
+    """The stage of a job: the folder below results/ that contains its output."""
     parts = Path(job["output"][0]).parts
     return parts[1] if len(parts) > 2 or (len(parts) == 2 and "." not in parts[1]) else "grid"
 
 
 def kind_of(rule: str) -> str:
-    """What a job of the rule is called by the cost model."""
+    """The cost model's job kind of a rule."""
     return KIND.get(rule, rule.partition("_")[0])
 
 
@@ -132,9 +132,9 @@ def _state(job: dict[str, Any], run: Run, base: Path) -> str:
 
 
 class Expectation:
-    """How long a job will take: as its like have taken, else as the cost model says, corrected.
+    """Expected duration of a job: the median of its rule, else the corrected cost model.
 
-    The correction is what all finished jobs took together over what the model says for them.
+    The correction is the ratio of measured to modelled time over all finished jobs.
     """
 
     def __init__(self, config: Config | None, done: list[tuple[dict[str, Any], Measured]]):
@@ -155,7 +155,7 @@ class Expectation:
         return job_cpu_s(kind, self._config)
 
     def wall_s(self, job: dict[str, Any]) -> float | None:
-        """Seconds; None if neither a finished job nor the model says."""
+        """Seconds; None if unknown to both."""
         if self._walls[job["rule"]]:
             return median(self._walls[job["rule"]])
         model_s = self._model_s(job)
@@ -163,7 +163,7 @@ class Expectation:
 
 
 def folder_bytes(folder: Path) -> int:
-    """What the files below a folder take."""
+    """Total size of the files below a folder."""
     total = 0
     for entry in os.walk(folder, onerror=None):
         for name in entry[2]:
@@ -175,14 +175,14 @@ def folder_bytes(folder: Path) -> int:
 
 
 def status(folder: str | os.PathLike, config: Config | None, now_s: float | None = None) -> Status:
-    """Where the last run in a results folder stands.
+    """State of the last run in a results folder.
 
     Parameters
     ----------
     folder : path
         The results folder.
     config : Config or None
-        What it is to hold; without it, nothing is foreseen that has not been measured.
+        Its configuration; without it, only measured durations are used.
     now_s : float, optional
         Seconds since 1970; the present by default.
 
@@ -226,7 +226,7 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
                 Running(job["output"][0], job["rule"], since_s, wall_s, job["log"])
             )
             if found.alive is not False and wall_s is not None:
-                # A clock that was set back shall not make a job longer than it is.
+                # A clock that was set back must not make a job longer.
                 wall_s = max(0.0, wall_s - max(0.0, now_s - since_s))
         if wall_s is None:
             unknown = unknown or bool(job["benchmark"])
@@ -244,19 +244,17 @@ def status(folder: str | os.PathLike, config: Config | None, now_s: float | None
 
 
 def _disk(folder: Path, config: Config | None, stages: dict[str, StageProgress]) -> None:
-    """Fill in what the stages' files take, and what the jobs to come will add."""
+    """Fill in the disk space used by the stages, and expected for their remaining jobs."""
     model = {}
     if config is not None:
-        model = {
-            stage.stage: stage.disk_bytes for stage in [*estimate(config), estimate_release(config)]
-        }
+        model = {stage.stage: stage.disk_bytes for stage in estimate(config)}
     for stage in stages.values():
         stage.disk_bytes = folder_bytes(folder / stage.name)
         if stage.done == stage.jobs:
             continue
         whole = model.get(stage.name, 0.0)
         share_left = 1.0 - stage.done / stage.jobs
-        # Once a good part is there, what is there says more than the model.
+        # Once enough is finished, extrapolating is better than the model.
         if stage.done and share_left < 0.9:
             whole = stage.disk_bytes / (1.0 - share_left)
         stage.disk_to_come_bytes = whole * share_left

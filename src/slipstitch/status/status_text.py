@@ -16,12 +16,14 @@ _about = partial(duration, digits=0, unknown="?")
 
 
 def _table(stages: list[StageProgress]) -> list[str]:
-    total = StageProgress("together")
+    total = StageProgress("total")
     for stage in stages:
         for key, value in vars(stage).items():
             if key != "name":
                 setattr(total, key, getattr(total, key) + value)
-    rows = [("stage", "done", "running", "failed", "to do", "CPU", "to come", "disk", "to come")]
+    rows = [
+        ("stage", "done", "running", "failed", "to do", "CPU", "remaining", "disk", "remaining")
+    ]
     for stage in [*stages, total]:
         rows.append(
             (
@@ -43,32 +45,29 @@ def _head(found: Status, run: Run, now_s: float) -> str:
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head["time"]))
     if run.success is True:
         state = (
-            f"all done {_about(max(0.0, run.last_s - run.head['time']))} later; CPU time of "
+            f"finished after {_about(max(0.0, run.last_s - run.head['time']))}; CPU time of "
             f"its jobs {_about(run.jobs_cpu_s)}, of Snakemake itself {_about(run.own_cpu_s)}"
         )
     elif run.success is False:
-        state = "stopped by a failure; once mended, the same snakemake command goes on from here"
+        state = "stopped by a failure; fix the cause and repeat the snakemake command to continue"
     elif found.alive:
         state = "running"
         if found.left_s is not None:
-            state += f", about {_about(found.left_s)} to go on {run.head['cores']} cores"
+            state += f", about {_about(found.left_s)} remaining on {run.head['cores']} cores"
     elif found.alive is None:
         ago = _about(max(0.0, now_s - run.last_s))
-        state = f"started on another machine, last heard of {ago} ago"
+        state = f"started on another machine, last entry {ago} ago"
     else:
-        state = (
-            "broken off without a word; to go on: `snakemake --unlock`, "
-            "then the same snakemake command"
-        )
+        state = "interrupted; to continue: `snakemake --unlock`, then repeat the snakemake command"
     return f"Run of {began}: {state}."
 
 
 def _running(base: Path, running: list[Running], alive: bool | None, now_s: float) -> list[str]:
     if not running:
         return []
-    lines = ["", "Under way:" if alive is not False else "Broken off:"]
+    lines = ["", "Running:" if alive is not False else "Interrupted:"]
     for job in running[:MOST_RUNNING]:
-        told = f"  {job.output} ({job.rule}), since {_about(max(0.0, now_s - job.since_s))}"
+        told = f"  {job.output} ({job.rule}), for {_about(max(0.0, now_s - job.since_s))}"
         if job.expected_s is not None:
             told += f" of about {_about(job.expected_s)}"
         lines.append(told)
@@ -81,16 +80,16 @@ def _running(base: Path, running: list[Running], alive: bool | None, now_s: floa
 
 
 def _failed(folder: Path, failures: list[Failure], count: int) -> list[str]:
-    """The failures that still stand, with their logs, first; of the others, how many."""
-    standing = [failure for failure in failures if failure.then == "not made"]
+    """Unresolved failures with their logs, then the number of resolved ones."""
+    standing = [failure for failure in failures if failure.then == "not completed"]
     mended = len(failures) - len(standing)
     lines = []
     for failure in standing[-MOST_FAILURES:]:
         lines += [*failure_lines(folder, failure, count), ""]
     if len(standing) > MOST_FAILURES:
-        lines += [f"and {len(standing) - MOST_FAILURES} more that failed", ""]
+        lines += [f"and {len(standing) - MOST_FAILURES} more failures", ""]
     if mended:
-        lines += [f"{mended} earlier failed attempt{'s' * (mended > 1)} made good since", ""]
+        lines += [f"{mended} earlier failed attempt{'s' * (mended > 1)} resolved since", ""]
     return lines
 
 
@@ -109,7 +108,7 @@ def text(folder: Path, found: Status, log_lines: int, now_s: float | None = None
     """
     now_s = time.time() if now_s is None else now_s
     if found.run is None:
-        return f"{folder}: no run of snakemake has started a job here."
+        return f"{folder}: no snakemake run has started a job here."
     lines = [
         *_failed(folder, found.failures, log_lines),
         _head(found, found.run, now_s),

@@ -1,4 +1,4 @@
-"""What theory says the cloth simulator must measure: closed forms and elastica solutions.
+"""Theoretical results for the cloth simulator: closed forms and elastica solutions.
 
 Everything here is independent of the simulator's code: NumPy and SciPy only, no mesh, no contact
 solver. The laws, their sources and the tests that check each are listed in ``docs/physics.md``.

@@ -1,4 +1,4 @@
-"""The range of arguments for which a law means anything."""
+"""The range of arguments in which a law is valid."""
 
 import math
 

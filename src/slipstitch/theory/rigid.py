@@ -9,7 +9,7 @@ from slipstitch.theory.domain import require
 
 @dataclass(frozen=True)
 class Incline:
-    """What a body laid on an inclined plane does.
+    """Motion of a body on an inclined plane.
 
     Attributes
     ----------

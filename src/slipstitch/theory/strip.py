@@ -1,4 +1,4 @@
-"""A strip clamped vertically, pushed down on a floor: when does its foot slip?
+"""A strip clamped vertically and pushed down on a floor: the strain at which its foot slips.
 
 The experiment of Sano, Yamaguchi & Wada, "Slip Morphology of Elastic Strips on Frictional Rigid
 Substrates", Phys. Rev. Lett. 118, 178001 (2017). The strip (length L, bending rigidity B, weight

@@ -1,1 +1,1 @@
-"""Train: the networks that read material and friction off the sampled frames."""
+"""Train: the networks that predict material and friction from the sampled frames."""

@@ -1,4 +1,4 @@
-"""Stopping and going on: all that a training needs to continue as if it had never stopped.
+"""Checkpoints: the complete state, to resume a training with identical results.
 
 One safetensors file with the weights, the optimiser's memory and the state of the random numbers,
 and JSON for the rest. Nothing in it is pickled: reading one cannot run anything.
@@ -22,7 +22,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass
 class Progress:
-    """How far a training has come: finished epochs, steps of the current one and its sums.
+    """Progress of a training: finished epochs, steps of the current one and its sums.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Progress:
     sums : dict
         Losses and other columns of the history, summed over the current epoch's videos so far.
     history : list of dict
-        A row a finished epoch.
+        One row per finished epoch.
     """
 
     epoch: int = 0
@@ -68,7 +68,7 @@ def save_checkpoint(
 
 
 def _digest(tensors: dict[str, torch.Tensor]) -> str:
-    """SHA-256 of names and values: a flipped bit shall start a training anew, not bend it."""
+    """SHA-256 of names and values: a flipped bit must restart a training, not distort it."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         digest.update(name.encode())
@@ -104,9 +104,12 @@ def load_checkpoint(
         if notes["tensors_sha256"] != _digest(tensors):
             raise ValueError("damaged")
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
-        return None, f"{path}: no readable checkpoint; starting anew"
+        return None, f"{path}: no readable checkpoint; starting from scratch"
     if not same:
-        return None, f"{path}: of another training (data, settings or code differ); starting anew"
+        return (
+            None,
+            f"{path}: from another training (data, settings or code differ); starting from scratch",
+        )
     network.load_state_dict(
         {
             name.removeprefix("network."): value
@@ -124,4 +127,4 @@ def load_checkpoint(
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": memory, "param_groups": groups})
     torch.set_rng_state(tensors["random"])
-    return progress, f"going on from {path}: epoch {progress.epoch + 1}, step {progress.step + 1}"
+    return progress, f"continuing from {path}: epoch {progress.epoch + 1}, step {progress.step + 1}"

@@ -15,7 +15,7 @@ def classes_of(rows: list[dict[str, Any]], target: str) -> list[dict[str, Any]]:
     Raises
     ------
     BadInput
-        If an id stands for two materials or coefficients.
+        If an id refers to two materials or coefficients.
     """
     key = "name" if target == "material" else "value"
     found = {row[f"{target}_id"]: row[target] for row in rows}
@@ -35,7 +35,7 @@ def labels_of(rows: list[dict[str, Any]], classes: list[dict[str, Any]], target:
         return np.array([number[row[f"{target}_id"]] for row in rows], np.int64)
     except KeyError as unknown:
         raise BadInput(
-            f"a video has {target} {unknown.args[0]}, the classes are: {', '.join(number)}"
+            f"a video has {target} {unknown.args[0]}, known classes: {', '.join(number)}"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""Learning curves in a line of text, for the terminal."""
+"""Learning curves as a line of text, for the terminal."""
 
 import math
 from collections.abc import Sequence

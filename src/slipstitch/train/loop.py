@@ -1,4 +1,4 @@
-"""The training loop: every network is trained here, and goes on here where it was stopped.
+"""The training loop, common to all networks; resumes from checkpoints.
 
 A network brings a `Learner`: which videos a phase has, the loss of a batch, the learning rate of a
 step and the validation. The loop brings order, steps, checkpoints, history, and the end of a
@@ -50,7 +50,7 @@ class Phase:
 
 
 class Learner(Protocol):
-    """What a network brings to the loop.
+    """Interface between a network and the loop.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Learner(Protocol):
         """Columns of the history that say which phase an epoch is of."""
 
     def summary(self, row: dict[str, Any]) -> str:
-        """What beside the loss is said of an epoch in the terminal."""
+        """Additional terminal output on an epoch."""
 
 
 def train_learner(
@@ -143,7 +143,7 @@ def train_learner(
     Returns
     -------
     list of dict
-        The history, a row an epoch.
+        The history, one row per epoch.
 
     Raises
     ------
@@ -237,7 +237,8 @@ def _check_plateau(learner: Learner, history: list[dict[str, Any]]) -> None:
     if margin is not None and loss > (1.0 - margin) * learner.chance_loss:
         raise PlateauError(
             f"{learner.name}: after {len(history)} epochs the training loss is still {loss:.4f}, "
-            f"at chance ({learner.chance_loss:.4f}): nothing was learnt, no model is written "
+            f"at chance ({learner.chance_loss:.4f}): the network did not learn, no model is "
+            "written "
             f"({learner.plateau_hint})"
         )
 
@@ -245,7 +246,7 @@ def _check_plateau(learner: Learner, history: list[dict[str, Any]]) -> None:
 def training_identity(
     stage: str, settings: BaseModel, videos: Videos, phases: Sequence[Phase], **others
 ) -> dict[str, Any]:
-    """What must be the same for a checkpoint to be gone on from: data, settings, code, `others`."""
+    """Identity of a training for its checkpoint: data, settings, code, `others`."""
     names = "\n".join(row["video"] for row in videos.rows)
     return {
         "settings": settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
@@ -258,7 +259,7 @@ def training_identity(
 
 
 def training_facts(learner: Learner, history: list[dict[str, Any]]) -> dict[str, Any]:
-    """What every model card says of its training."""
+    """Common entries on the training in all model cards."""
     return {
         "epochs": len(history),
         "train_loss": history[-1]["train_loss"],

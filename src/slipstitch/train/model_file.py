@@ -12,12 +12,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
+from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import atomic_path, file_digest, write_json
 from slipstitch.train.network import build_network
 
-FORMAT = "slipstitch-lrcn-1"
+FORMAT = "slipstitch-lrcn-2"
 WEIGHTS = "model.safetensors"
 CARD = "model.json"
 
@@ -31,7 +31,7 @@ class TrainedModel:
 
     @property
     def target(self) -> str:
-        """What the classes are: material or friction."""
+        """Kind of the classes: material or friction."""
         return self.card["target"]
 
 
@@ -65,27 +65,25 @@ def read_weights(
     for path in (weights, card_path):
         if not path.is_file():
             raise BadInput(
-                f"{path}: no such file; a model is {weights.name} with {card_path.name} beside it"
+                f"{path}: no such file; a model consists of {weights.name} and {card_path.name}"
             )
     try:
         card = json.loads(card_path.read_text(encoding="utf-8"))
         known = card["format"]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise Damaged(card_path, "no model card of Slipstitch") from None
+        raise Damaged(card_path, "not a model card of Slipstitch") from None
     if known != form:
         raise BadInput(f"{card_path}: model format {known!r}, {form!r} is needed")
     if file_digest(weights) != card.get("weights_sha256"):
-        raise Damaged(
-            weights, f"altered or damaged: not the weights that {card_path.name} describes"
-        )
+        raise Damaged(weights, f"altered or damaged: not the weights described by {card_path.name}")
     try:
         with safe_open(weights, "pt") as file:
             inside = json.loads(file.metadata()["card"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, KeyError, TypeError, ValueError):
-        raise Damaged(weights, "no model of Slipstitch") from None
+        raise Damaged(weights, "not a model of Slipstitch") from None
     if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
-        raise Damaged(card_path, f"altered: not the card that is inside {weights.name}")
+        raise Damaged(card_path, f"altered: differs from the card inside {weights.name}")
     return tensors, card
 
 
@@ -111,7 +109,7 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
     """
     weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
     tensors, card = read_weights(weights, card_path, FORMAT)
-    if card["network"] not in NETWORKS or card["split"] not in SPLITS:
+    if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
         raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
     try:
         settings = TrainSettings.model_validate(card["settings"])
@@ -121,6 +119,6 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
         network.load_state_dict(tensors)
     except (ValidationError, RuntimeError, KeyError) as error:
         first = str(error).splitlines()[0]
-        raise BadInput(f"{weights}: weights do not fit the card: {first}") from None
+        raise BadInput(f"{weights}: weights do not match the card: {first}") from None
     network.eval()
     return TrainedModel(network, card)

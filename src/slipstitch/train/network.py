@@ -1,10 +1,12 @@
 """The paper's network: a convolutional one for every frame, a recurrent one over the frames.
 
-Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020:
-an LRCN (Donahue et al. 2015). What is known of its Table 1 and what is a choice of ours stands in
-docs/learning.md.
+Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020,
+Table 1: an LRCN (Donahue et al. 2015). What the paper leaves open is a switch of the settings, and
+argued in docs/learning.md.
 
-    frame --> conv1a .. conv4a --> features [+ one-hot material] --> LSTM --> FC --> softmax
+    frame --> conv1a, conv1b, pool, conv2a, conv2b, pool, conv3a, pool, conv4a --> features
+    material --> FC_s, softmax --> beside the features of every frame
+    features of all frames --> LSTM --> LSTM --> FC, dropout, FC --> softmax
 """
 
 import torch
@@ -14,6 +16,8 @@ from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.train.convolution import Convolution
 
+LSTM_LAYERS = 2
+
 
 def scaled(size: int, width: float) -> int:
     """A layer's size at a relative width, at least 1."""
@@ -21,26 +25,27 @@ def scaled(size: int, width: float) -> int:
 
 
 class ConvolutionBlock(nn.Sequential):
-    """3 x 3 convolutions a, b, ... with rectifiers, then 2 x 2 max pooling.
+    """3 x 3 convolutions a, b, ... with rectifiers, then 3 x 3 max pooling of stride 2, or none.
 
     The last rectifier comes after the pooling, with which it commutes, on a quarter of the pixels.
     """
 
     def __init__(self, inputs: int, outputs: int, convolutions: int, pool: bool, s: TrainSettings):
         layers: list[nn.Module] = []
+        batch_norm = s.batch_norm in ("convolutions", "all")
+        padding = 1 if s.padding == "same" else 0
         for number in range(convolutions):
-            padding = 1 if s.padding == "same" else 0
-            layers.append(Convolution(inputs, outputs, 3, padding=padding, bias=not s.batch_norm))
-            if s.batch_norm:
+            layers.append(Convolution(inputs, outputs, 3, padding=padding, bias=not batch_norm))
+            if batch_norm:
                 layers.append(nn.BatchNorm2d(outputs))
             if pool and number == convolutions - 1:
-                layers.append(nn.MaxPool2d(2))
+                layers.append(nn.MaxPool2d(3, stride=2, padding=padding))
             layers.append(nn.ReLU(inplace=True))
             inputs = outputs
         super().__init__(*layers)
 
     def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
-        """Maps of half the side; `bfloat16` as in `Convolution`."""
+        """Maps of half the side, if they are pooled; `bfloat16` as in `Convolution`."""
         for layer in self:
             maps = layer(maps, bfloat16) if isinstance(layer, Convolution) else layer(maps)
         return maps
@@ -57,7 +62,7 @@ class LRCN(nn.Module):
     pixels : int
         Side of the frames.
     condition_classes : int
-        Length of the one-hot vector that is concatenated to every frame's features; 0: none.
+        Materials of which a conditional network is told one; 0: it is told nothing.
 
     Raises
     ------
@@ -78,32 +83,39 @@ class LRCN(nn.Module):
 
         blocks, channels, side, self.multiply_accumulates = [], 3, pixels, 0
         last = len(settings.channels) - 1
+        lost = 0 if settings.padding == "same" else 2  # pixels of the side, by a 3 x 3 window
         for number, (size, convolutions) in enumerate(
             zip(settings.channels, settings.convolutions, strict=True)
         ):
             outputs = scaled(size, settings.width)
-            pool = number < last or settings.pool_last_block
+            pool = number < last
             blocks.append(ConvolutionBlock(channels, outputs, convolutions, pool, settings))
             for _ in range(convolutions):
-                side -= 0 if settings.padding == "same" else 2
+                side -= lost
                 self.multiply_accumulates += 9 * channels * outputs * max(side, 0) ** 2
                 channels = outputs
-            side //= 2 if pool else 1
+            if pool:
+                side = (side + 1 - lost) // 2
         if side < 1:
             raise BadInput(f"{pixels} pixels are too few for {len(blocks)} blocks of convolutions")
         self.convolutions = nn.Sequential(*blocks)
 
-        features = channels if settings.readout == "pool" else channels * side**2
+        inputs = channels if settings.readout == "pool" else channels * side**2
+        self.feature_norm = (
+            nn.BatchNorm1d(inputs) if settings.batch_norm in ("features", "all") else nn.Identity()
+        )
+        if condition_classes:
+            told = settings.material_units or condition_classes
+            self.material = nn.Sequential(nn.Linear(condition_classes, told), nn.Softmax(-1))
+            inputs += told
         units = scaled(settings.lstm_units, settings.width)
-        self.lstm = nn.LSTM(features + condition_classes, units, batch_first=True)
-        self.dropout = nn.Dropout(settings.dropout)
-        hidden = scaled(settings.fc_units, settings.width) if settings.fc_units else 0
-        self.fully_connected = (
-            nn.Sequential(
-                nn.Linear(units, hidden), nn.ReLU(), self.dropout, nn.Linear(hidden, classes)
-            )
-            if hidden
-            else nn.Linear(units, classes)
+        self.lstm = nn.LSTM(inputs, units, LSTM_LAYERS, batch_first=True)
+        hidden = scaled(settings.fc_units, settings.width)
+        self.fully_connected = nn.Sequential(
+            nn.Linear(units, hidden),
+            nn.ReLU(),
+            nn.Dropout(settings.dropout),
+            nn.Linear(hidden, classes),
         )
         self.initialise()
         # Channels last: two to three times faster in bfloat16 on CPUs.
@@ -128,15 +140,16 @@ class LRCN(nn.Module):
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
         units = self.lstm.hidden_size
-        for gate in range(4):  # input, forget, cell, output; each a matrix of its own
-            rows = slice(gate * units, (gate + 1) * units)
+        for of_input, recurrent, bias, second_bias in self.lstm.all_weights:
+            for gate in range(4):  # input, forget, cell, output; each a matrix of its own
+                rows = slice(gate * units, (gate + 1) * units)
+                with torch.no_grad():
+                    nn.init.xavier_uniform_(of_input[rows])
+                    nn.init.orthogonal_(recurrent[rows])
+            nn.init.zeros_(bias)
+            nn.init.zeros_(second_bias)
             with torch.no_grad():
-                nn.init.xavier_uniform_(self.lstm.weight_ih_l0[rows])
-                nn.init.orthogonal_(self.lstm.weight_hh_l0[rows])
-        nn.init.zeros_(self.lstm.bias_ih_l0)
-        nn.init.zeros_(self.lstm.bias_hh_l0)
-        with torch.no_grad():
-            self.lstm.bias_ih_l0[units : 2 * units] = 1.0
+                bias[units : 2 * units] = 1.0
 
     def forward(
         self, frames: Tensor, condition: Tensor | None = None, bfloat16: bool = False
@@ -147,7 +160,7 @@ class LRCN(nn.Module):
         ----------
         frames : uint8 tensor, shape (videos, frames, pixels, pixels, 3)
         condition : int64 tensor, shape (videos,), optional
-            Class numbers for the one-hot vector.
+            Class numbers of the materials.
         bfloat16 : bool
             Derive the convolutions in bfloat16; without gradients, compute them so too. The rest
             stays float32.
@@ -163,14 +176,15 @@ class LRCN(nn.Module):
             maps = block(maps, bfloat16)
         maps = maps.float()
         features = maps.mean((2, 3)) if self.settings.readout == "pool" else maps.flatten(1)
-        features = self.dropout(features).view(videos, count, -1)
+        features = self.feature_norm(features).view(videos, count, -1)
         if self.condition_classes:
             one_hot = nn.functional.one_hot(condition, self.condition_classes).float()
-            features = torch.cat([features, one_hot[:, None].expand(-1, count, -1)], dim=2)
+            told = self.material(one_hot)[:, None].expand(-1, count, -1)
+            features = torch.cat([told, features], dim=2)
         states, _ = self.lstm(features)
         if self.settings.outputs == "last":
             states = states[:, -1:]
-        return self.fully_connected(self.dropout(states))
+        return self.fully_connected(states)
 
     def _standardised(self, frames: Tensor) -> Tensor:
         """Images (n, side, side, 3) from bytes; whole rows at a time, three numbers are slow."""

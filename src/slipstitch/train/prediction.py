@@ -1,4 +1,4 @@
-"""What trained networks say of videos."""
+"""Predictions of trained networks."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""How torch computes here: the same bits every time, and without giving its memory back."""
+"""Set-up of torch: bitwise reproducible, and without returning memory to the system."""
 
 import ctypes
 
@@ -20,8 +20,8 @@ def set_up_torch(threads: int) -> None:
 def _keep_freed_memory() -> None:
     """Let glibc keep large blocks, of which every step takes and frees the same.
 
-    Else the system hands them out anew, page by page: a twentieth of a step's time at 64 pixels, a
-    twelfth at 112. Other C libraries are left as they are.
+    Otherwise the system allocates them again, page by page: a twentieth of a step's time at 64
+    pixels, a twelfth at 112. Other C libraries are left as they are.
     """
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:

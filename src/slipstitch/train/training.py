@@ -1,4 +1,4 @@
-"""Training a classifier: cycles of one viewpoint more, then the calibrated viewpoint alone."""
+"""Training a classifier: cycles that add a viewpoint each, then the calibrated viewpoint only."""
 
 import math
 import os
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from slipstitch.config.train import NETWORKS, SPLITS, TrainSettings
+from slipstitch.config.train import NETWORKS, REFLECTIVE, TRAINED_ON, TrainSettings, split_of
 from slipstitch.errors import BadInput
 from slipstitch.provenance import start_clock
 from slipstitch.sample.videos import read_videos, takes_part
@@ -33,14 +33,23 @@ from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
 FINE_TUNING = "fine-tuning"
 
 
-def progressive_schedule(settings: TrainSettings, view_order: list[str]) -> list[Phase]:
-    """Cycles of one, two ... viewpoints, then the first one alone."""
+def progressive_schedule(
+    settings: TrainSettings, view_order: list[str], twice_as_many: bool = False
+) -> list[Phase]:
+    """Cycles of one, two ... viewpoints, then the first one alone.
+
+    With `twice_as_many` videos there are half as many epochs, which is the same work.
+    """
+    share = 2 if twice_as_many else 1
+    epochs, last = (
+        -(-count // share) for count in (settings.epochs_per_cycle, settings.fine_tuning_epochs)
+    )
     cycles = [
-        Phase(f"cycle {count}", tuple(view_order[:count]), settings.epochs_per_cycle)
+        Phase(f"cycle {count}", tuple(view_order[:count]), epochs)
         for count in range(1, len(view_order) + 1)
     ]
-    if settings.fine_tuning_epochs:
-        cycles.append(Phase(FINE_TUNING, (view_order[0],), settings.fine_tuning_epochs))
+    if last:
+        cycles.append(Phase(FINE_TUNING, (view_order[0],), last))
     return cycles
 
 
@@ -196,7 +205,7 @@ def train_network(
     dataset : path
         Folder that the sample stage wrote.
     network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
-    split : {"by_video", "by_simulation"}
+    split : {"by_video", "by_simulation", "by_video_reflective"}
     seed : int
         Of weights, order of the videos and dropout.
     out_dir : path
@@ -238,18 +247,22 @@ def train_network(
     """
     started = start_clock()
     if network_name not in NETWORKS:
-        raise BadInput(f"no network {network_name!r}; there are: {', '.join(NETWORKS)}")
-    if split not in SPLITS:
-        raise BadInput(f"no split {split!r}; there are: {', '.join(SPLITS)}")
+        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
+    if split not in TRAINED_ON:
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
     conditional = network_name == "friction_conditional"
     listens = conditional and not true_materials
     if listens != (material_model is not None):
-        raise BadInput(f"{network_name} {'needs' if listens else 'takes no'} --material-model")
+        raise BadInput(
+            f"{network_name} {'requires' if listens else 'does not take'} --material-model"
+        )
     set_up_torch(threads)
-    column = f"split_{split}"
+    column = f"split_{split_of(split)}"
     videos = read_videos(
         dataset,
-        lambda row: takes_part(row) and row[column] != "test" and (uses is None or uses(row)),
+        lambda row: (
+            takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
+        ),
         settings.pixels,
         frames,
     )
@@ -282,7 +295,7 @@ def train_network(
         name=f"{network_name} {split} seed {seed}",
         settings=settings,
         network=network,
-        phases=phases or progressive_schedule(settings, view_order),
+        phases=phases or progressive_schedule(settings, view_order, split == REFLECTIVE),
         pixels=videos.pixels,
         labels=labels,
         condition=condition,
@@ -328,8 +341,8 @@ def train_network(
             "training_videos": int(training.sum()),
             "training_simulations": len(simulations(videos, training)),
             **training_facts(learner, history),
-            "use": "reads the class off drop-and-drag videos rendered as this dataset was; on "
-            "other videos, real ones included, nothing is known of it",
+            "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
+            "performance on other videos, real ones included, is unknown",
         },
         out,
     )
@@ -361,7 +374,7 @@ def _check_dataset(videos, labels, classes, training, view_order, target, expect
                 f"the configuration {len(values)} ({', '.join(map(str, values))})"
             )
     if len(classes) < 2:
-        raise BadInput(f"{len(classes)} {target} class: there is nothing to tell apart")
+        raise BadInput(f"{len(classes)} {target} class: at least two are required")
     for number, entry in enumerate(classes):
         if not np.any(labels[training] == number):
             raise BadInput(f"{target} class {entry['id']} has no training video")
@@ -369,7 +382,7 @@ def _check_dataset(videos, labels, classes, training, view_order, target, expect
     absent = [name for name in view_order if name not in present]
     if absent:
         raise BadInput(
-            f"the dataset has no training viewpoint {absent[0]!r}; there are: "
+            f"the dataset has no training viewpoint {absent[0]!r}; known: "
             f"{', '.join(sorted(present))}"
         )
     for name in view_order:

@@ -106,7 +106,10 @@ def make_campaign(
     folder.mkdir(parents=True, exist_ok=True)
     pd.DataFrame(runs).to_csv(folder / "drop_drag_runs.csv", index=False)
     pd.concat(frames, ignore_index=True).to_csv(folder / "drop_drag.csv", index=False)
-    meta = {"case": folder.name, "nominal": NOMINAL, "protocols": ["drop_drag"]}
+    about = (
+        "A surrogate: simulated with an effect that the criticism is not told; nothing measured."
+    )
+    meta = {"case": folder.name, "about": about, "nominal": NOMINAL, "protocols": ["drop_drag"]}
     (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n")
 
 

@@ -1,1 +1,1 @@
-"""Camera calibration from pictures of a board."""
+"""Camera calibration from images of a board."""

@@ -1,4 +1,4 @@
-"""Calibration boards: what they look like, and finding them in an image.
+"""Calibration boards: their geometry, and their detection in an image.
 
 Coordinates on a board, in metres: the origin is the outer corner of its first square, x runs along
 its width, y along its height so that (x, y) looks as in the image of the board, y downwards; z
@@ -67,26 +67,30 @@ class Board:
         """
         found = re.fullmatch(r"(\d+)x(\d+)", squares)
         if not found or min(size := (int(found[1]), int(found[2]))) < 4:
-            raise BadInput(f"--squares: {squares!r}; width x height of at least 4x4, as 10x7")
+            raise BadInput(
+                f"--squares: {squares!r}; must be width x height, at least 4x4, e.g. 10x7"
+            )
         if not square_mm > 0:
             raise BadInput(f"--square-mm: {square_mm:g}; must be greater than 0")
         if kind == "checkerboard":
             if marker_mm is not None:
-                raise BadInput("--marker-mm: goes with --board charuco only")
+                raise BadInput("--marker-mm: requires --board charuco")
             if sum(size) % 2 == 0:
                 raise BadInput(
-                    f"--squares: {squares}; a checkerboard needs one odd and one even number, "
-                    "else it looks the same upside down"
+                    f"--squares: {squares}; a checkerboard needs one odd and one even number; "
+                    "otherwise it looks the same upside down"
                 )
             return cls(size, square_mm / 1e3)
         if marker_mm is None or not 0 < marker_mm < square_mm:
-            raise BadInput("--marker-mm: a ChArUco board needs one, smaller than its squares")
+            raise BadInput("--marker-mm: required for a ChArUco board, smaller than its squares")
         if not dictionary.startswith("DICT_") or not hasattr(cv2.aruco, dictionary):
-            raise BadInput(f"--dictionary: OpenCV has no {dictionary!r}; one is DICT_5X5_100")
+            raise BadInput(
+                f"--dictionary: {dictionary!r} is not an OpenCV dictionary; use e.g. DICT_5X5_100"
+            )
         return cls(size, square_mm / 1e3, marker_mm / 1e3, dictionary)
 
     def record(self) -> dict:
-        """What the camera file says about the board."""
+        """Description of the board for the camera file."""
         return asdict(self)
 
     def find(self, grey: np.ndarray) -> Sighting | None:

@@ -1,4 +1,4 @@
-"""A camera's calibration as files: the camera file, and the picture of its residuals."""
+"""Camera calibration as files: the camera file and the plot of its residuals."""
 
 from collections.abc import Sequence
 from pathlib import Path

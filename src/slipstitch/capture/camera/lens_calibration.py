@@ -1,4 +1,4 @@
-"""From sightings of a board to a camera: lens, reprojection error, and its place at the stage.
+"""From views of a board to a camera: lens, reprojection error, and position at the stage.
 
 The model is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole with two focal
 lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
@@ -33,7 +33,7 @@ _MODELS = {
 
 @dataclass(frozen=True)
 class FloorPlace:
-    """Where the board lies on the floor: its first corner, its width's direction, its height."""
+    """Position of the board on the floor: its first corner, its width's direction, its height."""
 
     x_mm: float
     y_mm: float
@@ -79,7 +79,7 @@ class StagePose:
     def summary(self) -> str:
         x, y, z = -self.rotation.T @ self.translation_m * 1e3
         return (
-            f"; it stands at ({x:.0f}, {y:.0f}, {z:.0f}) mm, "
+            f"; position ({x:.0f}, {y:.0f}, {z:.0f}) mm, "
             f"to {1e3 * self.position_uncertainty_m:.1g} mm"
         )
 
@@ -134,21 +134,21 @@ class Calibration:
         )
 
     def stand(self, grey: np.ndarray, board: Board, place: FloorPlace, name: str) -> StagePose:
-        """Where the camera stands, from one image of the board lying on the floor.
+        """Position of the camera, from one image of the board lying on the floor.
 
         Raises
         ------
         BadInput
-            If the image has another size, or the board is not in it.
+            If the image has another size, or no board found in it.
         """
         if grey.shape[::-1] != self.size_px:
             raise BadInput(
-                f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels, the camera's images have "
+                f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels; the other images have "
                 f"{self.size_px[0]}x{self.size_px[1]}"
             )
         seen = board.find(grey)
         if seen is None:
-            raise BadInput(f"{name}: the board is not in it")
+            raise BadInput(f"{name}: no board found in it")
         points = place.on_stage(seen.points_m.astype(np.float64))
         lens = (self.matrix, self.distortion)
         corners = seen.corners_px.astype(np.float64)
@@ -157,9 +157,7 @@ class Calibration:
         residuals = corners - projected.reshape(-1, 2)
         rotation, translation = cv2.Rodrigues(rvec)[0], tvec.ravel()
         if (-rotation.T @ translation)[2] <= 0:
-            raise BadInput(
-                f"{name}: the camera would stand below the floor; is the board mirrored?"
-            )
+            raise BadInput(f"{name}: the camera would be below the floor; is the image mirrored?")
         variance = (residuals**2).sum() / (residuals.size - 6)
         covariance = variance * np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
         moved = _place_derivative(rvec, tvec)
@@ -206,18 +204,19 @@ def calibrate(views: list[View]) -> Calibration:
     relative = best.uncertainty[:2] / np.diag(best.matrix)[:2]
     if best.tilt_deg < _LEAST_TILT_DEG or not (relative < _FOCAL_UNCERTAINTY).all():
         raise BadInput(
-            f"the {len(best.views)} views are too much alike to tell the focal length: the board "
-            f"turns by {best.tilt_deg:.0f} degrees between them; tilt it more, both ways"
+            f"the {len(best.views)} views are too similar to determine the focal length: the "
+            f"board rotates by only {best.tilt_deg:.0f} degrees between them; tilt it more, in "
+            "both directions"
         )
     return best
 
 
 def _need(views: list[View], left_out: dict[str, float]) -> None:
     if len(views) < FEWEST_VIEWS:
-        mistaken = f" (left out as mistaken: {', '.join(left_out)})" if left_out else ""
+        mistaken = f" (excluded as outliers: {', '.join(left_out)})" if left_out else ""
         raise BadInput(
-            f"the board is in {len(views)} usable view(s) only, at least {FEWEST_VIEWS} are "
-            f"needed, from different sides{mistaken}"
+            f"the board was found in only {len(views)} usable view(s); at least {FEWEST_VIEWS} "
+            f"are required, from different directions{mistaken}"
         )
 
 
@@ -261,7 +260,7 @@ def _fit(views: list[View], model: str) -> Calibration:
 
 
 def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> dict:
-    """What `slipstitch.render.camera_file.write_camera_file` writes."""
+    """The content for `slipstitch.render.camera_file.write_camera_file`."""
     per_view = {
         view.name: _rms(residuals)
         for view, residuals in zip(result.views, result.residuals_px, strict=True)

@@ -1,4 +1,4 @@
-"""A picture of a calibration's residuals: where they point, how they scatter, view by view."""
+"""A plot of the residuals of a calibration: direction, scatter, error per view."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
     )  # fmt: skip
     places.set(
         xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
-        xlabel="x (px)", ylabel="y (px)", title=f"found minus reprojected, {scale:.0f} times",
+        xlabel="x (px)", ylabel="y (px)", title=f"detected minus reprojected, {scale:.0f} times",
     )  # fmt: skip
     scatter.scatter(*residuals.T, s=4, alpha=0.4, linewidths=0)
     limit = 1.1 * np.abs(residuals).max()
@@ -48,7 +48,7 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
     worst = [np.sqrt((part**2).sum(axis=1).mean()) for part in result.residuals_px]
     bars.bar(range(len(worst)), worst, color="tab:blue")
     bars.axhline(result.rms_px, color="black", linewidth=0.8)
-    bars.set(ylabel="rms (px)", title="view by view")
+    bars.set(ylabel="rms (px)", title="error per view")
     names = [Path(view.name).name for view in result.views]
     bars.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
     save_figure(figure, path, kind, dots_per_inch=110)

@@ -1,4 +1,4 @@
-"""The images that a camera is calibrated from: single files, or frames of a video."""
+"""The images for the calibration of a camera: single files, or frames of a video."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -101,7 +101,8 @@ def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:
         if views and views[0].size_px != size:
             raise BadInput(
                 f"{name}: {size[0]}x{size[1]} pixels, {views[0].name} has "
-                f"{views[0].size_px[0]}x{views[0].size_px[1]}: one camera's images have one size"
+                f"{views[0].size_px[0]}x{views[0].size_px[1]}: all images of a camera must have "
+                "the same size"
             )
         views.append(View(name, size, sighting))
     if not views:

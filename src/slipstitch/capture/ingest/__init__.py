@@ -1,1 +1,1 @@
-"""Videos of a bench, brought into the form of the dataset."""
+"""Videos of a bench, converted to the format of the dataset."""

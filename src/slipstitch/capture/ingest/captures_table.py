@@ -1,4 +1,4 @@
-"""The table of captures: which video shows what, measured how."""
+"""The table of captures: content and reference friction of each video."""
 
 import os
 from dataclasses import dataclass
@@ -34,13 +34,13 @@ class Capture:
     mu_ref, mu_ref_error : float
         Friction measured by other means, and half the width of its interval.
     reflective : bool
-        Whether the substrate mirrors.
+        Whether the substrate is reflective.
     start_s : float, optional
         Time in the video at which the stage starts; found in the frames if None.
     frame_rate_hz : float, optional
         Of the camera, where the file's own times are wrong; None: those are taken.
     surrogate : bool
-        True of a film that a simulation stood for: never called real.
+        True for simulated videos, which are never called real.
     """
 
     id: str
@@ -74,7 +74,7 @@ def read_references(path: str | os.PathLike) -> dict[tuple[str, str], tuple[floa
     for row in read_table(path, columns):
         key = (row["material"], row["substrate"])
         if key in found:
-            raise BadInput(f"{path} line {row['line']}: {_words(key)} is there twice")
+            raise BadInput(f"{path} line {row['line']}: {_words(key)} is duplicated")
         found[key] = (row["mu"], row["error"])
     return found
 
@@ -94,7 +94,7 @@ def read_captures(
     Raises
     ------
     BadInput
-        If a cell is wrong, a file is missing, a repeat or a video is there twice, or the rows of a
+        If a cell is wrong, a file is missing, a repeat or a video is duplicated, or the rows of a
         pair contradict one another.
     """
     below = file_below(Path(path).parent)
@@ -128,7 +128,7 @@ def read_captures(
     _check_no_duplicates(path, rows, captures)
     _check_pairs_agree(path, rows, captures)
     if len({capture.surrogate for capture in captures}) > 1:
-        raise BadInput(f"{path}: surrogate and real captures do not go into one table")
+        raise BadInput(f"{path}: must not mix surrogate and real captures")
     return captures
 
 
@@ -138,7 +138,7 @@ def _words(key: tuple[str, str]) -> str:
 
 def _fill(row: dict[str, Any], key, known, path, reference) -> None:
     if (row["mu_ref"] is None) != (row["mu_ref_error"] is None):
-        raise BadInput(f"{path} line {row['line']}: mu_ref and mu_ref_error come together")
+        raise BadInput(f"{path} line {row['line']}: mu_ref and mu_ref_error must be given together")
     if row["mu_ref"] is None:
         if key not in known:
             raise BadInput(
@@ -154,7 +154,7 @@ def _check_no_duplicates(path, rows, captures: list[Capture]) -> None:
         if capture.id in lines:
             raise BadInput(
                 f"{path} line {row['line']}: repeat {capture.repeat} of {capture.material} on "
-                f"{capture.substrate} is in line {lines[capture.id]} too"
+                f"{capture.substrate} duplicates line {lines[capture.id]}"
             )
         digest = file_digest(capture.video)
         if digest in digests:
@@ -171,6 +171,6 @@ def _check_pairs_agree(path, rows, captures: list[Capture]) -> None:
         line, before = first.setdefault(capture.pair, (row["line"], reference))
         if reference != before:
             raise BadInput(
-                f"{path} line {row['line']}: {capture.material} on {capture.substrate} has another "
-                f"mu_ref, error or reflective than in line {line}"
+                f"{path} line {row['line']}: {capture.material} on {capture.substrate} differs "
+                f"in mu_ref, mu_ref_error or reflective from line {line}"
             )

@@ -1,4 +1,4 @@
-"""Captures as a dataset: the files that simulated videos have, and what is known of each video."""
+"""Captures as a dataset: the same files as for simulated videos, and the data on each video."""
 
 import os
 from collections.abc import Sequence
@@ -152,7 +152,9 @@ def _write_video(
         "friction_role": "test",
         "texture_role": "test",
         "viewpoint_role": "test",
+        "floor_role": "test",
         "viewpoint_turn_deg": 0.0,
+        **{f"pose_{name}": value for name, value in video.pose.items()},
         "floor": capture.substrate,
         "floor_reflectance": None,
         "floor_roughness": None,
@@ -196,5 +198,5 @@ def read_known(dataset: str | os.PathLike) -> list[dict[str, Any]]:
     if sorted(row["video"] for row in rows) != videos or {
         row["dataset_digest"] for row in rows
     } != {digest}:
-        raise BadInput(f"{path}: not of the dataset beside it")
+        raise BadInput(f"{path}: does not belong to the dataset in the same folder")
     return sorted(rows, key=lambda row: row["video"])

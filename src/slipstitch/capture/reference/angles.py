@@ -59,13 +59,13 @@ def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
         key = tuple(row[title] for title in ("material", "substrate", "position", "orientation"))
         key += (row["repeat"],)
         if key in lines:
-            raise BadInput(f"{path} line {row['line']}: the same measurement as line {lines[key]}")
+            raise BadInput(f"{path} line {row['line']}: duplicates line {lines[key]}")
         lines[key] = row["line"]
         pair = pairs[key[:2]]
         if pair and pair[0]["bench_error_deg"] != row["bench_error_deg"]:
             raise BadInput(
-                f"{path} line {row['line']}: {key[0]} on {key[1]} has another bench_error_deg than "
-                f"in line {pair[0]['line']}"
+                f"{path} line {row['line']}: {key[0]} on {key[1]} differs in bench_error_deg "
+                f"from line {pair[0]['line']}"
             )
         pair.append(row)
     return [

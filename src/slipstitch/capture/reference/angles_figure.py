@@ -59,8 +59,8 @@ def draw_references(
         ]
         axes.legend(handles=handles, frameon=False, fontsize=8, loc="best")
         axes.set_title(
-            "Black: estimate and its 95 % interval with the bench's error; "
-            "dots: slip angles, a line a position",
+            "Black: estimate with 95 % interval, including the bench's error; dots: slip angles, "
+            "one line per position",
             fontsize=9,
             loc="left",
         )

@@ -80,9 +80,11 @@ def estimate(angles: SlipAngles) -> Reference:
     orientation, orientations = _levels(angles.orientation)
     needed = max(_FEWEST, orientations.shape[1] + 1)
     if len(values) < needed:
-        raise BadInput(f"{where}: {len(values)} slip angle(s); at least {needed} are needed")
+        raise BadInput(f"{where}: {len(values)} slip angle(s); at least {needed} are required")
     if np.ptp(values) == 0:
-        raise BadInput(f"{where}: all slip angles are equal: repeats must be real measurements")
+        raise BadInput(
+            f"{where}: all slip angles are equal; repeats must be independent measurements"
+        )
     # The first column is the plain mean of the orientations.
     design = np.column_stack([np.ones(len(values)), orientations[:, 1:] - orientations[:, :1]])
     mixed = _Mixed(values, design, positions)
@@ -150,7 +152,7 @@ class _Mixed:
         self.positions, self.counts = positions, positions.sum(axis=0)
         self.shared = positions @ positions.T
         self.identity = np.eye(len(values))
-        # With one position, or one measurement at each, positions are not told from repeats.
+        # With one position, or one measurement at each, positions cannot be separated from repeats.
         self.one_variance = positions.shape[1] < 2 or self.counts.max() == 1
         if self.one_variance:
             left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
@@ -213,8 +215,8 @@ class _Mixed:
         # Also where it is no number: repeats that are equal leave no scatter to compare with.
         if not np.isfinite(known).all() or np.linalg.cond(known) > _LARGEST_CONDITION:
             raise BadInput(
-                "the effects of positions, orientations and repeats cannot be told apart: measure "
-                "every orientation at several positions, repeats anew"
+                "the effects of positions, orientations and repeats cannot be separated: measure "
+                "every orientation at several positions, with independent repeats"
             )
         scatter = float(moves @ np.linalg.solve(known, moves))
         return mu, float(np.sqrt(variance)), 2 * variance**2 / scatter

@@ -1,1 +1,1 @@
-"""Surrogate captures: simulations made unlike the training data, to stand for a real bench."""
+"""Surrogate captures: simulations with a distribution shift, as a substitute for a real bench."""

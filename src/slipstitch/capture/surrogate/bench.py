@@ -1,7 +1,7 @@
-"""The surrogate bench: its camera, its inclined plane, what differs from film to film.
+"""The surrogate bench: its camera, its inclined plane, variation between videos.
 
 Nothing of it is known to the networks, and only what a real bench would write down is handed on: a
-calibrated camera with its errors, slip angles, a table of films.
+calibrated camera with its errors, slip angles, a table of videos.
 """
 
 import csv
@@ -24,7 +24,7 @@ from slipstitch.render.camera_file import LensCamera, write_camera_file
 from slipstitch.render.shots import viewpoint_pose
 from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, generator
 
-# The whole travel fits into the film's width with this focal length (in widths).
+# With this focal length (in image widths) the whole travel is in the image.
 _FOCAL_WIDTHS = 1.72
 _PLACES, _REPEATS = 4, 2
 _ORIENTATIONS = {"warp": 0.01, "weft": -0.01}
@@ -54,7 +54,7 @@ class Film:
 
 
 def films(config: Config) -> list[Film]:
-    """All films that the configuration asks for, in the order of their ids."""
+    """All videos of the configuration, in the order of their ids."""
     settings = config.captures
     made = []
     for name in settings.surrogate_ids():
@@ -68,27 +68,29 @@ def films(config: Config) -> list[Film]:
 
 
 def find_film(config: Config, name: str) -> Film:
-    """The film with id `name`; BadInput if there is none."""
+    """The video with id `name`; BadInput if there is none."""
     known = {film.id: film for film in films(config)}
     if name not in known:
-        raise BadInput(f"no surrogate capture {name!r}; there are: {', '.join(known)}")
+        raise BadInput(f"unknown surrogate capture {name!r}; known: {', '.join(known)}")
     return known[name]
 
 
 def surrogate_simulation(config: Config) -> SimulationSettings:
-    """How films are simulated: as the training data, but for what makes them unlike."""
+    """Settings of the simulations: as for the training data, except for the distribution shift."""
     settings, training = config.captures, config.simulation
     duration_s = training.recorded_s
-    factor = settings.bench_variation
+    # Not in units of the training's own variation: that of the paper's experiment is none.
+    factor, usual = settings.bench_variation, SimulationSettings()
     return training.model_copy(
         update={
             "vertices_per_side": settings.vertices_per_side,
             "time_step_s": settings.time_step_s,
             "frame_rate_hz": settings.frame_rate_hz,
             "frames": int(np.ceil(duration_s * settings.frame_rate_hz)) + 2,
-            "yaw_sd_deg": factor * training.yaw_sd_deg,
-            "height_sd_m": min(factor * training.height_sd_m, 0.005),
-            "fabric_sd_rel": min(factor * training.fabric_sd_rel, 0.3),
+            "yaw_sd_deg": factor * usual.yaw_sd_deg,
+            "height_sd_m": min(factor * usual.height_sd_m, 0.005),
+            "fabric_sd_rel": min(factor * usual.fabric_sd_rel, 0.3),
+            "curl_side": "drawn",
         }
     )
 
@@ -99,7 +101,7 @@ def film_size(settings: CaptureSettings) -> tuple[int, int]:
 
 
 def true_camera(config: Config) -> LensCamera:
-    """The camera that films, as it is."""
+    """The true camera."""
     settings = config.captures
     fixed: Pose = viewpoint_pose("calibrated", config.render)
     place = pose(fixed) if isinstance(fixed, Viewpoint) else fixed
@@ -140,7 +142,7 @@ def surroundings(config: Config, pair: PairSettings) -> Surroundings:
 
 
 def slip_angles(config: Config) -> list[dict]:
-    """What an inclined plane with an error of its own measures of each pair."""
+    """Measurements of each pair by an inclined plane with its own error."""
     error_deg = config.captures.incline_error_deg
     rows = []
     for pair in config.captures.pairs:
@@ -156,7 +158,7 @@ def slip_angles(config: Config) -> list[dict]:
                         {
                             "material": pair.material,
                             "substrate": pair.substrate,
-                            "position": f"place {place + 1}",
+                            "position": f"position {place + 1}",
                             "orientation": orientation,
                             "repeat": repeat,
                             "angle_deg": f"{angle:.2f}",
@@ -176,7 +178,7 @@ def captures_rows(config: Config) -> list[dict]:
             "repeat": film.repeat,
             "mu_ref": "",
             "mu_ref_error": "",
-            "reflective": "yes" if FLOORS[film.pair.substrate].reflectance[1] > 0 else "no",
+            "reflective": "yes" if FLOORS[film.pair.substrate].reflects_plainly else "no",
             "camera": "camera.json",
             "surrogate": "yes",
         }
@@ -185,7 +187,7 @@ def captures_rows(config: Config) -> list[dict]:
 
 
 def write_bench(config: Config, folder: str | os.PathLike) -> None:
-    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the films come later."""
+    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
     started = start_clock()
     folder = Path(folder)
     lens = calibrated_camera(config)

@@ -1,4 +1,4 @@
-"""A surrogate film: simulated, rendered, seen through a lens, exposed, compressed."""
+"""A surrogate video: simulated, rendered, distorted by a lens, exposed, compressed."""
 
 import os
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ _CLOCK = Fraction(1, 90000)
 
 
 def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter) -> int:
-    """Simulate and film one capture.
+    """Simulate and render one capture.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter)
         seed=film.seed,
         started=started,
     )
-    # A film never goes without the word.
+    # Every surrogate video is labelled.
     write_sidecar(out, {**record, "surrogate": True})
     return count
 
@@ -76,7 +76,7 @@ def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter)
 def _lens_images(
     config: Config, film: Film, trajectory: Trajectory, progress
 ) -> Iterator[tuple[float, np.ndarray]]:
-    """Time and linear light (rows, columns, 3) of the frames to film, as the lens casts it."""
+    """Time and linear light (rows, columns, 3) of the recorded frames, as projected by the lens."""
     lens = true_camera(config)
     pinhole, place = _pinhole(lens)
     dense = trajectory.time_s <= _START_S
@@ -108,7 +108,7 @@ def _pinhole(lens: LensCamera) -> tuple[Camera, np.ndarray]:
 
 
 def _write(config: Config, film: Film, images, path) -> int:
-    """The film: rest, then the frames; exposure drifts, the sensor is noisy, H.264 compresses."""
+    """The video: rest, then frames with drifting exposure, sensor noise and H.264 compression."""
     import av
 
     settings = config.captures

@@ -79,7 +79,7 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
         if not acting.any():
             silent = unrecorded.any()
             untestable[name] = (
-                "what drives it was not recorded" if silent else "no feature would show it"
+                "what drives it was not recorded" if silent else "no feature would reveal it"
             )
             continue
         nuisance = nuisance_columns(measurements, unrecorded & keep, sensitivity)

@@ -158,6 +158,8 @@ def _analyse(
             f"{SMALLEST_SPECIMENS} are needed"
         )
         return result("insufficient", why=why)
+    if measurements.implausible:
+        return result("insufficient", why="; ".join(measurements.implausible))
     if global_p > SIGNIFICANCE and not _could_be_seen(detectable):
         why = "not even an effect that doubles the friction would have been seen"
         return result("insufficient", why=why)

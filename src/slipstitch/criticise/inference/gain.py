@@ -112,8 +112,8 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
         weight += len(rows)
     differences, sizes = np.array(differences), np.array(sizes, float)
     total = sizes.sum()
-    if not total:  # every reading is only a bound
-        return Gain(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    if total == 0:  # bounds only
+        return Gain(*[float("nan")] * 6, 0)
     estimate = differences.sum() / total
     spread = np.sum((differences - estimate * sizes) ** 2)
     count = len(sizes)

@@ -11,11 +11,12 @@ from slipstitch.criticise.protocols.drag import DRAG
 from slipstitch.criticise.protocols.drop_drag import DROP_DRAG
 from slipstitch.criticise.protocols.incline import INCLINE
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.push import PUSH
 from slipstitch.criticise.protocols.spring_slider import SPRING_SLIDER
 from slipstitch.criticise.protocols.strip import STRIP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (INCLINE, STRIP, DRAG, DROP_DRAG, SPRING_SLIDER)}
+    {protocol.name: protocol for protocol in (INCLINE, STRIP, DRAG, DROP_DRAG, SPRING_SLIDER, PUSH)}
 )
 QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
     {quantity.name: quantity for protocol in PROTOCOLS.values() for quantity in protocol.quantities}

@@ -58,6 +58,7 @@ def covariates_of(table: pd.DataFrame, azimuth: str) -> pd.DataFrame:
         rows[name] = table[name].to_numpy(float)
     rows["azimuth_deg"] = table[azimuth].to_numpy(float)
     rows["operator"] = table["operator"]
+    rows["support"] = table.get("support", "")
     for name in ("load_ratio", "speed_mm_s", "length_mm", "height_mm"):
         rows[name] = np.nan
     return rows

@@ -34,6 +34,8 @@ DESIGN_QUANTITIES = (LEVEL, SWING)
 DROP_NOISES = 6.0
 # A slider that sticks loads its spring at k V; one that follows an uneven track, far slower.
 STICKING_FRACTION = 0.5
+# Of the line of the loading spring: below it, the slider has moved before its first drop.
+UNMOVED_FRACTION = 0.95
 SPIKE_SAMPLES = 5
 SMOOTHINGS_A_PERIOD = 8
 MOST_BLOCKS = 10
@@ -91,7 +93,7 @@ class Slips:
 
 
 def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: float) -> Slips:
-    """Drops after the slider stuck; what only follows an uneven track is left out."""
+    """Drops after the slider stuck, within a natural period; the rest follows an uneven track."""
     step = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     period = 2 * np.pi * np.sqrt(slider.mass_kg / slider.spring_N_m)
     width = int(period / SMOOTHINGS_A_PERIOD / step)
@@ -102,6 +104,7 @@ def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: flo
     peaks, _ = find_peaks(force_mN, prominence=DROP_NOISES * u_mN)
     troughs, _ = find_peaks(-force_mN, prominence=DROP_NOISES * u_mN)
     loading = 1e3 * slider.spring_N_m * slider.speed_m_s
+    longest = max(int(np.ceil(period / step)), 3)
     found = []
     for peak in peaks:
         after = troughs[troughs > peak]
@@ -109,7 +112,9 @@ def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: flo
         start = before[-1] if len(before) else 0
         rise = (force_mN[peak] - force_mN[start]) / max(time_s[peak] - time_s[start], 1e-12)
         if len(after) and rise > STICKING_FRACTION * loading:
-            high, low = force_mN[peak], force_mN[after[0]]
+            high, low = force_mN[peak], force_mN[peak : min(after[0], peak + longest) + 1].min()
+            if high - low < DROP_NOISES * u_mN:
+                continue
             found.append((time_s[peak], 0.5 * (high + low), 0.5 * (high - low)))
     return Slips(*np.array(found).reshape(-1, 3).T)
 
@@ -135,8 +140,19 @@ class _Reading:
     slips: Slips
     steady_mN: np.ndarray
     first_half_mN: float | None
-    began_relaxed: bool
+    first_unseen: bool
     bias_mN: float
+
+
+def _unmoved(time: np.ndarray, force: np.ndarray, peak_s: float, slider: Slider) -> bool:
+    """Did the spring load along one line until the slip, at most a quarter period before a peak?"""
+    before = time <= peak_s
+    start = peak_s - 0.5 * np.pi * np.sqrt(slider.mass_kg / slider.spring_N_m)
+    line = before & (force < 0.5 * force[before][-1])
+    if line.sum() < 4:
+        return True
+    slope, zero = np.polyfit(time[line], force[line], 1)
+    return bool(force[before][-1] > UNMOVED_FRACTION * (zero + slope * start))
 
 
 def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
@@ -150,7 +166,7 @@ def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
     loading = 1e3 * slider.spring_N_m * slider.speed_m_s
     settled = time > time[0] + (2 * late / loading if relaxed else 0.0)
     first = None
-    if relaxed and len(slips.time_s) and not settled[np.searchsorted(time, slips.time_s[0])]:
+    if relaxed and len(slips.time_s) and _unmoved(time, force, slips.time_s[0], slider):
         first = float(slips.half_mN[0])
     keep = settled[np.minimum(np.searchsorted(time, slips.time_s), len(time) - 1)]
     kept = Slips(slips.time_s[keep], slips.middle_mN[keep], slips.half_mN[keep])
@@ -161,7 +177,7 @@ def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
         half = float(kept.half_mN.mean())
         short = time <= time[0] + 30 * (np.diff(kept.time_s).mean())
         bias = half_drop_bias(time[short], slider, late, half, u_mN)
-    return _Reading(kept, force[settled], first, relaxed, bias)
+    return _Reading(kept, force[settled], first, relaxed and not len(slips.time_s), bias)
 
 
 def _block_means(values: np.ndarray) -> np.ndarray:
@@ -219,14 +235,15 @@ def _features(
             error = np.hypot(error, of_track)
             lines.append((i, SWING, half, float(error)))
         elif not len(reading.slips.half_mN):
-            lines.append((i, SWING, *unseen))
+            # Damping lets the swing of a slider that does not stick die out altogether.
+            lines.append((i, SWING, unseen[0], float(np.hypot(unseen[1], inertial_mN[i]))))
         if reading.first_half_mN is not None:
             first = reading.first_half_mN - reading.bias_mN
             error = np.hypot(single_sd * first, u)
             error = np.hypot(error, inertial * min(inertial_mN[i] / max(first, 1e-9), 1.0))
             error = np.hypot(error, of_track)
             lines.append((i, FIRST_SWING, float(first), float(error)))
-        elif reading.began_relaxed and not len(reading.slips.half_mN):
+        elif reading.first_unseen:
             lines.append((i, FIRST_SWING, *unseen))
     return lines
 

@@ -28,7 +28,10 @@ def before_and_after(again: Resimulation) -> dict[str, Any]:
         ("both", summary["all"]),
     )
     return {
-        "picture": svg_element(_figure(again.frames)),
+        "picture": svg_element(
+            _figure(again.frames),
+            "Lag of the edge and contact length: measured and simulated again",
+        ),
         "specimens": summary["all"]["specimens"],
         "rows": [
             {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.covariate_panels import covariate_picture
 from slipstitch.criticise.report.resimulation import before_and_after
@@ -15,33 +16,42 @@ from slipstitch.criticise.report.verdict_pictures import (
 )
 from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.verdict import sentence
-from slipstitch.page.figures import svg_element
+from slipstitch.criticise.within_runs import words
+from slipstitch.page.figures import svg, svg_element
 from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.page.templates import render
-from slipstitch.page.wording import with_interval
+from slipstitch.page.wording import counted, with_interval
 
 _TEMPLATE = Path(__file__).with_name("verdict.html.j2")
+CLEAR_FALL = 0.8  # of an error, to be worth a headline
 _TONES = {"none": GOOD, "cause": BLUE, "confounded": DOUBT, "unknown": VERMILION}
 
 
 def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -> str:
     """The page as HTML; it needs no other file. ``again`` adds before and after."""
-    named = verdict["verdict"] in ("cause", "confounded")
-    extended = analysis.chosen.fitted if named and analysis.chosen else None
+    extended = _extended(verdict, analysis)
     everything = covariate_picture(analysis)
     return render(
         _TEMPLATE,
         verdict=verdict,
         tone=_TONES.get(verdict["verdict"], SOFT),
         sentence=sentence(verdict),
-        second_sentence=_second_sentence(verdict),
-        named=named,
+        second_sentence=second_sentence(verdict),
+        within=words(verdict["within_runs"]),
+        named=verdict["verdict"] in ("cause", "confounded"),
         extended=extended is not None,
-        residuals=svg_element(residual_picture(analysis, extended)),
-        predictions=svg_element(prediction_picture(analysis, extended)),
-        ranking=svg_element(ranking_picture(verdict)),
+        residuals=svg_element(
+            residual_picture(analysis, extended),
+            "Residuals of plain Coulomb and of the extended model",
+        ),
+        predictions=svg_element(
+            prediction_picture(analysis, extended), "Residuals in standard deviations, both models"
+        ),
+        ranking=svg_element(ranking_picture(verdict), "The rival models by BIC"),
         again=before_and_after(again) if again else None,
-        everything=svg_element(everything) if everything else None,
+        everything=svg_element(everything, "Residuals along every covariate")
+        if everything
+        else None,
         seen=[
             (MECHANISMS[name].title, f"{found['size']:.3g}", found["unit"])
             for name, found in verdict["certificate"]["smallest_detectable"].items()
@@ -55,16 +65,39 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
     )
 
 
-def _second_sentence(verdict: dict) -> str:
-    gain = verdict["gain"]
+def left_over(verdict: dict, analysis: Analysis) -> str:
+    """The picture of what is left over without and with the extended model, as an SVG."""
+    return svg(residual_picture(analysis, _extended(verdict, analysis)))
+
+
+def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
+    named = verdict["verdict"] in ("cause", "confounded")
+    return analysis.chosen.fitted if named and analysis.chosen else None
+
+
+def second_sentence(verdict: dict) -> str:
+    """What the extended model gains; without one, why none was named."""
     if verdict["verdict"] in ("cause", "confounded"):
-        return (
-            "On specimens that it has not seen, the extended model gains "
-            f"{with_interval(gain['estimate'], gain['ci95'])} in log score a row; its error falls "
-            f"from {100 * gain['rmse_null']:.1f} to {100 * gain['rmse_extended']:.1f} % "
-            f"({gain['n_groups']} specimens left out one by one, the choice repeated each time)."
-        )
+        return gain_words(verdict["gain"])
     if verdict["verdict"] == "unknown":
         return verdict["reason"].capitalize() + "."
     p = verdict["null"]["global_p"]
-    return f"Family-wise p of the plain model over all tests made: {p:.3g}."
+    return f"Family-wise p of the plain model over all tests: {p:.3g}."
+
+
+def gain_words(gain: dict) -> str:
+    """The gain on unseen specimens; errors only where they fall clearly."""
+    how = (
+        f"({counted(gain['n_groups'], 'specimen')} held out one by one, with the selection "
+        "repeated each time)"
+    )
+    score = f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row"
+    if not gain["ci95"][0] > 0:
+        return f"On unseen specimens no gain is certain: {score} {how}."
+    before, after = 100 * gain["rmse_null"], 100 * gain["rmse_extended"]
+    if after > CLEAR_FALL * before:
+        return f"On unseen specimens the extended model gains {score} {how}."
+    return (
+        f"On unseen specimens the error falls from {before:.1f} to {after:.1f} % of friction, a "
+        f"gain of {score} {how}."
+    )

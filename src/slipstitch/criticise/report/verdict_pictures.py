@@ -141,7 +141,8 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
         axes.set_xlabel(COVARIATES[covariate].axis_label)
         axes.set_ylabel("measured − model (% of friction)")
     axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
-    axes.legend(frameon=False)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=False)
     return figure
 
 
@@ -192,7 +193,7 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
     axes.set_xscale("symlog", linthresh=10)
     axes.set_yticks(places, labels)
     axes.axvline(6, color=INK, lw=0.8, ls=":")
-    axes.set_xlabel("BIC behind the best (dotted: 6)")
+    axes.set_xlabel("BIC relative to the best (dotted: 6)")
     return figure
 
 
@@ -207,6 +208,8 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     for fitted, colour, label in fits:
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
+        if not len(z):  # bounds only
+            continue
         axes.hist(
             np.clip(z, -5.99, 5.99),
             edges,
@@ -218,7 +221,11 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
         )
     x = np.linspace(-6, 6, 200)
     axes.plot(
-        x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=INK, lw=1.2, label="if all is well"
+        x,
+        np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi),
+        color=INK,
+        lw=1.2,
+        label="if the model is correct",
     )
     axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
     axes.set_yticks([])

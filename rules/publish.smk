@@ -1,0 +1,38 @@
+"""Scores, curves, page, costs, models and origin of a run, without its images; not part of `all`."""
+
+PUBLISHED = f"results/published/{CONFIG.publish.name}"
+
+
+rule publish:
+    input:
+        PUBLISHED,
+
+
+rule publish_folder:
+    input:
+        calibration=rules.calibrate.input,
+        dataset=rules.sample.input,
+        networks=rules.train.input,
+        instruments=rules.instrument.input,
+        evaluation=rules.evaluate.input,
+        page=rules.report.input,
+    output:
+        directory(PUBLISHED),
+    log:
+        "results/logs/publish/publish.log",
+    benchmark:
+        "results/benchmarks/publish/publish.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("report"),
+        runtime=15,
+    params:
+        *settings("publish"),
+        captures=digest_if_there("results/captures/metrics.json"),
+        code=code_of("publish"),
+        config=CONFIG_FILE,
+    message:
+        "Publish the run as {CONFIG.publish.name}"
+    shell:
+        "slipstitch publish --config {params.config} --results results --out-dir {output}"
+        " > {log} 2>&1"

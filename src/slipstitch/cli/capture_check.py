@@ -1,0 +1,50 @@
+"""slipstitch capture check: whether a camera is suitable for an instrument."""
+
+import argparse
+from pathlib import Path
+
+from slipstitch.cli.options import check_picture, output_path
+
+SUMMARY = "check whether the pose of a camera is in the training range of an instrument"
+EXAMPLE = (
+    "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
+    "--picture check.png"
+)
+
+# As for an alarm: a result, but not a usable one.
+OUTSIDE_EXIT_CODE = 3
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "camera",
+        type=Path,
+        metavar="CAMERA.json",
+        help="camera file written by slipstitch capture camera",
+    )
+    parser.add_argument(
+        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration the instrument was trained with (default: config.json in the "
+        "nearest folder above the model)",
+    )
+    parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare, draw, print; exit code 3 if the camera stands outside."""
+    from slipstitch.measure.camera_check import check_camera, check_figure
+    from slipstitch.page.figures import save_figure
+
+    check_picture(arguments.picture)
+    check = check_camera(arguments.camera, arguments.model, arguments.config)
+    if arguments.picture:
+        save_figure(check_figure(check), arguments.picture, arguments.picture.suffix[1:])
+    for line in check.lines():
+        print(line)
+    return OUTSIDE_EXIT_CODE if check.outside else 0

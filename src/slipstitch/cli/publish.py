@@ -1,0 +1,36 @@
+"""slipstitch publish: a run's results as a small folder to keep."""
+
+import argparse
+
+from slipstitch.cli.options import add_config, output_folder
+
+SUMMARY = "write scores, curves, page, costs, models and origin of a run to a small folder"
+EXAMPLE = (
+    "slipstitch publish --config results/config.json --results results "
+    "--out-dir results/published/demo"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_config(parser, "YAML or JSON configuration that the results were made with")
+    parser.add_argument("--results", default="results", help="folder of the results")
+    parser.add_argument(
+        "--out-dir", type=output_folder, required=True, help="folder; replaced as a whole"
+    )
+    parser.add_argument(
+        "--partial",
+        action="store_true",
+        help="publish a run that is not finished, marked so on every page",
+    )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the folder and say what it holds."""
+    from slipstitch.config import load_config
+    from slipstitch.publish.publishing import publish
+
+    config = load_config(*arguments.config)
+    index = publish(config, arguments.results, arguments.out_dir, arguments.partial)
+    lacking = f", partial: {len(index['missing'])} lacking" if index["partial"] else ""
+    print(f"{arguments.out_dir}: {len(index['files'])} files{lacking}")

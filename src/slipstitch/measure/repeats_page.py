@@ -1,0 +1,61 @@
+"""The page of several videos of one pair: every interval, the combined one, what was seen."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slipstitch.measure.measurement_page import decisive_frames
+from slipstitch.page.figures import new_figure, styled, svg_element
+from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
+from slipstitch.page.templates import render
+from slipstitch.page.wording import number, percent, span
+
+if TYPE_CHECKING:
+    from slipstitch.measure.measurement_files import MeasuredPair
+
+_TEMPLATE = Path(__file__).with_name("repeats.html.j2")
+
+
+def page(pair: "MeasuredPair") -> str:
+    """The page as HTML; it needs no other file."""
+    together = pair.together
+    return render(
+        _TEMPLATE,
+        pair=pair,
+        mu=number(together.friction_coefficient) if together else None,
+        interval=span(together.interval_90) if together else None,
+        scatter=number(together.scatter) if together else None,
+        figure=svg_element(_figure(pair), "Friction of each video with its interval"),
+        rows=[
+            {
+                "name": video.name,
+                "mu": number(video.measurement.friction_coefficient),
+                "interval": video.without_error_bar or span(video.measurement.interval_90),
+                "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
+                "alarm": video.measurement.alarm_reason,
+                "outlier": video.name in pair.outliers,
+                "notes": video.video.notes,
+                "frames": decisive_frames(video),
+            }
+            for video in pair.videos
+        ],
+        instrument=pair.videos[0].instrument[:12] if pair.videos else "unknown",
+    )
+
+
+@styled
+def _figure(pair: "MeasuredPair"):
+    """Every video's interval, one below the other, and the combined one."""
+    figure = new_figure(8.6, 0.9 + 0.3 * len(pair.videos))
+    axes = figure.subplots()
+    for row, video in enumerate(pair.videos):
+        measured = video.measurement
+        stray = measured.alarm or video.name in pair.outliers
+        axes.plot(measured.interval_90, [row, row], color=VERMILION if stray else SOFT, lw=2)
+        axes.plot(measured.friction_coefficient, row, "o", color=VERMILION if stray else INK, ms=5)
+    if pair.together:
+        axes.axvspan(*pair.together.interval_90, color=BLUE, alpha=0.18, lw=0)
+        axes.axvline(pair.together.friction_coefficient, color=BLUE, lw=1.5)
+    axes.set_yticks(range(len(pair.videos)), [video.name for video in pair.videos])
+    axes.invert_yaxis()
+    axes.set_xlabel("friction coefficient")
+    return figure

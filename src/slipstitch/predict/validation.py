@@ -1,0 +1,121 @@
+"""A verdict put to the test: a prediction locked before a case is looked at, and scored after."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.measurements import assemble
+from slipstitch.errors import BadInput
+from slipstitch.predict.predictive import predictions
+from slipstitch.provenance import atomic_path, file_digest, read_json, write_json
+
+MODELS = (("null", "null"), ("extended", "ext"))
+
+
+def _digest(verdict: dict) -> str:
+    """Of the models alone: what predictions follow from."""
+    text = json.dumps(verdict["models"], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def lock(verdict: dict, case_folder: Path, prediction: Path) -> dict:
+    """Write a prediction of a case, whose measured values are not read, and its lock beside it.
+
+    A prediction that is there already is kept, and must be the one that was locked.
+
+    Returns
+    -------
+    dict
+        The lock: ``prediction_sha256``, ``models_sha256``, ``locked_at`` (UTC).
+
+    Raises
+    ------
+    BadInput
+        If the prediction was altered, or locked for other models.
+    """
+    beside = prediction.with_suffix(".lock.json")
+    if beside.exists() and prediction.exists():
+        kept = read_json(beside)
+        if not isinstance(kept, dict) or kept.get("prediction_sha256") != file_digest(prediction):
+            raise BadInput(f"{prediction}: not the prediction that {beside.name} locks")
+        if kept.get("models_sha256") != _digest(verdict):
+            raise BadInput(f"{prediction}: locked for other models than this verdict's")
+        return kept
+    table = predictions(verdict, read_case(case_folder, with_measurements=False))
+    with atomic_path(prediction) as temporary:
+        table.to_csv(temporary, index=False)
+    record = {
+        "prediction_sha256": file_digest(prediction),
+        "models_sha256": _digest(verdict),
+        "locked_at": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    write_json(beside, record)
+    return record
+
+
+def score(case_folder: Path, prediction: Path, record: dict) -> dict:
+    """Hold the locked prediction against the case's measured values.
+
+    Returns
+    -------
+    dict
+        The lock, counts, and for null and extended model the share of readings within their 95 %
+        intervals, the mean log score a reading and the error by quantity; the gain in log score
+        with a t-interval over specimens.
+
+    Raises
+    ------
+    BadInput
+        If the prediction is not the locked one, or nothing that it predicts was measured.
+    """
+    if file_digest(prediction) != record["prediction_sha256"]:
+        raise BadInput(f"{prediction}: altered since it was locked")
+    measured = assemble(read_case(case_folder))
+    rows = measured.rows[["run_id", "specimen_id", "quantity", "y"]][~measured.lower_bound]
+    foreseen = pd.read_csv(prediction, dtype={"run_id": str})
+    both = rows.merge(foreseen, on=["run_id", "quantity"], validate="one_to_one")
+    if not len(both):
+        raise BadInput(f"{case_folder}: nothing that was predicted has been measured")
+    found: dict = {**record, "readings": len(both)}
+    for name, column in MODELS:
+        miss, sd = both["y"] - both[f"{column}_mean"], both[f"{column}_sd"]
+        both[name] = -0.5 * np.log(2 * np.pi * sd**2) - 0.5 * (miss / sd) ** 2
+        errors = (miss**2).groupby(both["quantity"]).mean() ** 0.5
+        found[name] = {
+            "within_95": round(float(np.mean(np.abs(miss) < 1.96 * sd)), 4),
+            "log_score": round(float(both[name].mean()), 4),
+            "error": {quantity: float(f"{error:.5g}") for quantity, error in errors.items()},
+        }
+    gains = (both["extended"] - both["null"]).groupby(both["specimen_id"]).agg(["sum", "size"])
+    mean = float(gains["sum"].sum() / gains["size"].sum())
+    count = len(gains)
+    interval = None
+    if count > 1:
+        spread = np.sqrt(np.sum((gains["sum"] - mean * gains["size"]) ** 2) * count / (count - 1))
+        half = float(student.ppf(0.975, count - 1) * spread / gains["size"].sum())
+        interval = [round(mean - half, 4), round(mean + half, 4)]
+    found |= {"specimens": count, "gain": {"estimate": round(mean, 4), "ci95": interval}}
+    return found
+
+
+def score_words(found: dict) -> str:
+    """What the score says, in one sentence."""
+    gain, inside = found["gain"], 100 * found["extended"]["within_95"]
+    by = f"{gain['estimate']:+.2f}"
+    if gain["ci95"] is not None:
+        by += f" [{gain['ci95'][0]:.2f}, {gain['ci95'][1]:.2f}]"
+    certain = gain["ci95"] is not None and gain["ci95"][0] > 0
+    what = "the extended model predicts better" if certain else "no gain is certain"
+    return (
+        f"On {found['readings']} readings of {found['specimens']} fresh specimens, predicted "
+        f"before they were looked at, {what}: {by} in log score a reading; {inside:.0f} % lie "
+        "within its 95 % intervals."
+    )

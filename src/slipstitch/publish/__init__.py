@@ -1,0 +1,1 @@
+"""Publish: what of a results folder is kept for readers, without its images."""

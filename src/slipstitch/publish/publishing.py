@@ -1,0 +1,156 @@
+"""A run's results as a small folder to keep: scores, curves, page, costs, models, origin."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from slipstitch.config import Config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
+from slipstitch.provenance.record import write_json
+from slipstitch.report.results import Results
+from slipstitch.sample.manifest import MANIFEST, read_manifest
+
+INDEX = "published.json"
+_PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
+# Beside what a finished run must have; there if the target `captures` was run.
+_OPTIONAL = {
+    name: name
+    for name in ("captures/metrics.json", "captures/predictions.parquet", "ablate/ablate.json")
+}
+
+
+def finished_files(config: Config) -> dict[str, str]:
+    """Files of a finished run, below its results -> where they are published."""
+    files = {
+        "evaluate/metrics.json": "metrics.json",
+        "evaluate/details.json": "details.json",
+        "evaluate/predictions.parquet": "predictions.parquet",
+        "report/index.html": "index.html",
+        "calibrate/calibration.json": "calibration.json",
+        f"sample/{MANIFEST}": f"dataset/{MANIFEST}",
+    }
+    for split in config.train.splits:
+        for network, seed in config.train.trainings(split):
+            folder = f"{split}/{network}/seed{seed}"
+            files |= _model(f"train/{folder}", f"models/{folder}", "model")
+        for seed in config.instrument.seeds:
+            folder = f"{split}/seed{seed}"
+            to = f"models/{split}/instrument/seed{seed}"
+            files |= _model(f"instrument/{folder}", to, "instrument")
+    return files
+
+
+def _model(folder: str, to: str, name: str) -> dict[str, str]:
+    """Weights, card and training curve."""
+    names = (f"{name}.safetensors", f"{name}.json", "history.csv")
+    return {f"{folder}/{file}": f"{to}/{file}" for file in names}
+
+
+def publish(
+    config: Config, results: str | os.PathLike, out: str | os.PathLike, partial: bool = False
+) -> dict[str, Any]:
+    """Write the folder, whole or not at all.
+
+    Parameters
+    ----------
+    config : Config
+        What the results were made with.
+    results, out : path
+    partial : bool
+        Publish an unfinished run, with what it lacks said at the head of every page.
+
+    Returns
+    -------
+    dict
+        The content of ``published.json``: ``name``, ``partial``, ``missing`` and SHA-256 of every
+        file.
+
+    Raises
+    ------
+    BadInput
+        If the run is not finished, without `partial`; if there is nothing of it; if a file is
+        damaged.
+    """
+    started = start_clock()
+    found = Results(results, config)
+    wanted = finished_files(config)
+    missing = sorted(name for name in wanted if not (found.folder / name).is_file())
+    if len(missing) == len(wanted):
+        raise BadInput(f"{results}: nothing of a run in it")
+    if missing and not partial:
+        raise BadInput(
+            f"{results}: not finished: {missing[0]} is missing ({len(missing)} of {len(wanted)} "
+            "files); --partial publishes what is there, marked on every page"
+        )
+    there = {
+        name: to
+        for name, to in {**wanted, **_PAGES, **_OPTIONAL}.items()
+        if (found.folder / name).is_file()
+    }
+    with atomic_path(out) as folder:
+        for name, to in there.items():
+            _copy(found.folder / name, folder / to, missing if name in _PAGES else [])
+        inputs = [found.folder / name for name in there]
+        record = provenance_record("publish", inputs=inputs, config=config, started=started)
+        write_json(folder / "config.json", config.model_dump(mode="json"))
+        write_json(folder / "cost.json", list(_costs(found)))
+        write_json(folder / "origin.json", dict(found.provenance()))
+        if "sample/" + MANIFEST in there:
+            rows, digest = read_manifest(found.folder / "sample")
+            shards = {row["file"] for row in rows}
+            dataset = {
+                "digest": digest,
+                "videos": len(rows),
+                "images": sum(row["frames"] for row in rows),
+                "files": {
+                    file: file_digest(found.folder / "sample" / file)
+                    for file in sorted(shards)
+                    if (found.folder / "sample" / file).is_file()
+                },
+            }
+            write_json(folder / "dataset" / "digests.json", dataset)
+        index = {
+            "name": config.publish.name,
+            "partial": bool(missing),
+            "missing": missing,
+            "files": {
+                path.relative_to(folder).as_posix(): file_digest(path)
+                for path in sorted(folder.rglob("*"))
+                if path.is_file()
+            },
+        }
+        write_json(folder / INDEX, index, record)
+    return index
+
+
+def _copy(source: Path, to: Path, missing: list[str]) -> None:
+    """Copy a file and its record; say at the head of a page what the run lacks."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    record = source.with_name(f"{source.name}.provenance.json")
+    if missing:
+        text = source.read_text(encoding="utf-8")
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        note = (
+            '<p style="margin:0;padding:10px;background:#fff3cd;color:#000"><b>Partial.</b> This '
+            f"run is not finished: {missing[0]}{more} lacking.</p>"
+        )
+        page, count = re.subn(r"(<body[^>]*>)", rf"\1{note}", text, count=1)
+        if not count:
+            raise BadInput(f"{source}: no page: it has no body to mark as partial")
+        to.write_text(page, encoding="utf-8")
+    else:
+        shutil.copyfile(source, to)
+        if record.is_file():
+            shutil.copyfile(record, to.with_name(record.name))
+
+
+def _costs(results: Results) -> Iterator[dict[str, Any]]:
+    """A row a class of jobs: of the rendering, light, images, previews and comparison apart."""
+    for cost in results.benchmarks(job_classes=True):
+        yield json.loads(json.dumps(asdict(cost)).replace("NaN", "null"))

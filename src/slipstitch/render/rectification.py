@@ -1,0 +1,119 @@
+"""From a real camera's image to the image that the calibrated viewpoint would have.
+
+The lens's distortion is taken out, and what lies in the stage plane (upright, across the track,
+through the clamps) is put where a camera at the calibrated viewpoint sees it: a homography. If
+the real camera stands there, this holds for every point. If it stands elsewhere, points off the
+plane are shifted by their parallax; of the planes that were tried this one shifts cloth least
+(docs/capture.md).
+"""
+
+import math
+
+import cv2
+import numpy as np
+
+from slipstitch.render.camera import Camera
+from slipstitch.render.camera_file import LensCamera
+from slipstitch.render.encoding import LINEAR, encode_srgb
+
+# Averaging more source pixels than this along a side of an image's pixel changes nothing visible.
+_MOST_RAYS = 8
+
+
+def stage_plane(crop: Camera, stage_x_m: float) -> tuple[np.ndarray, float]:
+    """Normal n and offset d of the plane n x = d through the clamps.
+
+    Across the track; for a camera that looks across the track, along it.
+    """
+    towards = crop.rotation[2]
+    if abs(towards[0]) >= abs(towards[1]):
+        return np.array([1.0, 0.0, 0.0]), stage_x_m
+    return np.array([0.0, 1.0, 0.0]), 0.0
+
+
+def source_pixels(
+    lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float], along: np.ndarray | None = None
+) -> np.ndarray:
+    """Position in the real image of each pixel of a crop.
+
+    Parameters
+    ----------
+    lens : LensCamera
+        The real camera.
+    crop : Camera
+        Cut from the calibrated viewpoint.
+    plane : ndarray (3,), float
+        As from `stage_plane`.
+    along : ndarray (n,), optional
+        Places along either side of the crop; the pixels' centres by default.
+
+    Returns
+    -------
+    ndarray (n, n, 2) float64
+        x, y; NaN where the crop looks past the plane or the real camera cannot see it.
+    """
+    along = np.arange(crop.pixels) if along is None else along
+    size = len(along)
+    y, x = (part.ravel() for part in np.meshgrid(along, along, indexing="ij"))
+    rays = np.column_stack([x, y, np.ones(size * size)]) @ np.linalg.inv(crop.matrix).T
+    rays = rays @ crop.rotation
+    eye = -crop.rotation.T @ crop.translation_m
+    normal, offset = plane
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (offset - eye @ normal) / (rays @ normal)
+        points = eye + depth[:, None] * rays
+        real = points @ lens.camera.rotation.T + lens.camera.translation_m
+        seen = (depth > 0) & np.isfinite(depth) & (real[:, 2] > 0)
+    found = np.full((size * size, 2), np.nan)
+    if seen.any():
+        found[seen] = lens.project(points[seen])
+    return found.reshape(size, size, 2)
+
+
+def rectify(
+    image: np.ndarray, lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float]
+) -> tuple[np.ndarray, float]:
+    """The crop, each pixel the mean of the light that falls on it.
+
+    Parameters
+    ----------
+    image : ndarray (rows, columns, 3) uint8
+        The real image, sRGB, in any order of colours.
+    lens, crop, plane
+        As for `source_pixels`.
+
+    Returns
+    -------
+    ndarray (pixels, pixels, 3) uint8
+        Black where the real image has nothing.
+    float
+        Share of the crop that lies in the real image.
+    """
+    rays = _rays_per_side(lens, crop, plane)
+    # Between the corners of a pixel the place is as good as linear.
+    corners = source_pixels(lens, crop, plane, np.arange(crop.pixels + 1) - 0.5)
+    fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
+    place = cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
+    rows, columns = image.shape[:2]
+    with np.errstate(invalid="ignore"):
+        inside = ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
+    if not inside.any():
+        return np.zeros((crop.pixels, crop.pixels, 3), np.uint8), 0.0
+    # Only the part of the image that is used is turned into linear light.
+    low = np.maximum(np.floor(place[inside].min(axis=0)).astype(int) - 2, 0)
+    high = np.ceil(place[inside].max(axis=0)).astype(int) + 3
+    part = LINEAR[image[low[1] : high[1], low[0] : high[0]]]
+    at = np.where(inside[..., None], place - low, -1e4).astype(np.float32)
+    light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    light[~inside] = 0
+    light = cv2.resize(light, (crop.pixels, crop.pixels), interpolation=cv2.INTER_AREA)
+    return encode_srgb(light), float(inside.mean())
+
+
+def _rays_per_side(lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float]) -> int:
+    """So many that no pixel of the real image is jumped over."""
+    coarse = crop.at_resolution(16)
+    place = source_pixels(lens, coarse, plane)
+    steps = np.concatenate([np.diff(place, axis=k).reshape(-1, 2) for k in (0, 1)])
+    longest = np.nanmax(np.linalg.norm(steps, axis=1), initial=0.0) * 16 / crop.pixels
+    return int(np.clip(math.ceil(longest), 1, _MOST_RAYS))

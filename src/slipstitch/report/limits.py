@@ -1,0 +1,50 @@
+"""What a run cannot tell: said before what it can."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from slipstitch.config import Config
+from slipstitch.page.wording import counted
+
+FEW_SIMULATIONS = 10
+
+
+def limits(
+    config: Config, headline: Mapping[str, Any] | None, captures: Mapping[str, Any] | None
+) -> list[str]:
+    """Sentences on what the run does not show.
+
+    Parameters
+    ----------
+    config : Config
+    headline, captures : mapping or None
+        What the page says of them.
+    """
+    if captures is None:
+        real = "No video of a real cloth was measured: every score is of simulated videos."
+    elif not captures["real"]:
+        real = "No video of a real cloth was measured: the captures are surrogates, simulated too."
+    else:
+        real = (
+            "Real videos are those of one bench; scores of simulated videos do not hold for them."
+        )
+    grid = config.grid
+    said = [
+        real,
+        f"The networks know {counted(len(grid.materials), 'fabric')} and friction from "
+        f"{grid.frictions[0]:g} to {grid.frictions[-1]:g}, in one protocol; nothing outside was "
+        "tried unless a table says so.",
+        "Every simulation obeys Coulomb friction with one coefficient; what measured data say "
+        "against that is in the section on what the simulation gets wrong.",
+    ]
+    simulations = (headline or {}).get("simulations")
+    if simulations and simulations < FEW_SIMULATIONS:
+        said.append(
+            f"With only {counted(simulations, 'test simulation')} the scores are uncertain: "
+            "predictions for videos of one simulation are correlated, whatever their texture."
+        )
+    if len(config.train.seeds) == 1:
+        said.append(
+            "Every network was trained once: how much chance moves the scores is not known."
+        )
+    return said

@@ -1,0 +1,113 @@
+"""Readings in another unit are flagged with the likely one, and not judged."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.hidden_effects.bench import make_case
+
+from slipstitch.cli.main import main
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.plausibility import implausible
+
+MIXED = ["incline", "strip", "drag", "drop_drag"]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    make_case(4, "null", folder, plant=({}, MIXED))
+    return folder
+
+
+def spoilt(good, folder, table, **columns):
+    """A copy of the case with columns of a table changed."""
+    shutil.copytree(good, folder)
+    content = pd.read_csv(folder / f"{table}.csv")
+    content.assign(**columns).to_csv(folder / f"{table}.csv", index=False)
+    return folder
+
+
+def alone(folder, protocol):
+    """The case with one protocol only."""
+    for name in MIXED:
+        if name != protocol:
+            for path in (folder / f"{name}.csv", folder / f"{name}_runs.csv"):
+                path.unlink(missing_ok=True)
+    meta = json.loads((folder / "meta.json").read_text()) | {"protocols": [protocol]}
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder
+
+
+def test_a_good_case_is_plausible(good):
+    assert implausible(read_case(good)) == []
+
+
+SPOILT = [
+    ("incline", {"angle_deg": lambda t: np.radians(t["angle_deg"])}, "angles in radians"),
+    ("incline", {"angle_deg": 0.0}, "nothing but zeros"),
+    ("incline", {"angle_deg": lambda t: 90 - 0.3 * t["angle_deg"]}, "angles to the vertical"),
+    ("incline", {"angle_deg": -5.0}, "signs the other way round"),
+    ("drag", {"force_mN": lambda t: 1e-3 * t["force_mN"]}, "forces in N, not mN"),
+    ("drag", {"force_mN": lambda t: -t["force_mN"]}, "signs the other way round"),
+    ("drag", {"force_mN": 0.0}, "nothing but zeros"),
+    ("drag_runs", {"added_mass_g": 1.5e3}, "ten times too large"),
+    ("strip", {"eps_slip": 0.0}, "nothing but zeros"),
+    ("strip", {"length_mm": lambda t: 10 * t["length_mm"]}, "length_mm in another unit"),
+    (
+        "drop_drag",
+        {"contact_len_mm": lambda t: 1e-3 * t["contact_len_mm"]},
+        "lengths in another unit",
+    ),
+]
+
+
+@pytest.mark.parametrize("table, columns, likely", SPOILT)
+def test_a_wrong_unit_is_named(good, tmp_path, table, columns, likely):
+    found = implausible(read_case(spoilt(good, tmp_path / "case", table, **columns)))
+    assert len(found) == 1
+    assert likely in found[0] and "\n" not in found[0]
+
+
+@pytest.mark.parametrize(
+    "key, factor, words",
+    [
+        ("rho_kg_m2", 1000.0, "in g/m²"),
+        ("thickness_m", 1000.0, "another unit or ten times off"),
+        ("thickness_m", 0.1, "another unit or ten times off"),
+        ("cloth_length_m", 10.0, "another unit or ten times off"),
+        ("cloth_length_m", 0.1, "another unit or ten times off"),
+    ],
+)
+def test_a_nominal_size_of_another_unit_is_named(good, tmp_path, key, factor, words):
+    folder = tmp_path / "case"
+    shutil.copytree(good, folder)
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["nominal"][key] *= factor
+    (folder / "meta.json").write_text(json.dumps(meta))
+    found = implausible(read_case(folder))
+    assert any(key in line and words in line for line in found)
+
+
+@pytest.mark.parametrize("table, columns, likely", [SPOILT[0], SPOILT[4], SPOILT[5]])
+def test_it_is_insufficient_or_refused_not_none(good, tmp_path, capsys, table, columns, likely):
+    folder = alone(spoilt(good, tmp_path / "case", table, **columns), table)
+    words = ["criticise", str(folder), "--out", str(tmp_path / "v.json"), "--replicates", "50"]
+    status = main(words)
+    said = capsys.readouterr()
+    if status == 0:
+        assert json.loads((tmp_path / "v.json").read_text())["verdict"] == "insufficient"
+    assert likely in (said.out if status == 0 else said.err)
+
+
+def test_bounds_alone_judge_nothing(good, tmp_path):
+    folder = spoilt(good, tmp_path / "case", "incline", censored=1, angle_deg=60.0)
+    alone(folder, "incline")
+    assert not main(["criticise", str(folder), "--out", str(tmp_path / "v.json")])
+    verdict = json.loads((tmp_path / "v.json").read_text())
+    assert (verdict["verdict"], verdict["reason"]) == (
+        "insufficient",
+        "every reading is only a bound",
+    )

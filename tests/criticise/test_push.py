@@ -1,0 +1,141 @@
+"""(f) A pushed block: steps in time and the features agree; an impact is no static excess."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.mechanisms import Bench
+from slipstitch.criticise.protocols.push import LEVEL, PEAK
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import FrictionLaw
+
+CASES = Path(__file__).parents[2] / "data" / "cases"
+MASS_KG, STIFFNESS_N_M, SPEED_M_S, MU = 1.5, 2.0e4, 2.5e-3, 0.3
+WEIGHT_N = MASS_KG * 9.80665
+
+
+def pushed(static, time_s=5.0, quiet_s=0.5, step_s=2e-5):
+    """Force on the finger every 10 ms: a mass behind a damped spring, stepped in time."""
+    x = v = 0.0
+    force = []
+    for i in range(int(time_s / step_s)):
+        pressed = max(SPEED_M_S * (i * step_s - quiet_s) - x, 0.0)
+        contact = STIFFNESS_N_M * pressed + (20.0 * (SPEED_M_S - v) if pressed > 0 else 0.0)
+        if v == 0 and contact <= WEIGHT_N * MU * (1 + static):
+            pass
+        else:
+            v = max(v + step_s * (contact - WEIGHT_N * MU) / MASS_KG, 0.0)
+            x += step_s * v
+        if i % round(0.01 / step_s) == 0:
+            force.append(contact)
+    return 1e3 * np.array(force)
+
+
+def write_case(folder, static, one_file_a_run, runs=6):
+    random = np.random.default_rng(2)
+    force = pushed(static)
+    time = 0.01 * np.arange(len(force))
+    table = pd.DataFrame({"run_id": [f"p{i}" for i in range(runs)]})
+    for name in (
+        "specimen_id", "clock_min", "repeat_index", "orientation_deg", "dwell_s", "rh_pct",
+        "pos_x_mm", "operator", "support", "area_cm2", "turned_deg", "moved_mm",
+    ):  # fmt: skip
+        table[name] = ""
+    table["push_azimuth_deg"] = 60.0 * np.arange(runs)
+    table = table.assign(added_mass_g=1e3 * MASS_KG, speed_mm_s=2.5, quiet_s=0.4, u_force_mN=5.0)
+    parts = {}
+    for i, run in enumerate(table["run_id"]):
+        along = np.radians(60.0 * i)
+        readings = np.outer(force, [np.cos(along), np.sin(along)]) + np.array(
+            [800.0, -300.0]
+        )  # a zero
+        readings += random.normal(0, 5.0, readings.shape)
+        parts[run] = pd.DataFrame(
+            {"t_s": time, "force_x_mN": readings[:, 0], "force_y_mN": readings[:, 1]}
+        )
+    folder.mkdir()
+    table.to_csv(folder / "push_runs.csv", index=False)
+    (folder / "meta.json").write_text(json.dumps({"nominal": {}, "protocols": ["f"]}))
+    if one_file_a_run:
+        (folder / "push").mkdir()
+        for i, (run, part) in enumerate(parts.items()):
+            if i % 2:
+                part.to_parquet(folder / "push" / f"{run}.parquet")
+            else:
+                part.to_csv(folder / "push" / f"{run}.csv", index=False)
+    else:
+        whole = pd.concat([part.assign(run_id=run) for run, part in parts.items()])
+        whole.to_csv(folder / "push.csv", index=False)
+    return folder
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.35])
+def campaign(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("push") / "case"
+    return request.param, write_case(folder, request.param, one_file_a_run=True)
+
+
+def test_level_and_first_peak_are_those_of_the_steps_in_time(campaign):
+    static, folder = campaign
+    measured = assemble(read_case(folder))
+    quantity = measured.rows["quantity"].to_numpy()
+    assert (quantity == LEVEL).sum() == (quantity == PEAK).sum() == 6
+    law = FrictionLaw(MU, {"static_kinetic": {"static_kinetic": static}} if static else {})
+    expected = measured.blocks[0].predict(law, Bench())
+    level = quantity == LEVEL
+    assert measured.y[level] == pytest.approx(
+        expected[level], rel=0.03
+    )  # stick-slip: a mean in time
+    assert measured.y[~level] == pytest.approx(expected[~level], rel=0.3)
+    assert np.all(np.abs(measured.y - expected)[~level] < measured.u[~level])
+
+
+def test_an_impact_does_not_pass_for_a_static_excess(tmp_path):
+    """The peak of a block that slips at its kinetic friction is told by the finger's stiffness."""
+    peaks = {}
+    for static in (0.0, 0.35):
+        measured = assemble(read_case(write_case(tmp_path / str(static), static, False)))
+        plain = measured.blocks[0].predict(FrictionLaw(MU), Bench())
+        own = (measured.rows["quantity"] == PEAK).to_numpy()
+        assert measured.y[own].mean() > 300.0  # a peak there is, in both
+        peaks[static] = ((measured.y - plain) / measured.u)[own].mean()
+    assert abs(peaks[0.0]) < 0.5 and peaks[0.35] > 1.5
+
+
+def test_one_file_a_run_is_read_as_one_table(tmp_path):
+    tables = [
+        read_case(write_case(tmp_path / str(i), 0.0, one_file_a_run)).tables["push"]
+        for i, one_file_a_run in enumerate((True, False))
+    ]
+    first, second = (t.sort_values(["run_id", "t_s"], ignore_index=True) for t in tables)
+    pd.testing.assert_frame_equal(first, second)
+
+
+def test_files_that_belong_to_no_run_are_named(tmp_path):
+    folder = write_case(tmp_path / "case", 0.0, one_file_a_run=True)
+    (folder / "push" / "p0.csv").rename(folder / "push" / "q7.csv")
+    with pytest.raises(BadInput, match=r"push: 'q7' is not in push_runs\.csv"):
+        read_case(folder)
+    (folder / "push" / "q7.csv").rename(folder / "push" / "p1.csv")
+    with pytest.raises(BadInput, match="a run as CSV and as Parquet"):
+        read_case(folder)
+    (folder / "push.csv").write_text("run_id\n")
+    with pytest.raises(BadInput, match=r"both push\.csv and push; only one"):
+        read_case(folder)
+
+
+@pytest.mark.parametrize("board, straight", [("wood", 81), ("other", 67)])
+def test_the_pushes_of_the_published_data_are_near_translations(board, straight):
+    case = read_case(CASES / f"block_on_{board}_board")
+    assert len(case.tables["push_runs"]) == 250
+    measured = assemble(case)
+    levels = measured.rows[measured.rows["quantity"] == LEVEL]
+    assert len(levels) == straight
+    assert set(levels["support"]) == {"whole face", "three points"}
+    ratio = levels["y"] / (1e3 * 1.518 * 9.80665)
+    assert 0.25 < ratio.median() < 0.36

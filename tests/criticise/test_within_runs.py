@@ -1,0 +1,131 @@
+"""What single runs show: an uneven track in (e), the impact in (f)."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from slipstitch.cli.main import main
+from slipstitch.criticise import resimulation
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.protocols.stick_slip import Slider, run
+from slipstitch.criticise.report.verdict_page import gain_words
+from slipstitch.criticise.resimulation import compare
+from slipstitch.criticise.within_runs import _Run, _uneven_track, track_step, within_runs, words
+
+CASES = Path(__file__).parents[2] / "data" / "cases"
+WEIGHT_N = 0.06 * 9.80665
+
+
+def slider_run(seed, uneven, static=0.1):
+    """Slips over a track with waves of 4 to 9 mm, event by event."""
+    random = np.random.default_rng(seed)
+    slider = Slider(0.06, [300.0, 800.0][seed % 2], [2e-4, 1e-3][seed // 2 % 2])
+    waves, phases = random.uniform(4e-3, 9e-3, 4), random.uniform(0, 6.28, 4)
+
+    def kinetic(x):
+        return WEIGHT_N * (0.4 + uneven * np.sin(2 * np.pi * x / waves + phases).sum())
+
+    def held(x, _):
+        return kinetic(x) * (1 + static * random.uniform(0.7, 1.3))
+
+    events = run(slider, held, kinetic, 0.0, 0.02, most=400)
+    level = 0.5 * (events.peak_N + events.trough_N) / WEIGHT_N
+    return _Run(slider, events.place_m, level, 0.5 * (events.peak_N - events.trough_N) / WEIGHT_N)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.02])
+def test_an_uneven_track_is_found_where_there_is_one(uneven):
+    found = _uneven_track([slider_run(seed, uneven) for seed in range(6)])
+    low, high = track_step(found, "track")["step_ci95"]
+    if uneven:
+        assert low > 0 and 0.03 < found["track_sd"] < 0.12
+        assert 0.5 < found["track_length_mm"] < 6.0
+        assert "uneven along the track" in " ".join(words({"spring_slider": found}))
+    else:
+        assert low <= 0 and high < 0.1
+        assert words({"spring_slider": found}) == []
+    assert track_step(found, "static")["step_ci95"][0] > 0
+
+
+def test_paper_on_paper_has_an_uneven_track_beside_its_static_excess():
+    case = read_case(CASES / "paper_on_paper")
+    found = within_runs(case, assemble(case))["spring_slider"]
+    for model in ("run", "static", "inertia", "track"):
+        assert track_step(found, model)["step_ci95"][0] > 0, model
+    assert 0.05 < found["track_sd"] < 0.15 and abs(found["same_place_correlation"]) < 0.2
+
+
+def test_the_first_peak_on_the_boards_is_that_of_the_impact():
+    case = read_case(CASES / "block_on_other_board")
+    found = within_runs(case, assemble(case))["push"]
+    assert found["peak_over_level"] == pytest.approx(1.13, abs=0.02)
+    assert found["impact_alone_over_level"] == pytest.approx(found["peak_over_level"], abs=0.04)
+    assert found["excess_ci95"][0] < 0 < found["excess_ci95"][1]
+    assert "no static excess shows" in " ".join(words({"push": found}))
+
+
+def test_the_page_of_a_real_case_says_what_one_specimen_cannot_tell(tmp_path):
+    text = tmp_path / "page.md"
+    case = CASES / "block_on_other_board"
+    words = ["criticise", str(case), "--out", str(tmp_path / "v.json"), "--replicates", "50"]
+    assert not main([*words, "--report", str(text)])
+    page = text.read_text()
+    assert "“whole face” was measured with one specimen only" in page
+    assert "not cloth" in page and "first peak" in page
+    assert "adhesion (part of the friction" in page
+
+
+def test_a_headline_states_a_gain_only_where_it_is_certain():
+    gain = {"estimate": 0.2, "ci95": [-0.1, 0.5], "rmse_null": 0.2, "rmse_extended": 0.03}
+    assert "no gain is certain" in gain_words(gain | {"n_groups": 9})
+    gain |= {"ci95": [0.1, 0.3], "n_groups": 9}
+    assert "error falls from 20.0 to 3.0 %" in gain_words(gain)
+    assert "error" not in gain_words(gain | {"rmse_null": 0.603, "rmse_extended": 0.574})
+
+
+def test_the_fall_of_an_error_is_never_above_all_of_it():
+    random = np.random.default_rng(4)
+    specimens = np.repeat(list("abcd"), 50)
+    size = np.repeat([1.0, 2.0, 6.0, 1.5], 50)
+    frames = pd.DataFrame({"specimen_id": specimens, "te_x_mm": 0.0})
+    frames["te_x_mm_null"] = size * random.normal(1, 0.1, 200)
+    frames["te_x_mm_extended"] = 0.4 * random.normal(size=200)
+    found = compare(frames, "te_x_mm")
+    low, high = found["gain_ci95"]
+    assert low < found["gain"] < high < 1
+    ratio = np.mean(frames["te_x_mm_extended"] ** 2) / np.mean(frames["te_x_mm_null"] ** 2)
+    assert found["gain"] == pytest.approx(1 - ratio, abs=1e-3)
+
+
+def test_a_run_is_simulated_with_models_that_its_specimen_had_no_part_in(monkeypatch):
+    case = read_case(CASES / "surrogate_anisotropic")
+    every = case.tables["drop_drag_runs"]
+    trained: list[set[str]] = []
+    shown = []
+
+    def judged(training, *_):
+        trained.append(set(training.tables["drop_drag_runs"]["specimen_id"]))
+        known = set(training.tables["drop_drag_runs"]["run_id"])
+        assert set(training.tables["drop_drag"]["run_id"]) == known
+        return {"verdict": "none", "models": {"extended": {"causes": []}}}
+
+    def simulated(part, *_):
+        runs = part.tables["drop_drag_runs"]
+        assert not trained[-1] & set(runs["specimen_id"])
+        shown.extend(runs["run_id"])
+        frames = pd.DataFrame({"specimen_id": runs["specimen_id"]})
+        for quantity in resimulation.QUANTITIES:
+            frames[quantity] = 0.0
+            frames[f"{quantity}_null"], frames[f"{quantity}_extended"] = 2.0, 1.0
+        return resimulation.Resimulation(frames, {"simulations": {}})
+
+    monkeypatch.setattr(resimulation, "analyse", lambda *_: None)
+    monkeypatch.setattr(resimulation, "verdict_of", judged)
+    monkeypatch.setattr(resimulation, "resimulate", simulated)
+    found = resimulation.resimulate_left_out(case, 1, 100).summary
+    assert sorted(shown) == sorted(every["run_id"])
+    assert len(found["folds"]) == len(trained) == every["specimen_id"].nunique() == 6
+    assert found["all"]["gain"] == pytest.approx(0.75)

@@ -1,0 +1,87 @@
+"""``slipstitch capture check`` and ``measure``: cameras outside the poses of the training."""
+
+import numpy as np
+import pytest
+from support import analytic_stage as stage
+
+from slipstitch.catalogue import Viewpoint
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.poses import outside, pose_range, poses_of
+from slipstitch.render.camera import pose
+
+CONFIG = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 6}})
+FAMILY = {
+    "yaw_deg": [-15.0, 15.0],
+    "pitch_deg": [-8.0, 8.0],
+    "roll_deg": [-2.0, 2.0],
+    "log_distance": [-0.2, 0.2],
+}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("check")
+    write_config(CONFIG, folder / "config.json")
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument.card["pose_range"] = FAMILY
+    save_instrument(instrument, folder / "instrument")
+    for name, viewpoint in (
+        ("inside", Viewpoint(52.0, 20.0, 1.5)),
+        ("aside", Viewpoint(65.0, 24.0, 1.4)),
+        ("far", Viewpoint(40.0, 24.0, 2.4)),
+    ):
+        stage.camera_file(stage.lens_camera(*pose(viewpoint)), folder / f"{name}.json")
+    return folder
+
+
+def check(bench, name, *words):
+    model = ["--model", str(bench / "instrument")]
+    return main(["capture", "check", str(bench / f"{name}.json"), *model, *words])
+
+
+def test_a_camera_inside_the_family_is_told_so(bench, capsys):
+    assert check(bench, "inside", "--picture", str(bench / "check.png")) == 0
+    said = capsys.readouterr().out
+    assert "rotated about the vertical: +12 degrees (trained on -15 ... +15)" in said
+    assert "OUTSIDE" not in said
+    assert (bench / "check.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("aside", "rotated about the vertical by 25 degrees"), ("far", "farther, logarithm")],
+)
+def test_a_camera_outside_is_named_and_not_measured_with(bench, capsys, name, problem):
+    assert check(bench, name) == 3
+    assert problem in capsys.readouterr().out
+    words = ["--camera", str(bench / f"{name}.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words]) == 2
+    said = capsys.readouterr().err
+    assert problem in said and "--force measures anyway" in said
+    assert main(["measure", str(bench / "no.mp4"), *words, "--force"]) == 2
+    assert "no.mp4: no such file" in capsys.readouterr().err
+
+
+def test_the_range_is_that_of_the_videos():
+    rows = [{"pose_yaw_deg": -3.0, "pose_log_distance": 0.1}, {"pose_yaw_deg": 4.0}]
+    tested = pose_range(poses_of(rows))
+    assert tested["yaw_deg"] == [-3.0, 4.0] and tested["roll_deg"] == [0.0, 0.0]
+    near = {"yaw_deg": 5.0, "pitch_deg": 0.0, "roll_deg": 0.0, "log_distance": 0.0}
+    assert outside(near, tested) == []
+    assert len(outside(near | {"yaw_deg": 9.0, "roll_deg": -9.0}, tested)) == 2
+
+
+def test_the_pose_reaches_the_network():
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=6)
+    frames = np.random.default_rng(0).integers(0, 255, (6, 32, 32, 3), dtype=np.uint8)
+    answers = {
+        yaw: instrument.measure(frames, pose=np.array([yaw, 0, 0, 0])).distribution[1]
+        for yaw in (0.0, 15.0)
+    }
+    assert np.abs(answers[0.0] - answers[15.0]).max() > 1e-6
+    assert (answers[0.0] == instrument.measure(frames).distribution[1]).all()

@@ -1,0 +1,61 @@
+"""Several videos of a pair: intervals that hold, and outliers that are named."""
+
+import numpy as np
+import pytest
+
+from slipstitch.measure.repeats import HALF_WIDTH, combined
+
+
+def _coverage(shared, own, count, extra=0.0, draws=200):
+    """Share of intervals that hold the truth, and their mean width over that of one video's."""
+    generator = np.random.default_rng(3)
+    half = HALF_WIDTH * np.hypot(shared, own)
+    holds, width = [], []
+    for _ in range(draws):
+        truth = generator.uniform(0.3, 1.0)
+        values = truth + shared * generator.normal()
+        values = values + np.hypot(own, extra) * generator.normal(size=count)
+        result = combined(values, [(value - half, value + half) for value in values])
+        low, high = result.interval_90
+        holds.append(low <= truth <= high)
+        width.append((high - low) / (2 * half))
+    return np.mean(holds), np.mean(width)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize(("shared", "own"), [(0.02, 0.0), (0.014, 0.014), (0.0, 0.02)])
+def test_the_interval_holds_whatever_the_videos_share(shared, own, count):
+    coverage, width = _coverage(shared, own, count)
+    assert coverage >= 0.87
+    # Two videos that disagree say little of their scatter; three are worth one at least.
+    assert width <= (1.3 if count > 2 else 2.6)
+
+
+def test_what_differs_between_videos_averages_out():
+    _, width = _coverage(0.0, 0.02, 10)
+    assert width < 0.6
+
+
+def test_scatter_beyond_the_stated_error_widens_the_interval():
+    coverage, width = _coverage(0.005, 0.005, 5, extra=0.05)
+    assert coverage >= 0.85
+    assert width > 3
+
+
+def test_one_video_is_told_as_it_is():
+    result = combined([0.3], [(0.25, 0.4)])
+    assert result.interval_90 == (0.25, 0.4)
+    assert result.friction_coefficient == 0.3 and np.isnan(result.scatter)
+
+
+def test_a_stray_video_is_named_and_an_ordinary_one_hardly_ever():
+    values = [0.30, 0.31, 0.305, 0.52, 0.298]
+    result = combined(values, [(value - 0.03, value + 0.03) for value in values])
+    assert result.outliers == [3]
+    assert result.friction_coefficient == pytest.approx(np.mean(values))
+    generator = np.random.default_rng(5)
+    named = [
+        bool(combined(v, [(x - 0.03, x + 0.03) for x in v]).outliers)
+        for v in 0.5 + 0.018 * generator.normal(size=(200, 5))
+    ]
+    assert np.mean(named) <= 0.1

@@ -1,0 +1,90 @@
+"""A made-up run published: whole, unfinished, and refused."""
+
+import contextlib
+import json
+import shutil
+
+import pytest
+from support import synthetic_results
+
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.errors import BadInput
+from slipstitch.provenance import file_digest, read_provenance
+from slipstitch.publish.publishing import INDEX, finished_files, publish
+from slipstitch.report.page import write_report
+from slipstitch.sample.manifest import read_manifest
+
+CONFIG = synthetic_results.config()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Every file that a finished run has; weights that are none."""
+    folder = tmp_path_factory.mktemp("results")
+    synthetic_results.write_all(CONFIG, folder)
+    write_report(CONFIG, folder, folder / "report" / "index.html")
+    for name in finished_files(CONFIG):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            path.write_text(f"{name}\n")
+    return folder
+
+
+def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
+    out = tmp_path / "published" / "paper"
+    with contextlib.chdir(run.parent):  # records name files by their path from the working folder
+        index = publish(CONFIG, run.name, out)
+    assert not index["partial"] and index == json.loads((out / INDEX).read_text())
+    there = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert {"metrics.json", "details.json", "predictions.parquet", "index.html"} < there
+    assert there - {INDEX, f"{INDEX}.provenance.json"} == set(index["files"])
+    for name, digest in index["files"].items():
+        assert file_digest(out / name) == digest
+    for name, to in finished_files(CONFIG).items():
+        assert file_digest(out / to) == file_digest(run / name)
+    assert "models/by_video/friction_conditional/seed0/history.csv" in there
+    digests = json.loads((out / "dataset" / "digests.json").read_text())
+    rows, digest = read_manifest(run / "sample")
+    assert (digests["digest"], digests["videos"]) == (digest, len(rows))
+    assert digests["files"] == {
+        path.name: file_digest(path) for path in sorted((run / "sample").glob("m0*.parquet"))
+    }
+    assert not {name for name in there if name.startswith("render")}
+    assert len(read_provenance(out / INDEX)["inputs"]) >= len(finished_files(CONFIG))
+    jobs = {row["stage"]: row["jobs"] for row in json.loads((out / "cost.json").read_text())}
+    assert jobs["simulate"] == 12
+    assert "Partial." not in (out / "index.html").read_text()
+
+
+def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tmp_path, capsys):
+    part = tmp_path / "results"
+    shutil.copytree(run, part)
+    (part / "evaluate" / "details.json").unlink()
+    (part / "captures").mkdir()
+    (part / "captures" / "index.html").write_text(
+        "<html><body class='x'><p>Films</p></body></html>"
+    )
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(part)]
+    words += ["--out-dir", str(tmp_path / "out")]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "not finished: evaluate/details.json is missing (1 of " in said
+    assert "--partial" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert main([*words, "--partial"]) == 0
+    assert "partial: 1 lacking" in capsys.readouterr().out
+    for page in ("index.html", "captures/index.html"):
+        body = (tmp_path / "out" / page).read_text().split("<body", 1)[1]
+        assert body.split("<p", 2)[1].startswith(" style") and "<b>Partial.</b>" in body
+        assert "evaluate/details.json lacking" in body
+    index = json.loads((tmp_path / "out" / INDEX).read_text())
+    assert index["partial"] and index["missing"] == ["evaluate/details.json"]
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    for partial in (False, True):
+        with pytest.raises(BadInput, match="nothing of a run in it"):
+            publish(CONFIG, tmp_path, tmp_path / "out", partial)

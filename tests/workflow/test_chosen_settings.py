@@ -1,0 +1,66 @@
+"""A calibration that chooses other settings than configured: release and audit take its part."""
+
+import json
+
+import pytest
+from support.workflow_copy import Workflow
+
+from slipstitch.provenance import read_provenance
+
+pytestmark = pytest.mark.xdist_group("chosen_settings")
+
+# No push of the strip is solved with the first, so that the calibration takes the second.
+KEY = "newton_iterations_max"
+CONFIGURED, CHOSEN = 2, 30
+CLIP = "m05_f01_r00_t00_v00"
+SCALE = f"""
+grid: {{materials: [gray-interlock], frictions: [0.1, 0.6], replicates: 2}}
+simulation: {{{KEY}: {CONFIGURED}, frames: 24}}
+calibrate:
+  sweep_time_step_s: []
+  sweep_vertices: []
+  sweep_friction_tolerance: []
+  sweep_{KEY}: [{CHOSEN}]
+render: {{viewpoints: [calibrated], textures: [stripes], verified_images: 2}}
+sample: {{frames: 4}}
+"""
+
+
+@pytest.fixture(scope="module")
+def released(tmp_path_factory):
+    workflow = Workflow(tmp_path_factory.mktemp("chosen"), scale="config/smoke.yaml")
+    scale = workflow.project / "config/chosen.yaml"
+    scale.write_text(SCALE)
+    smoke = workflow.project / "config/smoke.yaml"
+    answer = workflow.snakemake("audit", "--configfile", str(smoke), str(scale))
+    assert answer.returncode == 0, answer.stderr[-5000:]
+    return workflow
+
+
+def test_the_simulations_were_told_other_settings_than_configured(released):
+    results = released.folder / "results"
+    config = json.loads((results / "config.json").read_text())
+    assert config["simulation"][KEY] == CONFIGURED
+    trajectories = list((results / "simulate").glob("*.parquet"))
+    assert len(trajectories) == 4
+    for trajectory in trajectories:
+        recorded = read_provenance(trajectory)["config"]["simulation"]
+        assert recorded[KEY] == CHOSEN
+
+
+def test_the_release_is_intact_beside_the_configuration(released):
+    audit = json.loads((released.folder / "results/audit/audit.json").read_text())
+    assert audit["verdict"] == "intact", audit["findings"]
+    words = ("slipstitch", "audit", "results/release", "--config", "results/config.json")
+    answer = released.run(*words)
+    assert answer.returncode == 0, answer.stdout
+
+
+def test_a_clip_is_explained_and_made_again_with_the_chosen_settings(released):
+    answer = released.run("slipstitch", "audit", "results/release", "--explain", CLIP)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "cannot be read" not in answer.stdout
+    assert KEY in answer.stdout
+    answer = released.run("slipstitch", "audit", "results/release", "--rebuild", CLIP)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "bit by bit" in answer.stdout
