@@ -55,6 +55,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
     )
     parser.add_argument(
+        "--power",
+        action="store_true",
+        help="say what the design could show, before it is measured: run tables only are read, "
+        "and --out has the smallest detectable effect of every mechanism",
+    )
+    parser.add_argument(
         "--replicates",
         type=int,
         default=300,
@@ -63,11 +69,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Criticise one case; exit code 0 whatever the verdict."""
+    """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
 
     check_at_least(arguments, seed=0, replicates=50)
+    if arguments.power:
+        from slipstitch.criticise.criticism_files import power_to_file
+
+        case = read_case(arguments.case, with_measurements=False)
+        print(power_to_file(case, arguments.seed, arguments.replicates, arguments.out))
+        return 0
     case = read_case(arguments.case)
     for name in case.ignored_files:
         print(

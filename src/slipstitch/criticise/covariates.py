@@ -21,6 +21,7 @@ class Covariate:
     from_zero : its logarithm is that of 1 + value, since it may be zero.
     trends : it is searched for a trend, a bow and an S-shaped curve.
     bumps : and for bumps at every place.
+    patches : and for patches with sharp edges, of every width.
     waves : orders of the waves that are looked for in an angle.
     cycles : it is searched for cycles of several periods.
     text : it names something; its values have no order.
@@ -33,6 +34,7 @@ class Covariate:
     from_zero: bool = False
     trends: bool = False
     bumps: bool = False
+    patches: bool = False
     waves: tuple[int, ...] = ()
     cycles: bool = False
     text: bool = False
@@ -65,8 +67,24 @@ class Covariate:
 
 
 _ENTRIES = (
-    Covariate("pos_x_mm", "position on the substrate", "mm", trends=True, bumps=True),
-    Covariate("clock_min", "time in the session", "min", trends=True, bumps=True, cycles=True),
+    Covariate(
+        "pos_x_mm",
+        "position on the substrate",
+        "mm",
+        trends=True,
+        bumps=True,
+        patches=True,
+        cycles=True,
+    ),
+    Covariate(
+        "clock_min",
+        "time in the session",
+        "min",
+        trends=True,
+        bumps=True,
+        patches=True,
+        cycles=True,
+    ),
     Covariate("rh_pct", "relative humidity", "%", trends=True, bumps=True),
     Covariate("repeat_index", "earlier slides", trends=True),
     Covariate(

@@ -9,9 +9,10 @@ from typing import Any
 from slipstitch import __version__
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import write_extended_model
-from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
+from slipstitch.criticise.inference.certificate import of_design
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import statement, verdict_of
+from slipstitch.criticise.verdict import certificate, statement, verdict_of
 from slipstitch.provenance import write_json, write_text
 
 
@@ -70,3 +71,15 @@ def criticise_to_files(
     if model_path:
         write_extended_model(verdict, Path(model_path))
     return statement(verdict)
+
+
+def power_to_file(case: Case, seed: int, replicates: int, path: str) -> str:
+    """Write what a design could show as JSON, and say it, a line a mechanism."""
+    design = assemble(case, measured=False)
+    shown = certificate(of_design(design, SIGNIFICANCE, seed, replicates), SIGNIFICANCE)
+    write_json(path, {"case": case.name, "seed": seed, **shown})
+    lines = [f"seen in {100 * shown['power']:.0f} of 100 campaigns like {case.name}, from"]
+    for name, found in shown["smallest_detectable"].items():
+        size = "never" if found["size"] is None else f"{found['size']:.3g} {found['unit']}"
+        lines.append(f"  {name}: {size}")
+    return "\n".join(lines)

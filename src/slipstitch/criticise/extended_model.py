@@ -16,7 +16,8 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     """Friction laws of face and edge, and what departs from the nominal bench and fabric.
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
-    :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``.
+    :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``. A side whose
+    coefficient the data do not tell is left out.
     """
     model = verdict["models"][which]
     values = dict(zip(model["parameters"], model["values"], strict=True))
@@ -31,7 +32,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     laws = {
         side: FrictionLaw(float(np.exp(values[name])), mechanisms).to_dict()
         for side, name in (("face", "mu_face"), ("edge", "mu_edge"))
-        if name in values
+        if name in values and name not in verdict.get("not_identified", {})
     }
     return {
         "case": verdict["case"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS, Bench
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block
+from slipstitch.criticise.sensors import ZEROS, Zero
 from slipstitch.errors import BadInput
 from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw, Parameter
 
@@ -52,6 +54,7 @@ class Measurements:
     rows : one line a feature (see :class:`Block`), with ``protocol``.
     y, u : (n,) measured values and instrument uncertainties.
     run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
+    sound_sensors : no sensor's zero is allowed for.
     implausible : readings or sizes that must be of another unit, a line each.
     """
 
@@ -63,6 +66,7 @@ class Measurements:
     specimen: np.ndarray
     protocol: np.ndarray
     lower_bound: np.ndarray
+    sound_sensors: bool = False
     implausible: tuple[str, ...] = ()
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
@@ -72,13 +76,47 @@ class Measurements:
         names = {block.COEFFICIENT for block in self.blocks}
         return tuple(parameter for parameter in COEFFICIENTS if parameter.name in names)
 
-    def predict(self, values: dict[str, float], causes: tuple[str, ...]) -> np.ndarray:
+    @cached_property
+    def zeros(self) -> list[tuple[str, Zero]]:
+        """(protocol, zero of a sensor) of every column of :attr:`zero_columns`."""
+        if self.sound_sensors:
+            return []
+        return [
+            (block.protocol, ZEROS[name])
+            for block in self.blocks
+            for name in block.READS
+            if name in ZEROS
+        ]
+
+    @cached_property
+    def zero_columns(self) -> np.ndarray:
+        """(n, z) what each zero does to the features when it is one usual size off.
+
+        Sensors add their zeros to what they read: the columns do not depend on the model.
+        """
+        values = {p.name: p.null for p in self.null_parameters}
+        columns = np.zeros((len(self.y), len(self.zeros)))
+        for k, (protocol, zero) in enumerate(self.zeros):
+            ends = [
+                self.predict(values, (), {zero.field: sign * 0.5 * zero.sd * zero.to_si})
+                for sign in (1.0, -1.0)
+            ]
+            columns[:, k] = np.where(self.protocol == protocol, ends[0] - ends[1], 0.0)
+        return np.nan_to_num(columns)
+
+    def predict(
+        self,
+        values: dict[str, float],
+        causes: tuple[str, ...],
+        zeros: dict[str, float] | None = None,
+    ) -> np.ndarray:
         """What the instruments would read, (n,).
 
-        ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters.
+        ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters,
+        ``zeros`` fields of the bench that are off by a sensor's zero.
         """
         mechanisms: dict[str, dict[str, float]] = {}
-        changes: dict[str, float] = {}
+        changes: dict[str, float] = dict(zeros or {})
         for cause in causes:
             mechanism = MECHANISMS[cause]
             own = {p.name: values[p.name] for p in mechanism.parameters}

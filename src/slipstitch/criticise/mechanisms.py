@@ -25,6 +25,11 @@ class Bench:
     reversal; the frame at time t shows the cloth as it was ``time_lag_s`` before; a camera reads
     the true length times ``camera_scale``, a force cell (1 + ``force_gain``) times the force, and
     ``force_offset_N`` more.
+
+    The zeros are of sensors alone and no mechanisms (:mod:`slipstitch.criticise.sensors`): the
+    stage starts ``stage_zero_m`` late and turns ``turn_early_m`` early; a delay is that of a
+    reading behind its stage, a drift is counted from the middle of the session; readings are too
+    large by the others.
     """
 
     mass_error: float = 0.0
@@ -36,6 +41,15 @@ class Bench:
     force_offset_N: float = 0.0
     force_gain: float = 0.0
     time_lag_s: float = 0.0
+    angle_zero_rad: float = 0.0
+    strain_zero: float = 0.0
+    stage_zero_m: float = 0.0
+    turn_early_m: float = 0.0
+    edge_zero_m: float = 0.0
+    contact_zero_m: float = 0.0
+    contact_delay_s: float = 0.0
+    force_delay_s: float = 0.0
+    force_drift_N_h: float = 0.0
 
 
 @dataclass(frozen=True)

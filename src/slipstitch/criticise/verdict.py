@@ -7,9 +7,13 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.identifiability import not_identified
+from slipstitch.criticise.inference.analysis import SIGNIFICANCE, Analysis
+from slipstitch.criticise.inference.certificate import POWER, Detectable
+from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
+from slipstitch.criticise.inference.rivals import TITLES as RIVALS
 from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
@@ -28,6 +32,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     gain = held_out_gain(analysis, candidates[:12] if named else [])
     fitted = chosen.fitted if named and chosen is not None else analysis.null
     left = analysis.left_over or analysis.null_outcome
+    parameters = parameters_with_intervals(analysis, fitted)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -44,7 +49,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
         ],
         "reason": analysis.reason,
-        "parameters": parameters_with_intervals(analysis, fitted),
+        "parameters": parameters,
         "null": {
             "log_score_per_row": round(gain.null_score, 5),
             "rmse": round(gain.rmse_null, 5),
@@ -53,6 +58,12 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),
         "gain": _gain(gain),
+        "not_identified": not_identified(parameters),
+        "certificate": certificate(analysis.detectable, SIGNIFICANCE),
+        "data_findings": [finding.as_dict() for finding in analysis.data_findings],
+        "scatter_findings": scatter_findings(
+            analysis.measurements, analysis.state, fitted.as_dict()
+        ),
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": _ranking(analysis),
         "not_testable": dict(sorted(_untestable(analysis).items())),
@@ -70,6 +81,22 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "ignored_files": list(case.ignored_files),
         "seed": seed,
         "code_version": code_version,
+    }
+
+
+def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
+    """What this design could have seen; sizes are None where nothing would show the mechanism."""
+    return {
+        "false_alarm_rate": limit,
+        "power": POWER,
+        "smallest_detectable": {
+            name: {
+                "parameter": found.parameter,
+                "size": float(f"{found.size:.3g}") if np.isfinite(found.size) else None,
+                "unit": found.unit,
+            }
+            for name, found in sorted(detectable.items())
+        },
     }
 
 
@@ -192,12 +219,21 @@ def _entry(estimate, interval, unit) -> dict:
 
 
 def _model(analysis: Analysis, fitted: Fit) -> dict:
-    """What prediction needs: values, their covariance and the scatter of new specimens."""
+    """What prediction needs: values, their covariance, sensors' zeros, scatter of new specimens.
+
+    Zeros are [value, standard deviation] in units of :attr:`Zero.sd`, by protocol and field.
+    """
+    zeros: dict[str, dict[str, list[float]]] = {}
+    found, covariance = estimated_zeros(analysis.measurements, fitted, analysis.state)
+    for k, (protocol, zero) in enumerate(analysis.measurements.zeros):
+        own = [float(found[k]), float(np.sqrt(covariance[k, k]))]
+        zeros.setdefault(protocol, {})[zero.field] = own
     return {
         "causes": list(fitted.causes),
         "parameters": [p.name for p in fitted.parameters],
         "values": [float(v) for v in fitted.values],
         "covariance": [[float(v) for v in row] for row in fitted.covariance],
+        "zeros": zeros,
         "scatter": {
             protocol: [s.specimen, s.run, s.kappa]
             for protocol, s in plain_scatters(analysis, fitted).items()
@@ -216,7 +252,7 @@ def sentence(verdict: dict) -> str:
     if kind == "none":
         return (
             "Nothing beyond plain Coulomb friction with scatter was found in these measurements "
-            f"(family-wise p = {verdict['null']['global_p']:.2g})."
+            f"(family-wise p = {verdict['null']['global_p']:.2g}).{_scatter(verdict)}"
         )
     if kind == "insufficient":
         return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
@@ -225,7 +261,9 @@ def sentence(verdict: dict) -> str:
         where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
         return f"The model is wrong and no known mechanism explains how{where}."
     if kind == "confounded":
-        rivals = " or ".join(" with ".join(c) for c in verdict["alternatives"])
+        rivals = " or ".join(
+            " with ".join(RIVALS.get(name, name) for name in c) for c in verdict["alternatives"]
+        )
         return (
             f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
         )
@@ -237,3 +275,18 @@ def sentence(verdict: dict) -> str:
         if name not in [coefficient.name for coefficient in COEFFICIENTS]
     )
     return f"The model is wrong because {titles} ({numbers})."
+
+
+def _scatter(verdict: dict) -> str:
+    """What is said of runs that scatter by more than is usual."""
+    found = verdict["scatter_findings"]
+    if not found:
+        return ""
+    first = found[0]
+    names = [COVARIATES[name].title for name in first["record_next"]]
+    record = f": record {', '.join(names)}" if names else ""
+    return (
+        f" But runs of {first['protocol']} scatter by {100 * first['run_scatter']:.2g} % "
+        f"(usual: {100 * first['usual']:.2g} %), for which something may be to blame that was not "
+        f"looked at{record}."
+    )

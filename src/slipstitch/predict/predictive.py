@@ -56,6 +56,11 @@ def _is_model(model: object) -> bool:
         values = np.array(model["values"], dtype=float)
         covariance = np.array(model["covariance"], dtype=float)
         scatter = {key: np.array(value, float) for key, value in model["scatter"].items()}
+        zeros = [
+            np.array(value, dtype=float)
+            for own in model.get("zeros", {}).values()
+            for value in own.values()
+        ]
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return False
     count = len(model["parameters"])
@@ -63,7 +68,11 @@ def _is_model(model: object) -> bool:
         values.shape == (count,)
         and covariance.shape == (count, count)
         and all(value.shape == (3,) for value in scatter.values())
-        and all(np.isfinite(numbers).all() for numbers in (values, covariance, *scatter.values()))
+        and all(value.shape == (2,) for value in zeros)
+        and all(
+            np.isfinite(numbers).all()
+            for numbers in (values, covariance, *scatter.values(), *zeros)
+        )
     )
 
 
@@ -95,6 +104,10 @@ def predict_model(model: dict, design: Measurements) -> tuple[np.ndarray, np.nda
                 covariance[a, b] = full[position[p.name], position[q.name]]
     named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
     mean = design.predict(named, causes)
+    own = model.get("zeros", {})
+    zeros = np.array(
+        [own.get(protocol, {}).get(zero.field, (0.0, 0.0)) for protocol, zero in design.zeros]
+    ).reshape(-1, 2)
     columns = jacobian(design, causes, parameters, values, mean)
     coefficients = [j for j, p in enumerate(parameters) if p.coefficient]
     sensitivity = columns[:, coefficients].sum(axis=1)
@@ -105,5 +118,6 @@ def predict_model(model: dict, design: Measurements) -> tuple[np.ndarray, np.nda
         (scatter[:, 2] * design.u) ** 2
         + sensitivity**2 * (scatter[:, 0] ** 2 + scatter[:, 1] ** 2)
         + np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        + (design.zero_columns**2) @ zeros[:, 1] ** 2
     )
-    return mean, np.sqrt(variance)
+    return mean + design.zero_columns @ zeros[:, 0], np.sqrt(variance)

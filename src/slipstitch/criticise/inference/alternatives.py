@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.inference.covariance import Group
+from slipstitch.criticise.inference.covariance import Group, Scatter
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.generic import generic_shapes
 from slipstitch.criticise.inference.structure import Test
@@ -104,7 +104,7 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
 
 
 def rich_columns(
-    tests: list[Test], group: Group, variance: np.ndarray, fixed: np.ndarray
+    tests: list[Test], group: Group, scatter: Scatter, fixed: np.ndarray
 ) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 
@@ -122,15 +122,15 @@ def rich_columns(
     if not chosen:
         return np.zeros((len(group.index), 0))
     columns = np.column_stack(chosen)
-    factor = np.linalg.cholesky(variance)
-    white = np.linalg.solve(factor, columns)
+    root = group.whitening(scatter)
+    white = root.whiten(columns)
     if fixed.shape[1]:
-        q, _ = np.linalg.qr(np.linalg.solve(factor, fixed))
+        q, _ = np.linalg.qr(root.whiten(fixed))
         projected = white - q @ (q.T @ white)
     else:
         projected = white
     norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
     good = norm > 1e-3 * np.maximum(before, 1e-12)
-    runs = np.trace(group.same_run / group.same_run.sum(axis=0))
+    runs = len(np.unique(group.run))
     expected = EXPECTED_NONCENTRALITY * runs / max(int(good.sum()), 1)
     return columns[:, good] * np.sqrt(expected / norm[good])

@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.optimize import minimize
 
 from slipstitch.criticise.measurements import Measurements
 
@@ -35,22 +33,116 @@ class Scatter:
 class Group:
     """The features of one protocol, as the covariance sees them.
 
-    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu).
+    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu); ``specimen``
+    and ``run`` are numbers.
     """
 
     protocol: str
     index: np.ndarray
     u: np.ndarray
     sensitivity: np.ndarray
-    same_specimen: np.ndarray
-    same_run: np.ndarray
+    specimen: np.ndarray
+    run: np.ndarray
 
     def variance(self, scatter: Scatter) -> np.ndarray:
         """V, (n, n)."""
-        shared = scatter.specimen**2 * self.same_specimen + scatter.run**2 * self.same_run
+        shared = scatter.specimen**2 * (self.specimen[:, None] == self.specimen[None, :])
+        shared = shared + scatter.run**2 * (self.run[:, None] == self.run[None, :])
         v = np.outer(self.sensitivity, self.sensitivity) * shared
         v[np.diag_indices_from(v)] += (scatter.kappa * self.u) ** 2
         return v
+
+    def whitening(self, scatter: Scatter) -> Whitening:
+        """A root of the inverse of :meth:`variance`."""
+        return Whitening(self, scatter)
+
+    def part(self, kept: np.ndarray) -> Group:
+        """The features at some places of this group."""
+        return Group(
+            self.protocol,
+            self.index[kept],
+            self.u[kept],
+            self.sensitivity[kept],
+            self.specimen[kept],
+            self.run[kept],
+        )
+
+
+class Whitening:
+    """W with W'W = V^-1, applied in a time that grows with the features.
+
+    In units of the noise a run adds sigma_r^2 g g' to the identity, and a specimen, seen after
+    that, sigma_s^2 h h'; each is undone by 1 - (1 - (1 + sigma^2 |g|^2)^-1/2) e e' with the unit
+    vector e.
+
+    Attributes
+    ----------
+    noise : (n,) kappa u.
+    run, specimen : (n,) unit vectors, one a run or specimen.
+    run_share, specimen_share : (n,) 1 - (1 + sigma^2 |.|^2)^-1/2 of the feature's own.
+    """
+
+    def __init__(self, group: Group, scatter: Scatter):
+        self.noise = scatter.kappa * group.u
+        self._runs, self._specimens = _Sums(group.run), _Sums(group.specimen)
+        g = group.sensitivity / self.noise
+        self.run, self.run_share, lengthened = _unit(self._runs, g, scatter.run)
+        self.left = g / lengthened
+        self.specimen, self.specimen_share, _ = _unit(self._specimens, self.left, scatter.specimen)
+
+    def _without(self, values, sums: _Sums, unit, share):
+        wide = (slice(None),) + (None,) * (values.ndim - 1)
+        return values - (unit * share)[wide] * sums.spread(unit[wide] * values)
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """W x of the rows of ``values`` (n, ...)."""
+        wide = (slice(None),) + (None,) * (values.ndim - 1)
+        result = self._without(values / self.noise[wide], self._runs, self.run, self.run_share)
+        return self._without(result, self._specimens, self.specimen, self.specimen_share)
+
+    def pull(self, white: np.ndarray) -> np.ndarray:
+        """W' x; of whitened rows it gives V^-1 x."""
+        wide = (slice(None),) + (None,) * (white.ndim - 1)
+        result = self._without(white, self._specimens, self.specimen, self.specimen_share)
+        return self._without(result, self._runs, self.run, self.run_share) / self.noise[wide]
+
+    def information_of_runs(self) -> np.ndarray:
+        """(n,) d' V^-1 d with d the sensitivities of the feature's own run, zero elsewhere."""
+        own = self._runs.spread(self.left**2)
+        along = self._runs.spread(self.specimen * self.left)
+        return own - (1.0 - (1.0 - self.specimen_share) ** 2) * along**2
+
+    def diagonal(self) -> np.ndarray:
+        """(n,) diagonal of V^-1."""
+        in_run = 1.0 - (1.0 - (1.0 - self.run_share) ** 2) * self.run**2
+        along = self.specimen - self.run * self.run_share * self._runs.spread(
+            self.run * self.specimen
+        )
+        in_specimen = (1.0 - (1.0 - self.specimen_share) ** 2) * along**2
+        return (in_run - in_specimen) / self.noise**2
+
+
+class _Sums:
+    """Sums over the features with the same label."""
+
+    def __init__(self, labels: np.ndarray):
+        _, self._of = np.unique(labels, return_inverse=True)
+        self._order = np.argsort(self._of, kind="stable")
+        self._starts = np.flatnonzero(np.diff(self._of[self._order], prepend=-1))
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """The sum of (n, ...) over each label, at every feature of it."""
+        if not len(values):
+            return values
+        return np.add.reduceat(values[self._order], self._starts, axis=0)[self._of]
+
+
+def _unit(sums: _Sums, vector: np.ndarray, sd: float):
+    """Unit vectors along a vector label by label, their shares, and what lengthens them."""
+    squares = sums.spread(vector**2)
+    lengthened = np.sqrt(1.0 + sd**2 * squares)
+    unit = vector / np.sqrt(np.where(squares > 0, squares, 1.0))
+    return unit, 1.0 - 1.0 / lengthened, lengthened
 
 
 def make_groups(
@@ -58,7 +150,6 @@ def make_groups(
 ) -> list[Group]:
     """Groups of the kept features, a group a protocol."""
     groups = []
-    run, specimen = measurements.run, measurements.specimen
     for name in dict.fromkeys(measurements.protocol.tolist()):
         index = np.flatnonzero((measurements.protocol == name) & keep)
         if len(index):
@@ -68,8 +159,8 @@ def make_groups(
                     index,
                     measurements.u[index],
                     sensitivity[index],
-                    (specimen[index][:, None] == specimen[index][None, :]).astype(float),
-                    (run[index][:, None] == run[index][None, :]).astype(float),
+                    measurements.specimen[index],
+                    measurements.run[index],
                 )
             )
     return groups
@@ -83,84 +174,3 @@ def scatter_prior(scatter: Scatter) -> float:
         + np.log(scatter.specimen / (scatter.specimen + 0.015))
         + np.log(scatter.run / (scatter.run + 0.015))
     )
-
-
-def restricted_projection(variance: np.ndarray, fixed: np.ndarray) -> tuple[np.ndarray, float]:
-    """P = M^-1 - M^-1 F (F' M^-1 F)^-1 F' M^-1 and log|M| + log|F' M^-1 F|."""
-    factor = cholesky(variance, lower=True, check_finite=False)
-    inverse = cho_solve((factor, True), np.eye(len(variance)), check_finite=False)
-    logdet = 2 * np.log(np.diag(factor)).sum()
-    if fixed.shape[1] == 0:
-        return inverse, logdet
-    weighted = inverse @ fixed
-    information = fixed.T @ weighted
-    projection = inverse - weighted @ np.linalg.solve(information, weighted.T)
-    return projection, logdet + float(np.linalg.slogdet(information)[1])
-
-
-def restricted_log_likelihood(
-    group: Group, scatter: Scatter, residual: np.ndarray, fixed: np.ndarray, rich: np.ndarray
-) -> float:
-    """REML under a rich model whose effects are shrunken (random with unit prior sd).
-
-    The null would count effects as scatter; the saturated model would explain outliers away.
-    """
-    variance = group.variance(scatter) + rich @ rich.T
-    factor = cholesky(variance, lower=True, check_finite=False)
-    both = solve_triangular(
-        factor, np.column_stack([residual, fixed]), lower=True, check_finite=False
-    )
-    r, f = both[:, 0], both[:, 1:]
-    value = 2 * np.log(np.diag(factor)).sum() + r @ r
-    if f.shape[1]:
-        information = f.T @ f
-        value += np.linalg.slogdet(information)[1] - (f.T @ r) @ np.linalg.solve(
-            information, f.T @ r
-        )
-    return float(-0.5 * value)
-
-
-def estimate_scatter(
-    group: Group,
-    residual: np.ndarray,
-    fixed: np.ndarray,
-    rich: np.ndarray,
-    start: Scatter | None = None,
-) -> Scatter:
-    """REML with a weak prior, by a simplex search."""
-    start = start or Scatter(0.04, 0.03, KAPPA_MEDIAN)
-
-    def unpack(z):
-        s, r = np.clip(np.exp(z[:2]), *SIGMA_LIMITS)
-        return Scatter(float(s), float(r), float(np.clip(np.exp(z[2]), *KAPPA_LIMITS)))
-
-    def cost(z):
-        scatter = unpack(z)
-        try:
-            value = restricted_log_likelihood(group, scatter, residual, fixed, rich)
-        except np.linalg.LinAlgError:
-            return 1e12
-        outside = np.sum(np.maximum(np.abs(z[:2] - np.log(0.03)) - 5.5, 0))
-        outside += max(z[2] - KAPPA_LOG_LIMITS[1], KAPPA_LOG_LIMITS[0] - z[2], 0.0)
-        return -value - scatter_prior(scatter) + 10 * outside
-
-    # Not from a limit: beyond it the likelihood is flat, and the search would stay there.
-    kappa = np.clip(start.kappa, *KAPPA_STARTS)
-    first = np.log([start.specimen, start.run, kappa])
-    simplex = np.vstack([first, first + np.diag([0.5, 0.5, 0.15])])
-    found = minimize(
-        cost,
-        first,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.01, "maxfev": 90},
-    )
-    return unpack(found.x)
-
-
-def scatter_grid(centre: Scatter) -> list[Scatter]:
-    """Scatters around an estimate, among which a bootstrap replicate chooses its own."""
-    steps = np.array([0.4, 0.7, 1.0, 1.35, 1.8])
-    specimen = np.union1d(max(centre.specimen, 0.008) * steps, [centre.specimen])
-    run = np.union1d(max(centre.run, 0.008) * steps, [centre.run])
-    kappas = np.clip(centre.kappa * np.array([0.85, 1.0, 1.18]), *KAPPA_LIMITS)
-    return [Scatter(float(a), float(b), float(k)) for a in specimen for b in run for k in kappas]

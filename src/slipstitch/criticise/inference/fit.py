@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr
 
-from slipstitch.criticise.inference.covariance import Group, Scatter
+from slipstitch.criticise.inference.covariance import Group, Scatter, Whitening
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.friction_law import Parameter
@@ -25,10 +24,12 @@ class Weights:
     """Whitening of the kept, uncensored features and the total sd of those that are bounds."""
 
     groups: list[Group]
-    factors: list[np.ndarray]
+    roots: list[Whitening]
     bounds: np.ndarray
     bound_sd: np.ndarray
     nuisance: np.ndarray | None = None  # orthonormal, whitened; projected out of everything
+    # Zeros of sensors, whitened: directions, and the share of each that they take off.
+    zeros: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
     def build(
@@ -39,38 +40,49 @@ class Weights:
         sensitivity: np.ndarray,
         keep: np.ndarray,
     ) -> Weights:
-        factors = [
-            cholesky(g.variance(scatters[g.protocol]), lower=True, check_finite=False)
-            for g in groups
-        ]
+        roots = [group.whitening(scatters[group.protocol]) for group in groups]
         bounds = np.flatnonzero(measurements.lower_bound & keep)
         sd = np.empty(len(bounds))
         for i, b in enumerate(bounds):
             s = scatters.get(measurements.protocol[b], Scatter(0.05, 0.03, 1.2))
             d = sensitivity[b]
             sd[i] = np.sqrt((s.kappa * measurements.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
-        return cls(groups, factors, bounds, np.maximum(sd, 1e-9))
+        result = cls(groups, roots, bounds, np.maximum(sd, 1e-9))
+        if measurements.zero_columns.shape[1] and groups:
+            # V + Z Z' whitened: (1 + s^2)^-1/2 along each left singular vector of W Z.
+            white = result.whiten(measurements.zero_columns)
+            left, size, _ = np.linalg.svd(white, full_matrices=False)
+            result.zeros = (left, 1.0 - 1.0 / np.sqrt(1.0 + size**2))
+        return result
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """Stacked L^-1 of the groups' rows of ``values`` (n, ...)."""
+        """Stacked roots of V^-1 times the groups' rows of ``values`` (n, ...)."""
         parts = [
-            solve_triangular(f, values[g.index], lower=True, check_finite=False)
-            for g, f in zip(self.groups, self.factors, strict=True)
+            root.whiten(values[group.index])
+            for group, root in zip(self.groups, self.roots, strict=True)
         ]
         return np.concatenate(parts) if parts else np.zeros((0, *values.shape[1:]))
 
     def with_nuisance(self, columns: np.ndarray) -> Weights:
         """The same weights with nuisance columns (n, q) fitted freely and silently."""
-        white = self.whiten(columns)
+        white = self._beside_zeros(self.whiten(columns))
         size = np.linalg.norm(white, axis=0)
         q, _ = np.linalg.qr(white[:, size > 1e-9] / size[size > 1e-9])
-        return Weights(self.groups, self.factors, self.bounds, self.bound_sd, q)
+        return Weights(self.groups, self.roots, self.bounds, self.bound_sd, q, self.zeros)
 
     def projected(self, white: np.ndarray) -> np.ndarray:
         """Whitened rows without what the nuisance columns can carry."""
+        white = self._beside_zeros(white)
         if self.nuisance is None:
             return white
         return white - self.nuisance @ (self.nuisance.T @ white)
+
+    def _beside_zeros(self, white: np.ndarray) -> np.ndarray:
+        if self.zeros is None:
+            return white
+        left, share = self.zeros
+        pulled = left.T @ white
+        return white - left @ (share[:, None] * pulled if white.ndim > 1 else share * pulled)
 
     def residual(self, measurements: Measurements, prediction: np.ndarray) -> np.ndarray:
         """Whitened residuals; a bound adds sqrt(-2 ln P(truth above it))."""

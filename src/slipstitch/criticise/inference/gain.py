@@ -8,10 +8,12 @@ import numpy as np
 from scipy.stats import t as student
 
 from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.inference.covariance import Scatter, estimate_scatter, make_groups
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.findings import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
+from slipstitch.criticise.inference.scatter import estimate_scatter
 from slipstitch.criticise.inference.selection import Candidate
-from slipstitch.criticise.inference.state import State, level_column
+from slipstitch.criticise.inference.state import State, level_column, zeros_of
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     result = {}
     for group in everything:
         fixed = level_column(group, state.sensitivity)
-        nothing = np.zeros((len(group.index), 0))
-        result[group.protocol] = estimate_scatter(group, residual[group.index], fixed, nothing)
+        zeros = zeros_of(m, group)
+        result[group.protocol], _ = estimate_scatter(group, residual[group.index], fixed, zeros)
     return result
 
 
@@ -58,7 +60,7 @@ def _linear(analysis: Analysis, fitted: Fit, parts, extra: int) -> _Linear:
     p = len(fitted.values)
     curvature = np.zeros((len(parts), p, p))
     gradient, squares = np.zeros((len(parts), p)), np.zeros(len(parts))
-    residual = analysis.measurements.y - fitted.prediction
+    residual = without_zeros(analysis.measurements, fitted, analysis.state)
     for i, (index, inverse) in enumerate(parts):
         weighted = inverse @ fitted.jacobian[index]
         curvature[i] = fitted.jacobian[index].T @ weighted
@@ -140,7 +142,7 @@ def _parts(analysis: Analysis, state: State, like: list | None = None):
         specimens = m.specimen[group.index]
         for specimen in np.unique(specimens):
             mine = np.flatnonzero(specimens == specimen)
-            variance = group.variance(state.scatters[group.protocol])[np.ix_(mine, mine)]
+            variance = group.part(mine).variance(state.scatters[group.protocol])
             parts.append((group.index[mine], np.linalg.inv(variance)))
             # Outliers teach nothing but count in the score: a fresh campaign has them too.
             rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
@@ -168,7 +170,7 @@ def _score(analysis: Analysis, fitted: Fit, folded, rows, scatters):
     m, state = analysis.measurements, analysis.state
     _, step, covariance = folded
     columns = fitted.jacobian[rows]
-    error = m.y[rows] - fitted.prediction[rows] - columns @ step
+    error = without_zeros(m, fitted, state)[rows] - columns @ step
     scatter = scatters[m.protocol[rows[0]]]
     d = state.sensitivity[rows]
     variance = (

@@ -1,4 +1,4 @@
-"""Shapes that are in no library: bumps, waves and steps in every recorded covariate.
+"""Shapes that are in no library: bumps, patches, waves and steps in every recorded covariate.
 
 Each is a factor on the friction, so its column is d(feature)/d(ln mu) times the shape.
 """
@@ -13,6 +13,7 @@ import pandas as pd
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 
 FEWEST_RUNS = 4
+MOST_PARTS, MOST_CYCLES = 16, 12.0
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,31 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
                         at = low + centre * (high - low)
                         form = f"a bump at {covariate.plain(at)}"
                         shapes.append(Shape(name, form, bump[:, None], scanned=True))
+        if covariate.patches:
+            shapes += _patches(covariate, z, known, usable, runs, low, high)
     elif len(levels) == 3:
         step = np.where(known, values == levels[1], 0.0).astype(float)
         form = f"a bump at {covariate.plain(levels[1])}"
         shapes.append(Shape(name, form, step[:, None], scanned=True))
+    return shapes
+
+
+def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Shape]:
+    """Top hats of every width that the design resolves, half overlapping."""
+    shapes, parts = [], 2
+    while parts <= MOST_PARTS:
+        width, found = 1.0 / parts, []
+        for left in np.arange(2 * parts - 1) * 0.5 * width:
+            inside = known & (z >= left) & (z <= left + width)
+            if len(set(runs[usable & inside])) >= FEWEST_RUNS:
+                ends = [covariate.plain(low + e * (high - low)) for e in (left, left + width)]
+                form = f"a patch from {ends[0]} to {ends[1]}"
+                column = inside.astype(float)[:, None]
+                found.append(Shape(covariate.name, form, column, scanned=True))
+        if not found:
+            break
+        shapes += found
+        parts *= 2
     return shapes
 
 
@@ -128,7 +150,9 @@ def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
         return []
     span = np.ptp(values[known & usable])
     shapes = []
-    for cycles in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5):
+    # Up to a quarter as many cycles as places: beyond, waves are alike at the places there are.
+    most = min(0.25 * len(_levels(values[known & usable])), MOST_CYCLES)
+    for cycles in np.arange(1.0, max(most, 2.5) + 0.25, 0.5):
         period = span / cycles
         phase = 2 * np.pi * np.where(known, values, 0.0) / period
         wave = np.where(known[:, None], np.column_stack([np.cos(phase), np.sin(phase)]), 0.0)

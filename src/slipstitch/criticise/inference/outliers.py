@@ -7,14 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipstitch.criticise.inference.alternatives import rich_columns
-from slipstitch.criticise.inference.covariance import (
-    Group,
-    estimate_scatter,
-    make_groups,
-    restricted_projection,
-)
+from slipstitch.criticise.inference.covariance import make_groups
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.state import START_SCATTER, State, level_column, state_at
+from slipstitch.criticise.inference.scatter import START_SCATTER, estimate_scatter
+from slipstitch.criticise.inference.state import State, level_column, state_at, zeros_of
 from slipstitch.criticise.measurements import Measurements
 
 OUTLIER_T = 4.2
@@ -104,9 +100,11 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     found: list[tuple[float, Excluded]] = []
     residual = measurements.y - fitted.prediction
     for group in state.groups:
-        scatter = state.scatters[group.protocol]
         fixed = level_column(group, state.sensitivity)
-        rich = rich_columns(state.tests, group, group.variance(scatter), fixed)
+        rich = rich_columns(state.tests, group, START_SCATTER, fixed)
+        rich = np.column_stack([rich, zeros_of(measurements, group)])
+        # Effects would count as scatter, and hide outliers, without columns for them.
+        scatter, _ = estimate_scatter(group, residual[group.index], fixed, rich)
         suspects = _deviations(measurements, group, scatter, rich, residual, state)
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
@@ -117,15 +115,8 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
         kept = np.flatnonzero(~np.isin(group.index, suspicious))
         if len(kept) < 0.6 * len(group.index):
             continue
-        rest = Group(
-            group.protocol,
-            group.index[kept],
-            group.u[kept],
-            group.sensitivity[kept],
-            group.same_specimen[np.ix_(kept, kept)],
-            group.same_run[np.ix_(kept, kept)],
-        )
-        scatter = estimate_scatter(
+        rest = group.part(kept)
+        scatter, _ = estimate_scatter(
             rest, residual[rest.index], level_column(rest, state.sensitivity), rich[kept], scatter
         )
         for t, signed, features, what in _deviations(
@@ -141,17 +132,24 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
 
 def _deviations(measurements, group, scatter, rich, residual, state):
     """(|t|, t, features, what) of every run and of single features, the worst first."""
-    variance = group.variance(scatter)
-    projection, _ = restricted_projection(
-        variance + rich @ rich.T, level_column(group, state.sensitivity)
-    )
-    pulled = projection @ residual[group.index]
+    level = level_column(group, state.sensitivity)
+    root = group.whitening(scatter)
+    columns = np.column_stack([rich, level])
+    white = root.whiten(columns)
+    # Less what rich columns (unit prior sd) and the level (free) take.
+    core = white.T @ white + np.diag(np.r_[np.ones(rich.shape[1]), np.zeros(level.shape[1])])
+    taken = root.pull(white)
+    half = np.linalg.solve(np.linalg.cholesky(core), taken.T).T
+    own = root.pull(root.whiten(residual[group.index]))
+    pulled = own - taken @ np.linalg.solve(core, columns.T @ own)
+    of_runs = root.information_of_runs()
+    of_features = root.diagonal() - (half**2).sum(axis=1)
     runs, d = measurements.run[group.index], group.sensitivity
     quantities = measurements.rows["quantity"].to_numpy()[group.index]
     result = []
     for run in np.unique(runs):
         mine = np.flatnonzero(runs == run)
-        information = d[mine] @ projection[np.ix_(mine, mine)] @ d[mine]
+        information = of_runs[mine[0]] - np.sum((d[mine] @ half[mine]) ** 2)
         worst = 0.0
         if information > 1e-9:
             t = float(d[mine] @ pulled[mine] / np.sqrt(information))
@@ -160,7 +158,7 @@ def _deviations(measurements, group, scatter, rich, residual, state):
         if len(mine) == 1:
             continue
         for i in mine:
-            t = float(pulled[i] / np.sqrt(max(projection[i, i], 1e-12)))
+            t = float(pulled[i] / np.sqrt(max(of_features[i], 1e-12)))
             if abs(t) > worst + 1.0:
                 result.append((abs(t), t, group.index[[i]], f"outlier in {quantities[i]}"))
     return sorted(result, key=lambda item: -item[0])

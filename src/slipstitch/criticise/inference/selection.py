@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.inference.alternatives import alternatives, nuisance_columns
-from slipstitch.criticise.inference.fit import Fit, fit
-from slipstitch.criticise.inference.state import State
-from slipstitch.criticise.inference.structure import Outcome, Test, run_tests
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.ratio import data_ratios
+from slipstitch.criticise.inference.state import Refit, State, refit
+from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 
-# Of the family-wise error.
-ERROR_WEIGHTS = {"mechanism": 0.6, "generic": 0.4}
 PAIR_SIGNIFICANCE = 0.01
 CHANCE_GAIN = 20.0
 
 
 @dataclass
 class Candidate:
-    """A fitted set of causes with its standing: credit over the null, BIC relative to the null."""
+    """A fitted set of causes with its standing: credit over the null, BIC relative to the null.
+
+    The credit is twice the gain in log-likelihood, the scatter refitted in both.
+    """
 
     causes: tuple[str, ...]
     fitted: Fit
     credit: float
     bic: float
+    scatters: dict[str, Scatter]
 
 
 def number_of_runs(measurements: Measurements, keep: np.ndarray) -> int:
@@ -36,36 +40,68 @@ def number_of_runs(measurements: Measurements, keep: np.ndarray) -> int:
     return len(np.unique(measurements.run[keep]))
 
 
-def candidate(
-    measurements: Measurements,
-    state: State,
-    causes: tuple[str, ...],
-    null: Fit,
-    inflation: dict[str, float],
-    start: dict[str, float] | None = None,
-) -> Candidate:
-    """Fit a set of causes and score it against the null (with the same nuisance levels)."""
-    unrecorded = np.zeros(len(measurements.y), bool)
-    for cause in causes:
-        unrecorded |= measurements.unrecorded(cause)
-    weights, base = state.weights, null
-    nuisance = nuisance_columns(measurements, unrecorded & state.keep, state.sensitivity)
-    if nuisance is not None:
-        weights = weights.with_nuisance(nuisance)
-        base = fit(measurements, weights, null.causes, null.as_dict())
-    values = null.as_dict() | (start or {})
-    best = None
-    for first in _starts(causes, start or {}):
-        found = fit(measurements, weights, causes, values | first)
-        if best is None or found.chi2 < best.chi2:
-            best = found
-    largest = max([inflation.get(cause, 1.0) for cause in causes] + [1.0])
-    # The inflation corrects gains by chance, which are small: only the first part is deflated.
-    gained = max(base.chi2 - best.chi2, 0.0)
-    credit = gained - (1.0 - 1.0 / largest) * min(gained, CHANCE_GAIN)
-    extra = len(best.parameters) - len(base.parameters)
-    cost = extra * np.log(max(number_of_runs(measurements, state.keep), 2))
-    return Candidate(causes, best, credit, cost - credit)
+@dataclass
+class Judge:
+    """Fits sets of causes, each with the scatter that suits it, and scores them against the null.
+
+    Attributes
+    ----------
+    keep : (n,) features that are not outliers.
+    null : fit of the null, from which all start.
+    scatters, sensitivity : of the null.
+    inflation : of the mechanisms' test statistics.
+    """
+
+    measurements: Measurements
+    keep: np.ndarray
+    null: Fit
+    scatters: dict[str, Scatter]
+    sensitivity: np.ndarray
+    inflation: dict[str, float]
+    bases: dict[bytes, Refit] = field(default_factory=dict)
+
+    def candidate(self, causes: tuple[str, ...], start: Fit | None = None) -> Candidate:
+        """Fit a set of causes; ``start`` is the fit of a part of them."""
+        m = self.measurements
+        nuisance = self._nuisance(causes)
+        base = self._base(nuisance)
+        known = start.as_dict() if start is not None else {}
+        groups = make_groups(m, self.sensitivity, self.keep & ~m.lower_bound)
+        weights = Weights.build(groups, self.scatters, m, self.sensitivity, self.keep)
+        if nuisance is not None:
+            weights = weights.with_nuisance(nuisance)
+        best = None
+        for first in _starts(causes, known):
+            found = fit(m, weights, causes, self.null.as_dict() | known | first)
+            if best is None or found.chi2 < best.chi2:
+                best = found
+        best = refit(m, self.keep, causes, best, self.scatters, nuisance)
+        largest = max([self.inflation.get(cause, 1.0) for cause in causes] + [1.0])
+        # Inflation corrects gains by chance, which are small: only the first part is deflated.
+        gained = max(2 * (best.log_likelihood - base.log_likelihood), 0.0)
+        credit = gained - (1.0 - 1.0 / largest) * min(gained, CHANCE_GAIN)
+        extra = len(best.fitted.parameters) - len(base.fitted.parameters)
+        cost = extra * np.log(max(number_of_runs(m, self.keep), 2))
+        return Candidate(causes, best.fitted, credit, cost - credit, best.scatters)
+
+    def weights_of(self, causes: tuple[str, ...], state: State) -> Weights:
+        """Weights of a state, free levels where what drives the causes was not recorded."""
+        nuisance = self._nuisance(causes)
+        return state.weights if nuisance is None else state.weights.with_nuisance(nuisance)
+
+    def _nuisance(self, causes: tuple[str, ...]) -> np.ndarray | None:
+        unrecorded = np.zeros(len(self.measurements.y), bool)
+        for cause in causes:
+            unrecorded |= self.measurements.unrecorded(cause)
+        return nuisance_columns(self.measurements, unrecorded & self.keep, self.sensitivity)
+
+    def _base(self, nuisance: np.ndarray | None) -> Refit:
+        key = b"" if nuisance is None else nuisance.tobytes()
+        if key not in self.bases:
+            self.bases[key] = refit(
+                self.measurements, self.keep, self.null.causes, self.null, self.scatters, nuisance
+            )
+        return self.bases[key]
 
 
 def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, float]]:
@@ -79,23 +115,13 @@ def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, 
     return [{k: v for part in parts for k, v in part.items()} for parts in combined]
 
 
-def combined_p(outcome: Outcome) -> float:
-    """Family-wise p over mechanisms and shapes, Bonferroni-weighted between the two."""
-    return float(
-        min(
-            1.0,
-            *(outcome.family_p.get(name, 1.0) / weight for name, weight in ERROR_WEIGHTS.items()),
-        )
-    )
-
-
-def explains(outcome: Outcome, chosen: Candidate, measurements, state) -> bool:
+def explains(outcome: Outcome, chosen: Candidate, measurements, keep) -> bool:
     """Does the chosen model beat the best generic shape (its place or period counted)?
 
     For moderate effects only: the score test of a shape says little far from the null, and a
     shape that beats a strong cause leaves structure behind.
     """
-    runs = np.log(max(number_of_runs(measurements, state.keep), 2))
+    runs = np.log(max(number_of_runs(measurements, keep), 2))
     best = np.inf
     for i, test in enumerate(outcome.tests):
         if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
@@ -115,47 +141,41 @@ def second_is_significant(pair: Candidate, singles: list[Candidate]) -> bool:
     return pair.credit - top.credit > threshold and pair.bic < top.bic
 
 
-def fitted_pairs(measurements, state, base, singles, left, left_state, inflation, rng, most=5):
-    """The most promising pairs, fitted: screened by score tests beside the leading singles."""
+def fitted_pairs(
+    judge: Judge, singles: list[Candidate], left: Outcome, most: int = 5
+) -> list[Candidate]:
+    """The most promising pairs, fitted; screened by ratios beside the leading singles."""
     promise: dict[tuple[str, ...], float] = {}
     testable = {c.causes[0] for c in singles}
 
-    def offer(single, outcome):
-        for i, test in enumerate(outcome.tests):
-            if test.mechanism not in testable or not np.isfinite(outcome.log_p[i]):
-                continue
-            pair = tuple(sorted((single.causes[0], test.mechanism)))
-            promise[pair] = max(promise.get(pair, 0.0), single.credit + outcome.statistic[i])
+    def offer(single, tests, ratios):
+        for test, ratio in zip(tests, ratios, strict=True):
+            if test.mechanism in testable and np.isfinite(ratio):
+                pair = tuple(sorted((single.causes[0], test.mechanism)))
+                promise[pair] = max(promise.get(pair, 0.0), single.credit + ratio)
 
-    offer(singles[0], left)
-    beside_best = sorted(promise, key=lambda pair: -promise[pair])[:6]
-    if combined_p(left) < 0.3:
+    offer(singles[0], left.tests, np.where(np.isfinite(left.log_p), left.statistic, np.nan))
+    beside_best = sorted(promise, key=lambda pair: (-promise[pair], pair))[:6]
+    if left.global_p < 0.3:
         for single in singles[1:4]:
-            other = mechanism_tests(measurements, single.fitted, state)
-            outcome = run_tests(
-                other,
-                single.fitted.jacobian,
-                measurements.y - single.fitted.prediction,
-                state.groups,
-                state.scatters,
-                state.rich,
-                rng,
-                replicates=2,
-            )
-            outcome.statistic = outcome.statistic * outcome.inflation
-            offer(single, outcome)
+            offer(single, *_beside(judge, single))
     else:
         beside_best, most = beside_best[:3], 0
     others = sorted(set(promise) - set(beside_best), key=lambda pair: (-promise[pair], pair))
-    starts = {c.causes[0]: c.fitted.as_dict() for c in singles}
     fitted = []
     for pair in beside_best + others[:most]:
-        first = max(pair, key=lambda name: next(c.credit for c in singles if c.causes[0] == name))
-        fitted.append(candidate(measurements, state, pair, base, inflation, starts[first]))
+        first = max((c for c in singles if c.causes[0] in pair), key=lambda c: c.credit)
+        fitted.append(judge.candidate(pair, first.fitted))
     return sorted(fitted, key=lambda c: c.bic)
 
 
-def mechanism_tests(measurements, fitted, state) -> list[Test]:
-    """Mechanism tests beside another fitted model, at the scatter already known."""
-    found = alternatives(measurements, fitted, state.keep)
-    return [test for test in found.tests if test.family == "mechanism"]
+def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
+    """Tests of all further mechanisms beside a single one, and their likelihood ratios."""
+    m, fitted = judge.measurements, single.fitted
+    found = alternatives(m, fitted, judge.keep)
+    tests = [test for test in found.tests if test.family == "mechanism"]
+    groups = make_groups(m, found.sensitivity, judge.keep & ~m.lower_bound)
+    residual = m.y - fitted.prediction
+    return tests, data_ratios(
+        tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns
+    )

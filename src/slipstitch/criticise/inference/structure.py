@@ -1,27 +1,18 @@
-"""Tests for structure in residuals, their family-wise error by simulating the maximum.
-
-The simulation draws data under the fitted model, estimates the scatter anew in every replicate
-(as was done with the data) and takes the largest statistic over all tests.
-"""
+"""Tests for structure in residuals, and their family-wise error from simulated maxima."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
-from scipy.special import gammaln
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc, gammaln
+from scipy.stats import beta
 
-from slipstitch.criticise.inference.covariance import (
-    Group,
-    Scatter,
-    restricted_projection,
-    scatter_grid,
-    scatter_prior,
-)
-
-IDENTIFIED = 1e-4
+# Of the family-wise error.
+ERROR_WEIGHTS = {"mechanism": 0.6, "generic": 0.4}
+SMALLEST_INFLATION = 0.5
+# A p from simulations is clear of a limit that this interval of it leaves out.
+CLEAR = (0.005, 0.995)
 
 
 @dataclass(frozen=True)
@@ -34,6 +25,7 @@ class Test:
         words) along a ``covariate``.
     scanned : one of a row of shapes that differ by their place or period.
     spanned : its columns are combinations of other tests' columns.
+    protocol : in which it is looked for; None: in all of them together.
     """
 
     columns: np.ndarray
@@ -43,6 +35,7 @@ class Test:
     shape: str = ""
     scanned: bool = False
     spanned: bool = False
+    protocol: str | None = None
 
     @property
     def family(self) -> str:
@@ -55,6 +48,9 @@ class Outcome:
     """Result of a set of tests.
 
     ``statistic`` is divided by ``inflation`` (its simulated mean over the degrees of freedom).
+    ``exceeded`` of the ``replicates`` largest statistics were above the best of each family;
+    ``largest`` are these (-log10 p, in order). ``information`` that the design has of a test's
+    columns, in the direction that it knows least.
     """
 
     tests: list[Test]
@@ -64,12 +60,35 @@ class Outcome:
     log_p: np.ndarray
     adjusted: np.ndarray
     family_p: dict[str, float]
+    exceeded: dict[str, int]
+    replicates: int
+    largest: dict[str, np.ndarray] = field(default_factory=dict)
+    information: np.ndarray | None = None
+
+    @property
+    def global_p(self) -> float:
+        """Family-wise p over mechanisms and shapes, Bonferroni-weighted between the two."""
+        weighted = (self.family_p.get(name, 1.0) / w for name, w in ERROR_WEIGHTS.items())
+        return float(min(1.0, *weighted))
+
+    def is_clear(self, limits: tuple[float, ...]) -> bool:
+        """Would more simulations leave the global p on the same side of all limits?"""
+        name = min(self.family_p, key=lambda n: self.family_p[n] / ERROR_WEIGHTS[n], default=None)
+        if name is None:
+            return True
+        above, count = self.exceeded[name], self.replicates
+        low = beta.ppf(CLEAR[0], above, count - above + 1) if above else 0.0
+        high = beta.ppf(CLEAR[1], above + 1, count - above)
+        if not above and self.family_p[name] < 0.1 / (count + 1):
+            high = 0.0  # far beyond all that was simulated
+        weight = ERROR_WEIGHTS[name]
+        return not any(low <= limit * weight <= high for limit in limits)
 
     def mechanism_inflation(self) -> dict[str, float]:
-        """Largest inflation of every mechanism's tests."""
+        """Largest inflation of every mechanism's tests in all protocols together."""
         result: dict[str, float] = {}
         for test, value in zip(self.tests, self.inflation, strict=True):
-            if test.mechanism is not None:
+            if test.mechanism is not None and test.protocol is None:
                 result[test.mechanism] = max(result.get(test.mechanism, 1.0), float(value))
         return result
 
@@ -83,153 +102,26 @@ class Outcome:
         return max(candidates, key=lambda i: self.log_p[i]) if candidates else None
 
 
-class _Layout:
-    """Which entries of the Gram matrix the tests need, and where they lie in a flat record."""
-
-    def __init__(self, base: int, columns: int, slots: list[tuple[np.ndarray, np.ndarray]]):
-        self.base, self.columns, self.slots = base, columns, slots
-        m = np.arange(columns)
-        rows = [np.repeat(np.arange(base), base), np.repeat(np.arange(base), columns), base + m]
-        cols = [np.tile(np.arange(base), base), np.tile(base + m, base), base + m]
-        position = base * base + base * columns + columns
-        self.blocks: list[tuple[int, np.ndarray] | None] = []
-        for own, nuisance in slots:
-            if len(own) == 1 and not len(nuisance):
-                self.blocks.append(None)
-                continue
-            index = np.concatenate([nuisance, own]).astype(int)
-            rows.append(base + np.repeat(index, len(index)))
-            cols.append(base + np.tile(index, len(index)))
-            self.blocks.append((position, index))
-            position += len(index) ** 2
-        self.rows, self.cols = np.concatenate(rows), np.concatenate(cols)
-        self.size = position
-
-    def take(self, gram: np.ndarray) -> np.ndarray:
-        """The needed entries of one Gram matrix."""
-        return gram[self.rows, self.cols]
-
-    def statistics(self, record: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Score statistics (replicates, tests) and degrees of freedom (by the first replicate)."""
-        k, m, n = self.base, self.columns, len(record)
-        a = record[:, : k * k].reshape(n, k, k)
-        c = record[:, k * k : k * k + k * m].reshape(n, k, m)
-        raw = record[:, k * k + k * m : k * k + k * m + m]
-        size = np.sqrt(np.maximum(np.einsum("bii->bi", a), 1e-300))
-        scaled = a / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(k)
-        w = np.linalg.solve(scaled, c / size[:, :, None]) / size[:, :, None]
-        diagonal = raw - np.einsum("bkm,bkm->bm", c, w)
-        rest = score[:, k:] - np.einsum("bkm,bk->bm", w, score[:, :k])
-        result, degrees = np.zeros((n, len(self.slots))), np.zeros(len(self.slots), int)
-        for t, ((own, nuisance), block) in enumerate(zip(self.slots, self.blocks, strict=True)):
-            if block is None:
-                j = own[0]
-                good = diagonal[:, j] > IDENTIFIED * raw[:, j] + 1e-12
-                result[:, t] = np.where(
-                    good, rest[:, j] ** 2 / np.where(good, diagonal[:, j], 1.0), 0.0
-                )
-                degrees[t] = int(good[0])
-                continue
-            start, index = block
-            width = len(index)
-            inner = record[:, start : start + width**2].reshape(n, width, width)
-            inner = inner - np.einsum("bki,bkj->bij", c[:, :, index], w[:, :, index])
-            free = len(nuisance)
-            both, d_both = _quadratic(inner, rest[:, index], raw[:, index])
-            alone, d_alone = _quadratic(
-                inner[:, :free, :free], rest[:, index[:free]], raw[:, index[:free]]
-            )
-            result[:, t] = np.maximum(both - alone, 0.0)
-            degrees[t] = d_both - d_alone
-        return result, degrees
-
-
-def _quadratic(inner, rest, raw):
-    if not inner.shape[1]:
-        return np.zeros(len(inner)), 0
-    scale = np.sqrt(np.maximum(raw[0], 1e-12))
-    values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
-    good = values > 10 * IDENTIFIED
-    turned = np.einsum("bij,bi->bj", vectors, rest / scale)
-    total = np.where(good, turned**2 / np.where(good, values, 1.0), 0.0).sum(axis=1)
-    return total, int(good[0].sum())
-
-
-def run_tests(
-    tests: list[Test],
-    base: np.ndarray,
-    residual: np.ndarray,
-    groups: list[Group],
-    scatters: dict[str, Scatter],
-    rich: dict[str, np.ndarray],
-    rng: np.random.Generator,
-    replicates: int = 300,
+def outcome_of(
+    tests: list[Test], observed: np.ndarray, simulated: np.ndarray, degrees: np.ndarray
 ) -> Outcome:
-    """Test every alternative given the base columns.
-
-    Parameters
-    ----------
-    base : (n, k) columns of the fitted model (derivatives by its parameters).
-    residual : (n,) measured minus fitted.
-    rich : protocol -> (features of its group, q) shrunken columns of the scatter's estimate.
-    """
-    blocks, slots, position = [base], [], base.shape[1]
-    for test in tests:
-        nuisance = test.nuisance if test.nuisance is not None else np.zeros((len(residual), 0))
-        blocks += [nuisance, test.columns]
-        k, q = nuisance.shape[1], test.columns.shape[1]
-        start = position - base.shape[1]
-        slots.append((np.arange(start + k, start + k + q), np.arange(start, start + k)))
-        position += k + q
-    columns = np.column_stack(blocks)
-    m = columns.shape[1]
-    layout = _Layout(base.shape[1], m - base.shape[1], slots)
-    data_gram, data_score = np.zeros((1, layout.size)), np.zeros((1, m))
-    grams, scores = np.zeros((replicates, layout.size)), np.zeros((replicates, m))
-    for group in groups:
-        z = columns[group.index]
-        scatter = scatters[group.protocol]
-        variance = group.variance(scatter)
-        factor = cholesky(variance, lower=True, check_finite=False)
-        solved = cho_solve((factor, True), z, check_finite=False)
-        data_gram[0] += layout.take(z.T @ solved)
-        data_score[0] += solved.T @ residual[group.index]
-        drawn = factor @ rng.standard_normal((len(group.index), replicates))
-        grid = scatter_grid(scatter)
-        fixed = base[group.index]
-        fixed = fixed[:, np.abs(fixed).max(axis=0, initial=0) > 0]
-        q, r = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))
-        fixed = q[:, np.abs(np.diag(r)) > 1e-6]
-        own = rich[group.protocol]
-        shared = own @ own.T
-        likelihood = np.empty((len(grid), replicates))
-        for i, candidate in enumerate(grid):
-            p, logdet = restricted_projection(group.variance(candidate) + shared, fixed)
-            quadratic = np.einsum("ij,ij->j", drawn, p @ drawn)
-            likelihood[i] = -0.5 * (logdet + quadratic) + scatter_prior(candidate)
-        choice = np.argmax(likelihood, axis=0)
-        for i in np.unique(choice):
-            mine = choice == i
-            factor = cholesky(group.variance(grid[i]), lower=True, check_finite=False)
-            solved = cho_solve((factor, True), z, check_finite=False)
-            grams[mine] += layout.take(z.T @ solved)
-            scores[mine] += drawn[:, mine].T @ solved
-    observed, degrees = layout.statistics(data_gram, data_score)
-    simulated, _ = layout.statistics(grams, scores)
-    observed = observed[0]
+    """Outcome of statistics (tests,) by those of simulated data sets (replicates, tests)."""
+    replicates = len(simulated)
     usable = degrees > 0
     safe = np.maximum(degrees, 1)
-    inflation = np.maximum(simulated.mean(axis=0) / safe, 0.7)
+    inflation = np.maximum(simulated.mean(axis=0) / safe, SMALLEST_INFLATION)
     log_p = _minus_log10(observed / inflation, safe)
     log_null = _minus_log10(simulated / inflation, safe[None, :])
     log_p = np.where(usable, log_p, -np.inf)
     log_null[:, ~usable] = -np.inf
     adjusted = np.ones(len(tests))
     family_p: dict[str, float] = {}
+    exceeded: dict[str, int] = {}
+    maxima: dict[str, np.ndarray] = {}
     for family in dict.fromkeys(test.family for test in tests):
         mine = np.array([test.family == family for test in tests]) & usable
         if not mine.any():
-            family_p[family] = 1.0
+            family_p[family], exceeded[family] = 1.0, replicates
             continue
         largest = np.sort(log_null[:, mine].max(axis=1))
         above = len(largest) - np.searchsorted(largest, log_p[mine] - 1e-12)
@@ -238,8 +130,20 @@ def run_tests(
         count = 10.0 ** np.median(largest) * np.log(2.0)
         tail = np.minimum(1.0, max(count, 1.0) * 3 * 10.0 ** -log_p[mine])
         adjusted[mine] = np.where(above == 0, np.minimum(adjusted[mine], tail), adjusted[mine])
-        family_p[family] = float(adjusted[mine].min())
-    return Outcome(tests, observed / inflation, degrees, inflation, log_p, adjusted, family_p)
+        family_p[family], exceeded[family] = float(adjusted[mine].min()), int(above.min())
+        maxima[family] = largest
+    return Outcome(
+        tests,
+        observed / inflation,
+        degrees,
+        inflation,
+        log_p,
+        adjusted,
+        family_p,
+        exceeded,
+        replicates,
+        maxima,
+    )
 
 
 def _minus_log10(statistic, degrees):
@@ -247,6 +151,6 @@ def _minus_log10(statistic, degrees):
     x, half = np.broadcast_arrays(np.maximum(statistic, 0.0), np.asarray(degrees) / 2.0)
     far = x > 400.0
     with np.errstate(divide="ignore"):
-        exact = chi_square.logsf(np.where(far, 1.0, x), 2 * half)
+        exact = np.log(chdtrc(2 * half, np.where(far, 1.0, x)))
         tail = (half - 1) * np.log(np.maximum(x, 1.0) / 2) - x / 2 - gammaln(half)
     return -np.where(far, tail, exact) / np.log(10.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.mechanisms import Bench
+from slipstitch.criticise.protocols.trace_noise import TraceNoise
 from slipstitch.friction_law import FrictionLaw
 
 USUAL_AREA_M2 = 0.01  # where it was not recorded
@@ -27,9 +28,19 @@ class Block:
     # What a prediction depends on: the coefficient of its friction law, and fields of the bench.
     COEFFICIENT: ClassVar[str] = "mu_face"
     READS: ClassVar[tuple[str, ...]] = tuple(field.name for field in fields(Bench))
+    # Noise of the protocol's sensors as its traces tell it.
+    trace_noises: ClassVar[tuple[TraceNoise, ...]] = ()
 
     protocol: str
     rows: pd.DataFrame
+
+    def hours(self) -> np.ndarray:
+        """(features,) time since the middle of the session; 0 where it was not recorded."""
+        clock = self.rows["clock_min"].to_numpy(float) / 60.0
+        known = np.isfinite(clock)
+        if not known.any():
+            return np.zeros(len(clock))
+        return np.where(known, clock - 0.5 * (clock[known].min() + clock[known].max()), 0.0)
 
     def predict(self, law: FrictionLaw, bench: Bench) -> np.ndarray:
         """What the instrument would read, (features,), in the units of ``y``."""

@@ -20,10 +20,13 @@ from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, numbe
 from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
+    off_ramps,
     pooled_texture,
+    sliding,
     trace_features,
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.trace_noise import noise_of
 from slipstitch.friction_law import Contact, FrictionLaw
 
 PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
@@ -62,6 +65,9 @@ class DragBlock(Block):
         "backlash_m",
         "force_offset_N",
         "force_gain",
+        "stage_zero_m",
+        "force_delay_s",
+        "force_drift_N_h",
     )
 
     at_rest: Contact
@@ -73,6 +79,7 @@ class DragBlock(Block):
     grid_step: np.ndarray
     grid_point: np.ndarray
     ramp_mN: np.ndarray
+    spring_mN_mm: float
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
@@ -91,9 +98,12 @@ class DragBlock(Block):
         seen = sampled(seen, self.grid_step, self.grid_point)
         result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
         relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
+        late_mm = bench.force_delay_s * 1e3 * np.nan_to_num(self.in_motion.speed_m_s)
+        relaxed = relaxed - (1e3 * bench.stage_zero_m + late_mm) * self.spring_mN_mm
         result = np.where(quantity == "relaxed_mN", relaxed, result)
+        result = result + 1e3 * bench.force_drift_N_h * self.hours()
         result = np.where(quantity == "stiffness", 1.0 + bench.force_gain, result)
-        return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m, result)
+        return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m + late_mm, result)
 
 
 def features(tables, nominal, measured) -> DragBlock | None:
@@ -105,7 +115,7 @@ def features(tables, nominal, measured) -> DragBlock | None:
     common["area_m2"] = runs["area_cm2"].to_numpy(float) * 1e-4
     common["added_kg"] = runs["added_mass_g"].to_numpy(float) * 1e-3
     common["u_mN"] = runs["u_force_mN"].to_numpy(float)
-    lines = []
+    lines, noises = [], ()
     if traces is None:
         for i in range(len(runs)):
             for quantity in DESIGN_QUANTITIES:
@@ -120,9 +130,15 @@ def features(tables, nominal, measured) -> DragBlock | None:
         pairs = [
             (strokes.get((run, 0), none), strokes.get((run, 1), none)) for run in runs["run_id"]
         ]
+        of_ramps = [off_ramps(*pair) / u for pair, u in zip(pairs, common["u_mN"], strict=True)]
+        noises = (noise_of("force cell", "force_mN", of_ramps, robust=False),)
+        common["u_mN"] *= noises[0].allowance
         plateaus, steps = [], []
         for (out, _), u in zip(pairs, common["u_mN"], strict=True):
-            force = out["force_mN"].to_numpy()[len(out) // 3 :]
+            if not len(out):
+                continue
+            force, x = out["force_mN"].to_numpy(), out["x_stage_mm"].to_numpy()
+            force = force[sliding(x, force, spring)]
             if len(force):
                 plateaus.append((force, u, float(np.median(force))))
                 steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
@@ -154,7 +170,7 @@ def features(tables, nominal, measured) -> DragBlock | None:
     at_rest = Contact(dwell_s=dwell.astype(float), **contact)
     in_motion = Contact(speed_m_s=speed * 1e-3, **contact)
     rows["load_ratio"] = at_rest.load_ratio()
-    return DragBlock(
+    block = DragBlock(
         "drag",
         rows,
         at_rest,
@@ -166,7 +182,10 @@ def features(tables, nominal, measured) -> DragBlock | None:
         np.array([feature.grid_step for feature in found]),
         np.array([feature.grid_point for feature in found]),
         np.array([feature.ramp_mN for feature in found]),
+        nominal["k_tether_N_m"],
     )
+    block.trace_noises = noises
+    return block
 
 
 DRAG = Protocol(

@@ -12,6 +12,10 @@ import numpy as np
 import pandas as pd
 
 DEPARTURE_NOISES = 4.0
+TEXTURE_ROUNDS = 4
+FEWEST_OF_FALL = 5
+# Of the way left after the slip, which the force takes to settle.
+SETTLED_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,14 @@ def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: flo
 
     Raw autocovariances are summed and divided by the summed squares of the levels, so that weak
     runs, all noise, do not count. The white part (instrument noise) is left out: the lags from 1
-    on are fitted by an exponential. The mean's own variance is given back.
+    on are fitted by an exponential. Taken about each plateau's own mean, they are all too small by
+    the variance of that mean, which the fitted texture tells: it is given back until both agree.
     """
     longest = max((len(readings) for readings, _, _ in plateaus), default=0)
     lags = int(min(max(longest // 3, 2), 80))
-    total, weight, span = np.zeros(lags), np.zeros(lags), 0.0
+    total, weight = np.zeros(lags), np.zeros(lags)
     white = 0.0
+    spans: list[tuple[float, float]] = []
     for readings, u, level in plateaus:
         count = len(readings)
         if count < 3 * 4:
@@ -50,25 +56,34 @@ def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: flo
             total[lag] += residual[: count - lag] @ residual[lag:]
             weight[lag] += (count - lag) * level**2
         white += count * (1.5 * u) ** 4
-        span = max(span, count * step_mm)
-    if weight[0] == 0 or lags < 3:
+        spans.append((count * step_mm, count * level**2))
+    if not spans or weight[0] == 0 or lags < 3:
         return Texture(0.0, 1.0)
-    covariance = np.divide(total, weight, out=np.zeros(lags), where=weight > 0)
+    biased = np.divide(total, weight, out=np.zeros(lags), where=weight > 0)
     doubt = 3.0 * np.sqrt(white) / weight[0]
-    if covariance[1] <= doubt:
+    if biased[1] <= doubt:
         return Texture(0.0, 1.0)
+    texture, span, share = Texture(0.0, 1.0), *np.array(spans).T
+    for _ in range(TEXTURE_ROUNDS):
+        of_means = [texture.mean_sd(1.0, length) ** 2 for length in span]
+        covariance = biased + np.average(of_means, weights=share)
+        texture = _exponential(covariance, doubt, step_mm, float(span.max()))
+    return texture
+
+
+def _exponential(covariance: np.ndarray, doubt: float, step_mm: float, span_mm: float) -> Texture:
+    """The exponential through the lags from 1 on, to where they fall below a quarter."""
     below = np.flatnonzero(covariance[1:] < max(0.25 * covariance[1], doubt))
-    last = int(below[0]) + 1 if len(below) else lags
+    last = int(below[0]) + 1 if len(below) else len(covariance)
     used = np.arange(1, max(last, 3))
     used = used[covariance[used] > 0]
     if len(used) >= 2:
         slope, intercept = np.polyfit(used, np.log(covariance[used]), 1)
-        slope = min(slope, -1e-3)
+        slope = min(slope, -step_mm / span_mm)
     else:  # gone within two samples
         slope, intercept = -1.5, np.log(covariance[1]) + 1.5
-    length = float(-step_mm / slope)
-    variance = np.exp(intercept) * (1.0 + 2.0 * length / max(span, length))
-    return Texture(float(np.sqrt(min(variance, 2.0 * covariance[0]))), length)
+    variance = min(np.exp(intercept), 2.0 * covariance[0])
+    return Texture(float(np.sqrt(variance)), float(-step_mm / slope))
 
 
 @dataclass(frozen=True)
@@ -80,6 +95,45 @@ class Feature:
     grid_step: float = 0.0
     grid_point: float = 0.0
     ramp_mN: float = 0.0
+
+
+def sliding(x_mm: np.ndarray, force_mN: np.ndarray, spring_mN_mm: float) -> np.ndarray:
+    """(n,) True well after the slip: the ramp of the loading spring is no texture."""
+    x = np.abs(x_mm - x_mm[0])
+    level = float(np.median(force_mN[len(force_mN) // 2 :]))
+    slipped = max(level, 0.0) / spring_mN_mm
+    return x > slipped + SETTLED_SHARE * max(x[-1] - slipped, 0.0)
+
+
+def off_ramps(out: pd.DataFrame, back: pd.DataFrame) -> np.ndarray:
+    """Deviations of both strokes' ramps from their lines, (n,), each worth one reading's noise."""
+    found = []
+    for stroke in (out, back):
+        x, force = stroke["x_stage_mm"].to_numpy(), stroke["force_mN"].to_numpy()
+        if len(x) < 8:
+            continue
+        risen = np.abs(force - force[0])
+        # Between a late start and the slip, for which the force is taken at its least.
+        level = float(np.median(risen[len(risen) // 2 :]))
+        low, high = (_first_lasting(risen > share * level) for share in (0.15, 0.6))
+        if low is None or high is None or high - low < 4:
+            continue
+        line = np.polynomial.Polynomial.fit(x[low:high], force[low:high], 1)
+        off = force[low:high] - line(x[low:high])
+        found.append(off * np.sqrt(len(off) / (len(off) - 2)))
+    return np.concatenate([np.zeros(0), *found])
+
+
+def _late_ramp(x, force, level, threshold, spring_mN_mm) -> np.ndarray | None:
+    """Indices of the ramp if the force stayed flat before it; None if it rose at once."""
+    low = _first_lasting(force > force[:2].mean() + threshold)
+    high = _first_lasting(force > 0.6 * level)
+    if low is None or high is None or low < 2:
+        return None
+    ramp = np.arange(low, max(high, low + 1))
+    offset = np.mean(force[ramp] - spring_mN_mm * x[ramp])
+    before = force[: low - 1] - offset - spring_mN_mm * x[: low - 1]
+    return ramp if before.mean() > threshold else None
 
 
 def trace_features(
@@ -103,6 +157,8 @@ def trace_features(
     slope, offset = spring_mN_mm, 0.0
     ramp = x < 0.6 * max(level, 2 * threshold) / spring_mN_mm
     ramp &= np.arange(len(x)) < max(2 * ramp.sum(), 2)
+    late = _late_ramp(x, force, level, threshold, spring_mN_mm)
+    ramp = ramp if late is None else np.isin(np.arange(len(x)), late)
     excess = force[ramp] - spring_mN_mm * x[ramp]
     centre = x[ramp].mean()
     spread = float(((x[ramp] - centre) ** 2).sum())
@@ -136,7 +192,7 @@ def trace_features(
         float(offset + slope * x[first]),
     )
     reach = x[-1] - x[first]
-    settled = x > x[first] + max(2 * texture.length_mm, 3 * step, 0.1 * reach)
+    settled = x > x[first] + max(2 * texture.length_mm, 3 * step, SETTLED_SHARE * reach)
     if settled.sum() >= 5:
         features["force_plateau_mN"] = _plateau(x[settled], force[settled], u, texture)
     if len(back) >= 8 and "force_plateau_mN" in features:
@@ -171,23 +227,33 @@ def _reversal(out, back, slope, u, texture, level) -> dict[str, Feature]:
         return features
     reach = travel[-1] - travel[crossing]
     settled = travel > travel[crossing] + 2 * half / slope + max(
-        2 * texture.length_mm, 3 * step, 0.1 * reach
+        2 * texture.length_mm, 3 * step, SETTLED_SHARE * reach
     )
     if settled.sum() >= 5:
         features["force_back_plateau_mN"] = _plateau(travel[settled], force[settled], u, texture)
     samples = 2 * half / (slope * step)
     falling = np.abs(force - middle) < 0.75 * half
     falling &= np.abs(np.arange(len(force)) - crossing) <= samples
-    if samples < 5 or falling.sum() < 3:
-        return features
+    # A fall of few samples says where motion was lost by its level alone.
+    few = samples < FEWEST_OF_FALL or falling.sum() < 3
+    if few:
+        falling = np.isin(np.arange(len(force)), [crossing - 1, crossing])
+        falling &= (force < start) & (force > late)
+        if not falling.any():
+            return features
     along, drop = travel[falling], force[falling]
     centre, spread = along.mean(), float(((along - along.mean()) ** 2).sum())
-    if len(along) >= 5:  # the fall's own slope: over its length a small error of it adds up
+    own_slope = not few and len(along) >= 5
+    if own_slope:  # the fall's own slope: over its length a small error of it adds up
         slope = -float(((along - centre) * drop).sum() / spread)
     lost = float(centre + (drop.mean() - start) / slope)
-    own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if len(along) >= 5 else 0.0)
+    own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if own_slope else 0.0)
     error = np.sqrt(u**2 * own + start_error**2) / slope
+    if few:  # the samples on the fall are on it by chance
+        error = np.hypot(error, step / np.sqrt(12))
     features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
+    if few:
+        return features
     line = start - slope * (travel - lost)
     away = (force - line > DEPARTURE_NOISES * u) & (np.arange(len(force)) > crossing)
     first = _first_lasting(away)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,11 @@ from slipstitch.criticise.protocols.block import (
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
 from slipstitch.friction_law import Contact
 
+# A stage that turns early stands still while its reading goes on.
+TURN_MARGIN_MM = 5.0
 MOTION_NOISES = 5.0
 USUAL_STEADY_STAGE_MM = 200.0
 DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
@@ -37,6 +41,11 @@ class DropDragBlock(Block):
         "tilt_across_rad",
         "camera_scale",
         "time_lag_s",
+        "stage_zero_m",
+        "turn_early_m",
+        "edge_zero_m",
+        "contact_zero_m",
+        "contact_delay_s",
     )
 
     run: np.ndarray
@@ -70,19 +79,22 @@ class DropDragBlock(Block):
         lag = 1e3 * (distance - rest_distance)
         slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
         scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
-        late = np.where(np.isnan(late), 0.0, late)
-        edge_mm = scale * (self.stage_mm - lag - late)
+        start_mm, edge_zero = 1e3 * bench.stage_zero_m, 1e3 * bench.edge_zero_m
+        contact_zero = 1e3 * bench.contact_zero_m
+        late = np.where(np.isnan(late), 0.0, late) + start_mm
+        edge_mm = scale * (self.stage_mm - lag - late) + edge_zero
+        turn_mm = self.turn_mm - start_mm - 1e3 * bench.turn_early_m
         jump = (slip - lag) * scale
         values = {
             "lag_mm": self.stage_mm - edge_mm,
             "edge_slope": np.full(n, scale),
-            "contact_len_mm": 1e3 * contact * scale,
+            "contact_len_mm": 1e3 * contact * scale + contact_zero,
             "first_motion_mm": sampled(
                 slip + late + np.maximum(self.threshold_mm - jump, 0.0) / scale,
                 self.grid_mm[:, 0],
                 self.grid_mm[:, 1],
             ),
-            "edge_at_turn_mm": scale * (self.turn_mm - lag),
+            "edge_at_turn_mm": scale * (turn_mm - lag) + edge_zero,
         }
         result = np.empty(len(self.rows))
         quantity = self.rows["quantity"].to_numpy()
@@ -91,6 +103,7 @@ class DropDragBlock(Block):
             result[here] = value[self.run[here]]
         here = np.flatnonzero(quantity == "stuck_contact_mm")
         if len(here):
+            behind = late + np.nan_to_num(bench.contact_delay_s * self.speed_mm_s)
             set_up, which = np.unique(
                 np.column_stack([self.height_m, tilt.round(12)]), axis=0, return_inverse=True
             )
@@ -106,13 +119,13 @@ class DropDragBlock(Block):
             advance, flat = self.path[1]
             for i in here:
                 r = self.run[i]
-                since = 1e-3 * np.maximum(self.stuck_mm[r] - late[r], 0.0)
+                since = 1e-3 * np.maximum(self.stuck_mm[r] - behind[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
-                result[i] = 1e3 * scale * (stuck.sum() / len(stuck))
+                result[i] = 1e3 * scale * (stuck.sum() / len(stuck)) + contact_zero
         return result
 
 
-def _frames(frames: pd.DataFrame, u: float) -> tuple[dict, dict]:
+def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dict]:
     """Features of one run and the numbers that their forward model needs."""
     features: dict[str, tuple[float, float]] = {}
     setting = {
@@ -142,8 +155,8 @@ def _frames(frames: pd.DataFrame, u: float) -> tuple[dict, dict]:
         setting["grid"] = (x[first] - x[first - 1], x[first])
         if stuck.any():
             setting["stuck"] = x[stuck]
-            features["stuck_contact_mm"] = (contact[stuck].mean(), u / np.sqrt(stuck.sum()))
-    steady = x > x[first] + 0.15 * (x[-1] - x[first])
+            features["stuck_contact_mm"] = (contact[stuck].mean(), u_contact / np.sqrt(stuck.sum()))
+    steady = (x > x[first] + 0.15 * (x[-1] - x[first])) & (x < x[-1] - TURN_MARGIN_MM)
     if steady.sum() >= 4:
         xs, ts = x[steady], te[steady]
         centre = xs.mean()
@@ -152,7 +165,7 @@ def _frames(frames: pd.DataFrame, u: float) -> tuple[dict, dict]:
         setting["stage"] = float(centre)
         features["lag_mm"] = (float(centre - ts.mean()), u / np.sqrt(len(xs)))
         features["edge_slope"] = (slope, u / np.sqrt(spread))
-        features["contact_len_mm"] = (float(contact[steady].mean()), u / np.sqrt(len(xs)))
+        features["contact_len_mm"] = (float(contact[steady].mean()), u_contact / np.sqrt(len(xs)))
         lag = centre - ts.mean()
         back = frames[frames["phase"] == "rev"].sort_values("x_stage_mm", kind="stable")[::-1]
         xb, tb = back["x_stage_mm"].to_numpy(), back["te_x_mm"].to_numpy()
@@ -165,6 +178,14 @@ def _frames(frames: pd.DataFrame, u: float) -> tuple[dict, dict]:
                 float(np.hypot(u / np.sqrt(early.sum()), turn_error)),
             )
     return features, setting
+
+
+def _deviations(parts, runs, column: str, u_pos: np.ndarray) -> Iterator[np.ndarray]:
+    """Deviations of a column from its neighbours on the way out, over the stated uncertainty."""
+    for run, u in zip(runs, u_pos, strict=True):
+        if run in parts:
+            out = parts[run][parts[run]["phase"] == "fwd"].sort_values("x_stage_mm", kind="stable")
+            yield off_neighbours(out["x_stage_mm"].to_numpy(), out[column].to_numpy()) / u
 
 
 def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
@@ -195,6 +216,11 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     u_pos = runs["u_pos_mm"].to_numpy(float)
     lines, settings = [], []
     parts = dict(list(frames.groupby("run_id", sort=False))) if frames is not None else {}
+    noises = tuple(
+        noise_of(sensor, column, _deviations(parts, runs["run_id"], column, u_pos))
+        for sensor, column in (("edge camera", "te_x_mm"), ("contact camera", "contact_len_mm"))
+    )
+    u_edge, u_contact = (u_pos * noise.allowance for noise in noises)
     for i, run in enumerate(runs["run_id"]):
         if frames is None:
             found = dict.fromkeys(DESIGN_QUANTITIES, (np.nan, u_pos[i] / 4))
@@ -206,7 +232,7 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
                 "grid": (0.0, 0.0),
             }
         else:
-            found, setting = _frames(parts[run], u_pos[i])
+            found, setting = _frames(parts[run], u_edge[i], u_contact[i])
         settings.append(setting)
         lines += [(i, quantity, *value) for quantity, value in found.items()]
     if not lines:
@@ -219,7 +245,7 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     contact = {"normal_force_N": np.nan, **conditions_of(common)}
     weight = nominal["rho_kg_m2"] * GRAVITY_M_S2
     rows["load_ratio"] = weight / 50.0
-    return DropDragBlock(
+    block = DropDragBlock(
         "drop_drag",
         rows,
         index,
@@ -237,6 +263,8 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
         [setting["stuck"] for setting in settings],
         np.array([setting["grid"] for setting in settings], dtype=float),
     )
+    block.trace_noises = noises
+    return block
 
 
 DROP_DRAG = Protocol(

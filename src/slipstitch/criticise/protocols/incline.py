@@ -57,7 +57,7 @@ def reading_deg(slope_rad: np.ndarray, tilt_downhill_rad: np.ndarray | float) ->
 class InclineBlock(Block):
     """Slip angles; ``contact`` and masses per row."""
 
-    READS = ("mass_error", "tilt_along_rad", "tilt_across_rad")
+    READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "angle_zero_rad")
 
     contact: Contact
     areal_mass_kg_m2: float
@@ -68,7 +68,7 @@ class InclineBlock(Block):
         mass = self.areal_mass_kg_m2 * (1 + bench.mass_error) * self.area_m2 + self.added_mass_kg
         slope = slip_angle_rad(law, mass * GRAVITY_M_S2, self.contact)
         tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
-        return reading_deg(slope, tilt)
+        return reading_deg(slope, tilt) + np.degrees(bench.angle_zero_rad)
 
 
 def features(tables, nominal, measured) -> InclineBlock:

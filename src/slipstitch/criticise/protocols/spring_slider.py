@@ -26,6 +26,7 @@ from slipstitch.criticise.protocols.block import (
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
+from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
 from slipstitch.friction_law import Contact
 
 LEVEL, SWING, FIRST_SWING = "slider_level_mN", "slider_swing_mN", "slider_first_swing_mN"
@@ -50,7 +51,14 @@ INERTIAL_ERROR = 0.3
 class SpringSliderBlock(Block):
     """Spring-slider features; contacts at rest and in motion per row."""
 
-    READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "force_offset_N", "force_gain")
+    READS = (
+        "mass_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "force_offset_N",
+        "force_gain",
+        "force_drift_N_h",
+    )
 
     at_rest: Contact
     in_motion: Contact
@@ -71,7 +79,8 @@ class SpringSliderBlock(Block):
         level = cycle.level_N - load * np.sin(tilt)
         gain = 1e3 * (1 + bench.force_gain)
         result = np.where(quantity == SWING, gain * cycle.swing_N, gain * cycle.first_swing_N)
-        return np.where(quantity == LEVEL, gain * level + 1e3 * bench.force_offset_N, result)
+        offset = 1e3 * (bench.force_offset_N + bench.force_drift_N_h * self.hours())
+        return np.where(quantity == LEVEL, gain * level + offset, result)
 
 
 @dataclass(frozen=True)
@@ -191,8 +200,7 @@ def _features(
 ) -> list[tuple]:
     """(run, quantity, value, uncertainty) of every run; uncertainties are pooled over runs.
 
-    The less a slider sticks between its slips, the more an uneven track and damping change its
-    swing.
+    The less a slider sticks between its slips, the more damping changes its swing.
     """
     good = [r for r in readings if r is not None]
     slipping = [r for r in good if len(r.slips.half_mN) >= 3]
@@ -209,7 +217,10 @@ def _features(
             continue
         u, blocks = u_mN[i], middles[id(reading)]
         level = float(blocks.mean())
-        doubt = np.hypot(INERTIAL_ERROR * inertial_mN[i], uneven * level)
+        # A track as uneven as the slips' middles makes drops of its own, at no excess at rest.
+        of_track = uneven * level
+        inertial = INERTIAL_ERROR * inertial_mN[i]
+        doubt = np.hypot(inertial, of_track)
         error = np.hypot(level * level_sd, u) / np.sqrt(len(blocks))
         lines.append((i, LEVEL, level, float(error)))
         # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
@@ -220,7 +231,8 @@ def _features(
             error = np.hypot(
                 half * half_sd * of_mean, 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
             )
-            error = np.hypot(error, doubt * min(inertial_mN[i] / max(half, 1e-9), 1.0))
+            error = np.hypot(error, inertial * min(inertial_mN[i] / max(half, 1e-9), 1.0))
+            error = np.hypot(error, of_track)
             lines.append((i, SWING, half, float(error)))
         elif not len(reading.slips.half_mN):
             # Damping lets the swing of a slider that does not stick die out altogether.
@@ -228,7 +240,8 @@ def _features(
         if reading.first_half_mN is not None:
             first = reading.first_half_mN - reading.bias_mN
             error = np.hypot(single_sd * first, u)
-            error = np.hypot(error, doubt * min(inertial_mN[i] / max(first, 1e-9), 1.0))
+            error = np.hypot(error, inertial * min(inertial_mN[i] / max(first, 1e-9), 1.0))
+            error = np.hypot(error, of_track)
             lines.append((i, FIRST_SWING, float(first), float(error)))
         elif reading.first_unseen:
             lines.append((i, FIRST_SWING, *unseen))
@@ -250,10 +263,20 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     spring = runs["spring_N_m"].to_numpy(float)
     speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
+    noises: tuple[TraceNoise, ...] = ()
     if traces is None:
         lines = [(i, q, np.nan, u[i]) for i in range(len(runs)) for q in DESIGN_QUANTITIES]
     else:
         parts = dict(list(traces.groupby("run_id", sort=False)))
+        of_traces = (
+            off_neighbours(
+                *parts[run].sort_values("t_s", kind="stable")[["t_s", "force_mN"]].to_numpy(float).T
+            )
+            / u[i]
+            for i, run in enumerate(runs["run_id"])
+        )
+        noises = (noise_of("force cell", "force_mN", of_traces),)
+        u = u * noises[0].allowance
         readings = [
             _read(parts[run], Slider(mass[i], spring[i], speed[i]), u[i])
             for i, run in enumerate(runs["run_id"])
@@ -277,7 +300,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     rows["dwell_s"] = np.where(first, rows["dwell_s"], np.where(static, stick, np.nan))
     rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
     rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)
-    return SpringSliderBlock(
+    block = SpringSliderBlock(
         "spring_slider",
         rows,
         at_rest,
@@ -287,6 +310,8 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         spring[index],
         speed[index],
     )
+    block.trace_noises = noises
+    return block
 
 
 SPRING_SLIDER = Protocol(

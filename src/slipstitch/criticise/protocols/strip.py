@@ -105,7 +105,14 @@ class StripBlock(Block):
     """Slip strains; the strip's stiffness, weight and edge per row."""
 
     COEFFICIENT = "mu_edge"
-    READS = ("mass_error", "bending_error", "tilt_along_rad", "tilt_across_rad", "camera_scale")
+    READS = (
+        "mass_error",
+        "bending_error",
+        "tilt_along_rad",
+        "tilt_across_rad",
+        "camera_scale",
+        "strain_zero",
+    )
 
     contact: Contact
     areal_mass_kg_m2: np.ndarray
@@ -123,7 +130,7 @@ class StripBlock(Block):
             self.contact,
             downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float)),
         )
-        return strain * bench.camera_scale
+        return strain * bench.camera_scale + bench.strain_zero
 
 
 def features(tables, nominal, measured) -> StripBlock:

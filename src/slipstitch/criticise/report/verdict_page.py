@@ -52,6 +52,11 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
         everything=svg_element(everything, "Residuals along every covariate")
         if everything
         else None,
+        seen=[
+            (MECHANISMS[name].title, f"{found['size']:.3g}", found["unit"])
+            for name, found in verdict["certificate"]["smallest_detectable"].items()
+            if found["size"] is not None
+        ],
         silent=[
             (name, MECHANISMS[name].title, why)
             for name, why in verdict["not_testable"].items()

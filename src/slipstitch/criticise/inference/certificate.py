@@ -1,0 +1,107 @@
+"""What a design could have seen: the smallest effect of every mechanism, and the false alarms.
+
+With no effect, the verdict is another than `none` as often as the limit of the family-wise p says:
+the statistics are simulated for this design and noise. An effect is seen where its likelihood ratio
+is beyond what these maxima leave, which a non-central chi-squared gives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtri
+from scipy.stats import ncx2
+
+from slipstitch.criticise.inference.alternatives import alternatives, sensitivity_of
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.fit import Fit, jacobian
+from slipstitch.criticise.inference.ratio import run_tests
+from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.mechanisms import MECHANISMS
+
+POWER = 0.8
+# Of a campaign that is still to be made.
+USUAL_SCATTER = Scatter(0.05, 0.03, 1.2)
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest effect of a mechanism that is seen at :data:`POWER`.
+
+    ``size`` in ``unit`` of the mechanism's ``parameter``; infinite where nothing would show it.
+    ``on_friction`` is the largest change of a feature's friction that it makes, as a logarithm.
+    """
+
+    parameter: str
+    size: float
+    unit: str
+    on_friction: float
+
+
+def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str, Detectable]:
+    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit."""
+    sensitivity = sensitivity_of(fitted)
+    acting = sensitivity != 0
+    found: dict[str, Detectable] = {}
+    largest = outcome.largest.get("mechanism")
+    if largest is None or outcome.information is None:
+        return found
+    critical = float(np.quantile(largest, 1.0 - limit * ERROR_WEIGHTS["mechanism"]))
+    noncentrality: dict[tuple[int, float], float] = {}
+    for i, test in enumerate(outcome.tests):
+        information, degrees = outcome.information[i], int(outcome.degrees[i])
+        if test.mechanism is None:
+            continue
+        parameter = MECHANISMS[test.mechanism].tested_parameters()[0]
+        size, change = np.inf, np.inf
+        if information > 0:
+            threshold = float(chdtri(degrees, 10.0**-critical) * outcome.inflation[i])
+            key = (degrees, round(threshold, 3))
+            if key not in noncentrality:
+                noncentrality[key] = _needed(threshold, degrees)
+            steps = np.sqrt(noncentrality[key] / information)
+            size = float(steps * parameter.scale)
+            relative = np.abs(test.columns[acting]) / np.abs(sensitivity[acting])[:, None]
+            change = float(steps * relative.max(initial=0.0))
+        known = found.get(test.mechanism)
+        if known is None or size < known.size:
+            found[test.mechanism] = Detectable(parameter.name, size, parameter.unit, change)
+    return found
+
+
+def _needed(threshold: float, degrees: int) -> float:
+    """Noncentrality that exceeds a threshold of chi squared at :data:`POWER`."""
+
+    def missing(value):
+        return ncx2.sf(threshold, degrees, value) - POWER
+
+    return float(brentq(missing, 1e-9, 50.0 + 4.0 * threshold))
+
+
+def of_design(
+    design: Measurements, limit: float, seed: int, replicates: int
+) -> dict[str, Detectable]:
+    """The same for a campaign that is still to be made, at usual coefficients and scatter."""
+    parameters = list(design.null_parameters)
+    values = np.array([p.null for p in parameters])
+    named = {p.name: p.null for p in parameters}
+    prediction = design.predict(named, ())
+    columns = jacobian(design, (), parameters, values, prediction)
+    none = np.zeros((0, 0))
+    fitted = Fit((), parameters, values, 0.0, prediction, columns, none, True, none)
+    keep = np.ones(len(design.y), bool)
+    groups = make_groups(design, sensitivity_of(fitted), keep)
+    outcome = run_tests(
+        alternatives(design, fitted, keep).tests,
+        columns,
+        np.zeros(len(design.y)),
+        groups,
+        {group.protocol: USUAL_SCATTER for group in groups},
+        np.random.default_rng(seed),
+        replicates,
+        shrunken=design.zero_columns,
+    )
+    return smallest_detectable(outcome, fitted, limit)

@@ -1,0 +1,94 @@
+"""Likelihood ratios: the covariance's closed form, and that more data never lose evidence."""
+
+import numpy as np
+import pytest
+from support.hidden_effects.bench import make_case
+
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.inference.clusters import Clusters, log_likelihood
+from slipstitch.criticise.inference.covariance import Group, Scatter
+from slipstitch.criticise.inference.outliers import fit_without_outliers
+from slipstitch.criticise.inference.ratio import run_tests
+from slipstitch.criticise.measurements import assemble
+
+
+@pytest.fixture
+def group():
+    rng = np.random.default_rng(5)
+    run = np.repeat(rng.permutation(12), 3)
+    specimen = run // 4
+    u = rng.uniform(0.1, 0.3, 36)
+    return Group("drag", np.arange(36), u, rng.normal(2, 1, 36), specimen, run)
+
+
+def test_the_sums_over_clusters_give_what_the_matrix_gives(group):
+    rng = np.random.default_rng(6)
+    columns, data = rng.normal(size=(36, 4)), rng.normal(size=(36, 2))
+    scatter = Scatter(0.07, 0.04, 1.3)
+    inverse = np.linalg.inv(group.variance(scatter))
+    clusters = Clusters(group, columns)
+    score, squares = clusters.products(scatter, clusters.responses(data))
+    assert np.allclose(clusters.gram(scatter), columns.T @ inverse @ columns, rtol=1e-10)
+    assert np.allclose(score, columns.T @ inverse @ data, rtol=1e-9, atol=1e-9)
+    assert np.allclose(squares, np.diag(data.T @ inverse @ data), rtol=1e-10)
+    determinant = np.linalg.slogdet(group.variance(scatter))[1]
+    assert clusters.log_determinant(scatter) == pytest.approx(determinant, rel=1e-10)
+
+
+def test_free_and_shrunken_columns_enter_the_likelihood_as_they_should(group):
+    rng = np.random.default_rng(7)
+    fixed, random, data = (rng.normal(size=(36, k)) for k in (1, 2, 1))
+    scatter = Scatter(0.07, 0.04, 1.3)
+    variance = group.variance(scatter) + random @ random.T
+    inverse = np.linalg.inv(variance)
+    information = fixed.T @ inverse @ fixed
+    pulled = fixed.T @ inverse @ data
+    squares = data.T @ inverse @ data - pulled.T @ np.linalg.solve(information, pulled)
+    wanted = np.linalg.slogdet(variance)[1] + squares.item()
+    clusters = Clusters(group, np.column_stack([fixed, random]))
+    of = clusters.responses(data)
+    assert log_likelihood(clusters, scatter, of, 1, False) == pytest.approx(-0.5 * wanted)
+    wanted += np.linalg.slogdet(information)[1]
+    assert log_likelihood(clusters, scatter, of, 1, True) == pytest.approx(-0.5 * wanted)
+
+
+def test_another_protocol_takes_no_evidence_away(tmp_path):
+    patch = {"patch": {"size": -0.29, "at": 100.0, "width": 18.0}}
+    evidence = {}
+    for protocols in (["strip"], ["strip", "drop_drag"]):
+        folder = tmp_path / "-".join(protocols)
+        make_case(51, "outside", folder, plant=(patch, protocols))
+        measurements = assemble(read_case(folder))
+        null, state, _ = fit_without_outliers(measurements, (), None)
+        residual = measurements.y - null.prediction
+        outcome = run_tests(
+            state.tests,
+            null.jacobian,
+            residual,
+            state.groups,
+            state.scatters,
+            np.random.default_rng(1),
+            100,
+        )
+        evidence[len(protocols)] = outcome.global_p
+        strongest = outcome.tests[outcome.strongest()]
+        assert strongest.covariate == "pos_x_mm"
+    assert max(evidence.values()) < 0.01
+    assert evidence[2] <= evidence[1]
+
+
+def test_the_whitening_is_a_root_of_the_inverse_covariance(group):
+    scatter = Scatter(0.07, 0.04, 1.3)
+    inverse = np.linalg.inv(group.variance(scatter))
+    root = group.whitening(scatter)
+    matrix = root.whiten(np.eye(36))
+    assert np.allclose(matrix.T @ matrix, inverse, rtol=1e-9, atol=1e-12)
+    assert np.allclose(root.pull(matrix), inverse, rtol=1e-9, atol=1e-12)
+    assert np.allclose(root.diagonal(), np.diag(inverse), rtol=1e-9)
+    wanted = [
+        (group.sensitivity * (group.run == run))
+        @ inverse
+        @ (group.sensitivity * (group.run == run))
+        for run in group.run
+    ]
+    assert np.allclose(root.information_of_runs(), wanted, rtol=1e-9)

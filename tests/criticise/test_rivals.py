@@ -1,0 +1,33 @@
+"""A drift in a sorted session is not blamed on what the session was sorted by."""
+
+import numpy as np
+import pandas as pd
+from support.hidden_effects.bench import make_case
+
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.identifiability import not_identified
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
+
+
+def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
+    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    table = pd.read_csv(tmp_path / "incline.csv")
+    clock = np.sort(table["clock_min"].to_numpy())
+    table = table.sort_values("rh_pct", kind="stable").reset_index(drop=True)
+    table["clock_min"] = clock
+    drift = 1 + 0.3 * (clock - clock[0]) / np.ptp(clock)
+    ratio = np.tan(np.radians(table["angle_deg"])) * drift
+    table["angle_deg"] = np.degrees(np.arctan(ratio))
+    table.to_csv(tmp_path / "incline.csv", index=False)
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    assert analysis.verdict in ("confounded", "unknown"), analysis.causes
+
+
+def test_a_coefficient_at_a_bound_or_hardly_known_is_not_exported():
+    entries = {
+        "mu_face": {"estimate": 0.44, "ci95": [0.13, 1.5]},
+        "mu_edge": {"estimate": 3.0, "ci95": [2.5, 3.5]},
+    }
+    assert set(not_identified(entries)) == {"mu_face", "mu_edge"}
+    assert not not_identified({"mu_face": {"estimate": 0.3, "ci95": [0.28, 0.32]}})
