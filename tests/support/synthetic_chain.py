@@ -194,7 +194,7 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
     for number in drawn_rows(config.seed, config.render.verified_images, len(rows)):
         path, k = rows[number]
         row = tables[path].slice(k, 1).to_pylist()[0]
-        floor = draw_surroundings(config.render, config.seed, row["simulation"])
+        floor = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint"])
         composed = decode(row["image"]["bytes"], str(path))
         noise = np.random.default_rng(number).integers(-2, 3, composed.shape)
         direct = np.clip(composed + noise, 0, 255).astype(np.uint8)
