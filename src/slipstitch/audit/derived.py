@@ -21,6 +21,7 @@ from slipstitch.audit.admission import check_parquet
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.png import png_problem
+from slipstitch.config import Config
 from slipstitch.config.grid import grid_table
 from slipstitch.errors import SlipstitchError
 from slipstitch.provenance.reading import load_yaml
@@ -73,16 +74,16 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
     if not contents.rows or contents.config is None:
         return [], ["without manifest and configuration, nothing can be regenerated and compared"]
     findings = [*_files(contents), *_manifest(contents), *_head(contents), *_copies(contents)]
-    findings += _grid(contents)
+    findings += _grid(contents, contents.config)
     made_by = contents.release.get("provenance", {}).get("code_digest")
     if made_by != current_digest("release"):
         note = "card, Croissant, crate and previews come from a different version of release: "
         return findings, [note + "only the splits in the card's header are compared"]
     drawn: dict[str, tuple[str, Image.Image]] = {}
     made: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
-        (RELEASE_RECORD, lambda: _facts(contents)),
+        (RELEASE_RECORD, lambda: _facts(contents, contents.config)),
         ("previews", lambda: _previews(contents, drawn)),
-        (card.CARD, lambda: _card(contents, drawn)),
+        (card.CARD, lambda: _card(contents, contents.config, drawn)),
         (CROISSANT, lambda: _croissant(contents)),
         (CRATE, lambda: _crate(contents)),
     ]
@@ -169,11 +170,11 @@ def _copies(contents: Contents) -> Iterator[Finding]:
             yield Finding(Kind.BROKEN, name, f"is not the one in {CODE}/")
 
 
-def _grid(contents: Contents) -> Iterator[Finding]:
+def _grid(contents: Contents, config: Config) -> Iterator[Finding]:
     path = contents.folder / GRID
     if not path.is_file():
         return
-    expected = grid_table(contents.config)
+    expected = grid_table(config)
     try:
         check_parquet(path, images=False)
         same = table_digest(pq.read_table(path)) == table_digest(expected)
@@ -185,23 +186,23 @@ def _grid(contents: Contents) -> Iterator[Finding]:
         yield Finding(Kind.BROKEN, GRID, "is not the grid of records/config.json")
 
 
-def _facts(contents: Contents) -> Iterator[Finding]:
+def _facts(contents: Contents, config: Config) -> Iterator[Finding]:
     stated = contents.release["facts"]
     date = str(stated.get("date"))
     datetime.date.fromisoformat(date)
-    expected = facts_of(contents.config, contents.folder / CODE, date)
+    expected = facts_of(config, contents.folder / CODE, date)
     if stated != expected:
         odd = next(key for key in {**expected, **stated} if stated.get(key) != expected.get(key))
         what = f"{odd} is not what configuration and citation give"
         yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
     record = contents.release["provenance"]
-    settings = contents.config.model_dump(mode="json", include={"release", "seed"})
+    settings = config.model_dump(mode="json", include={"release", "seed"})
     manifest = f"results/sample/{MANIFEST}"
     made_from = contents.artefacts.get(manifest)
     expected_record = {
         "stage": "release",
         "config": settings,
-        "seed": contents.config.seed,
+        "seed": config.seed,
         "inputs": {manifest: made_from.sha256 if made_from else None},
     }
     for key, value in expected_record.items():
@@ -211,12 +212,14 @@ def _facts(contents: Contents) -> Iterator[Finding]:
         yield Finding(Kind.BROKEN, RELEASE_RECORD, problem)
 
 
-def _card(contents: Contents, drawn: Mapping[str, tuple[str, Any]]) -> Iterator[Finding]:
+def _card(
+    contents: Contents, config: Config, drawn: Mapping[str, tuple[str, Any]]
+) -> Iterator[Finding]:
     pictures = {path: words for path, (words, _) in drawn.items()}
     text = card_of(
         contents.folder,
         contents.release["facts"],
-        contents.config,
+        config,
         contents.rows,
         contents.artefacts,
         pictures,

@@ -109,7 +109,7 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
                     shard.labels[video] = {name: values[number] for name, values in columns.items()}
                     shard.columns[video] = defaultdict(list)
                 data = images[number].as_py() or b""
-                problem, decoded = png_problem(data, pixels and (pixels, pixels)), None
+                problem, decoded = png_problem(data, (pixels, pixels) if pixels else None), None
                 if problem is None:
                     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
                 if decoded is None:

@@ -23,7 +23,9 @@ def png_problem(data: bytes, size: tuple[int, int] | None = None) -> str | None:
     """
     if not data.startswith(_SIGNATURE):
         return "is not a PNG file"
-    place, packed, kinds = len(_SIGNATURE), [], []
+    place = len(_SIGNATURE)
+    packed: list[bytes] = []
+    kinds: list[bytes] = []
     while place < len(data) and kinds[-1:] != [b"IEND"]:
         if place + 12 > len(data):
             return "is truncated"

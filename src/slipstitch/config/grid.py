@@ -285,8 +285,8 @@ def grid_table(config: Config):
     """`grid_rows` as a pyarrow table."""
     import pyarrow as pa
 
-    text = ("kind", "id", "name", "role", "floor_role")
-    text += ("material_id", "friction_id", "replicate_id", "material")
+    text = ["kind", "id", "name", "role", "floor_role"]
+    text += ["material_id", "friction_id", "replicate_id", "material"]
     schema = pa.schema(
         [(name, pa.string()) for name in text]
         + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]

@@ -202,7 +202,7 @@ def compare(frames: pd.DataFrame, *quantities: str) -> dict:
     interval = None
     if n > 1:
         others = (table.sum() - table) / (n - 1)
-        left_out = np.log(others["extended"] / others["null"]).to_numpy()
+        left_out = np.log((others["extended"] / others["null"]).to_numpy())
         error = np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2))
         reach = student.ppf(0.975, n - 1) * error
         interval = [round(float(1 - np.exp(log_ratio + k * reach)), 4) for k in (1, -1)]

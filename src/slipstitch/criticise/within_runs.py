@@ -78,8 +78,8 @@ def _runs(case: Case) -> list[_Run]:
     area = 1e-4 * runs["area_cm2"].fillna(0.0)
     mass = case.nominal.get("rho_kg_m2", 0.0) * area + 1e-3 * runs["added_mass_g"]
     found = []
-    for i, run in runs.iterrows():
-        slider = Slider(float(mass[i]), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
+    for (_, run), load_kg in zip(runs.iterrows(), mass, strict=True):
+        slider = Slider(float(load_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
         time, force = parts[run["run_id"]][["t_s", "force_mN"]].to_numpy(float).T
         if len(time) < 20 or time[-1] <= time[0] or slider.mass_kg <= 0:
             continue
@@ -186,6 +186,7 @@ def _along(place: np.ndarray, level: np.ndarray, known: np.ndarray, way: float):
             likelihood = -0.5 * white @ white - np.log(np.diag(factor)).sum()
             if best is None or likelihood > best[0]:
                 best = (likelihood, length, nugget, variance * matrix)
+    assert best is not None  # LENGTHS and NUGGETS are not empty
     _, length, nugget, matrix = best
     cross = variance * (1 - nugget) * np.exp(-np.abs(place[:, None] - place[index]) / length)
     weights = np.linalg.solve(matrix, cross.T)

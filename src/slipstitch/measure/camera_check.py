@@ -81,7 +81,10 @@ def check_figure(check: CameraCheck) -> Figure:
     figure = new_figure(9.0, 4.2)
     above, aside = figure.subplots(1, 2)
     aim = np.array(AIM_M)
-    yaw, pitch = (np.linspace(*check.tested[name], 40) for name in ("yaw_deg", "pitch_deg"))
+    yaw, pitch = (
+        np.linspace(check.tested[name][0], check.tested[name][1], 40)
+        for name in ("yaw_deg", "pitch_deg")
+    )
     near, far = (float(np.exp(end)) for end in check.tested["log_distance"])
 
     def eye(**pose) -> np.ndarray:

@@ -92,9 +92,10 @@ def recorded_bench_camera(record: dict[str, Any] | None) -> BenchCamera | None:
     """The camera whose `BenchCamera.record` this is."""
     if record is None:
         return None
-    return BenchCamera(
-        **{key: tuple(value) if isinstance(value, list) else value for key, value in record.items()}
-    )
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in record.items()
+    }
+    return BenchCamera(**values)
 
 
 def draw_bench_camera(
@@ -125,9 +126,9 @@ def draw_bench_camera(
         pitch_deg=float(pitch * family.pitch_deg),
         roll_deg=float(roll * family.roll_deg),
         distance=float(1 + distance * family.distance),
-        aim_m=tuple(map(float, aim)),
-        rotation_error_deg=tuple(map(float, rng.normal(size=3) * family.rotation_error_deg)),
-        position_error_m=tuple(map(float, rng.normal(size=3) * family.position_error_m)),
+        aim_m=_triple(aim),
+        rotation_error_deg=_triple(rng.normal(size=3) * family.rotation_error_deg),
+        position_error_m=_triple(rng.normal(size=3) * family.position_error_m),
         focal_error=float(rng.normal() * family.focal_error),
         start_error_s=float(rng.uniform(-1, 1) * family.start_error_s),
     )
@@ -201,10 +202,18 @@ def rectified(
     time_s = trajectory.time_s[row] + bench.start_error_s
     x_m = float(np.interp(time_s, trajectory.time_s, trajectory.stage_x_m))
     z_m = float(np.interp(time_s, trajectory.time_s, trajectory.stage_z_m))
-    at = (trajectory.stage_x_m, trajectory.stage_z_m) if settings.crop == "fixed" else (x_m, z_m)
-    seen = crop_to(viewpoint, cloth_room(*at, *size_m), settings.pixels)
+    fixed = settings.crop == "fixed"
+    room = cloth_room(
+        trajectory.stage_x_m if fixed else x_m, trajectory.stage_z_m if fixed else z_m, *size_m
+    )
+    seen = crop_to(viewpoint, room, settings.pixels)
     lens = LensCamera(bench.stated(camera), _NO_DISTORTION)
     return rectify(image, lens, seen, stage_plane(seen, x_m))[0]
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def _turn(axis: np.ndarray | list[float], angle_deg: float) -> np.ndarray:

@@ -155,7 +155,7 @@ def render_shard(
                 group = []
         if group:
             stream.write(group)
-        files += filter(None, [pack_path])
+        files += [] if pack_path is None else [Path(pack_path)]
         pose = Rectifier.of(job, trajectory).pose(pack.shots)
         stream.describe(*_description(job, pack, pose, files, started))
     return {

@@ -116,7 +116,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
     }
 
 
-def _old_verdict(found: dict[str, Any], study: dict[str, Any]) -> str:
+def _old_verdict(found: Mapping[str, Any], study: Mapping[str, Any]) -> str:
     """Of a study that was published before it had words for events."""
     demand_m = study["settings"]["convergence"]["mean_distance_m"]
     return "converged" if found["mean_largest_m"] <= demand_m else "not converged"

@@ -4,7 +4,7 @@
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -126,7 +126,7 @@ def resized(video: np.ndarray, side: int) -> np.ndarray:
     )
 
 
-def takes_part(row: dict[str, Any], trained_on: str = "") -> bool:
+def takes_part(row: Mapping[str, Any], trained_on: str = "") -> bool:
     """Whether a video may train: nothing in it (`ROLES`) is for testing.
 
     Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
@@ -134,6 +134,6 @@ def takes_part(row: dict[str, Any], trained_on: str = "") -> bool:
     return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 
-def test_only(row: dict[str, Any]) -> set[str]:
+def test_only(row: Mapping[str, Any]) -> set[str]:
     """Test-only properties of a video: material, friction, texture, viewpoint."""
     return {kind for kind in ROLES if row[f"{kind}_role"] == "test"}

@@ -113,7 +113,8 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
     differences, sizes = np.array(differences), np.array(sizes, float)
     total = sizes.sum()
     if total == 0:  # bounds only
-        return Gain(*[float("nan")] * 6, 0)
+        nan = float("nan")
+        return Gain(nan, nan, nan, nan, nan, nan, 0)
     estimate = differences.sum() / total
     spread = np.sum((differences - estimate * sizes) ** 2)
     count = len(sizes)

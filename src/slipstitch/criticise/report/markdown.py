@@ -83,7 +83,7 @@ def _traces(analysis: Analysis) -> list[tuple[str, str, str]]:
     best: dict[str, int] = {}
     for i, test in enumerate(outcome.tests):
         if np.isfinite(outcome.log_p[i]):
-            name = test.mechanism or COVARIATES[test.covariate].title
+            name = test.mechanism or COVARIATES[str(test.covariate)].title
             if name not in best or outcome.log_p[i] > outcome.log_p[best[name]]:
                 best[name] = i
     order = sorted(best, key=lambda name: outcome.adjusted[best[name]])[:MOST_TRACES]
