@@ -71,19 +71,20 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
     notes : list of str
         What could not be made again, and why.
     """
-    if not contents.rows or contents.config is None:
+    config = contents.config
+    if not contents.rows or config is None:
         return [], ["without manifest and configuration, nothing can be regenerated and compared"]
     findings = [*_files(contents), *_manifest(contents), *_head(contents), *_copies(contents)]
-    findings += _grid(contents, contents.config)
+    findings += _grid(contents, config)
     made_by = contents.release.get("provenance", {}).get("code_digest")
     if made_by != current_digest("release"):
         note = "card, Croissant, crate and previews come from a different version of release: "
         return findings, [note + "only the splits in the card's header are compared"]
     drawn: dict[str, tuple[str, Image.Image]] = {}
     made: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
-        (RELEASE_RECORD, lambda: _facts(contents, contents.config)),
+        (RELEASE_RECORD, lambda: _facts(contents, config)),
         ("previews", lambda: _previews(contents, drawn)),
-        (card.CARD, lambda: _card(contents, contents.config, drawn)),
+        (card.CARD, lambda: _card(contents, config, drawn)),
         (CROISSANT, lambda: _croissant(contents)),
         (CRATE, lambda: _crate(contents)),
     ]

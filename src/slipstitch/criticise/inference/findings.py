@@ -127,7 +127,11 @@ def scatter_findings(measurements: Measurements, state: State, coefficients: dic
         least = scatter.run * np.sqrt(degrees / chi_square.isf(SURE, degrees))
         if least > usual:
             rows = measurements.rows[mine]
-            blank = [name for name in RECORDABLE if rows[name].replace("", np.nan).nunique() < 2]
+            blank = [
+                name
+                for name in RECORDABLE
+                if rows.loc[rows[name].notna() & (rows[name] != ""), name].nunique() < 2
+            ]
             found.append(
                 {
                     "protocol": block.protocol,
