@@ -127,7 +127,7 @@ def test_an_experiment_that_fails_is_named():
 
 
 def test_a_result_without_a_key_is_said():
-    with pytest.raises(SlipstitchError, match="has no 'sticks'"):
+    with pytest.raises(SlipstitchError, match="no 'sticks' in its result"):
         calibrate(SETTINGS, SIMULATION, lambda name, options, settings: {})
 
 

@@ -76,7 +76,7 @@ def test_too_few_groups_promise_nothing():
 
 @pytest.mark.parametrize("scores", [[], [1.0, 2.0], [np.nan]])
 def test_scores_that_are_none_are_refused(scores):
-    with pytest.raises(BadInput, match="one each"):
+    with pytest.raises(BadInput, match="one number each"):
         grouped_quantile(np.array(scores), ["a"], 0.9)
 
 
