@@ -1,6 +1,8 @@
 """A careful forger: after an edit, mends everything in a release that can be computed from it."""
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,11 @@ from slipstitch.release.manifest import notes_of, sampled_rows
 from slipstitch.release.previews import draw_previews
 from slipstitch.release.records import CRATE, CROISSANT, RELEASE_RECORD
 from slipstitch.sample.manifest import MANIFEST_SCHEMA, dataset_digest
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    """A chunk of a PNG, with its checksum."""
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
 class Forger:

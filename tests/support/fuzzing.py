@@ -335,8 +335,8 @@ def _cases(add, folder: Path) -> None:
     for case in sorted(path for path in cases.iterdir() if path.is_dir()):
         copy = folder / case.name
         shutil.copytree(case, copy)
-        for path in sorted(copy.iterdir()):
-            add(f"case {case.name}/{path.name}", path, lambda copy=copy: read_case(copy))
+        for path in sorted(path for path in copy.rglob("*") if path.is_file()):
+            add(f"case {path.relative_to(folder)}", path, lambda copy=copy: read_case(copy))
     verdict = folder / "verdict.json"
     model = {
         "causes": ["tilt"], "parameters": ["mu"], "values": [0.3], "covariance": [[0.01]],

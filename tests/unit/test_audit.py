@@ -587,5 +587,5 @@ def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
 
 def test_clip_without_whole_records_is_not_rebuilt(release):
     edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
-    with pytest.raises(BadInput, match=f"the records of {CLIP} are incomplete"):
+    with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
         rebuild.rebuild(read_contents(release), CLIP)

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
-from support.forger import Forger
+from support.forger import Forger, chunk
 
 from slipstitch.release.assembly import write_release
 from slipstitch.release.checksums import SUMS
@@ -220,9 +220,17 @@ def long_text_in_the_manifest(release):
     pq.write_table(table, path, compression="zstd")
 
 
-def huge_image(release):
-    from test_forgeries import chunk
+def many_long_texts_in_the_manifest(release):
+    """Another one in every row: together 1 MiB a row, packed to a few kB."""
+    path = release / "manifest.parquet"
+    rows = pq.read_table(path).to_pylist()
+    for number, row in enumerate(rows):
+        row["material"] = f"{number}" + "m" * 2**20
+    table = pa.Table.from_pylist(rows, schema=pq.read_schema(path))
+    pq.write_table(table, path, compression="zstd")
 
+
+def huge_image(release):
     header = (60_000).to_bytes(4, "big") * 2 + bytes([8, 2, 0, 0, 0])
     body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(2**20)))
     image = b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
@@ -232,8 +240,6 @@ def huge_image(release):
 
 
 def growing_image(release):
-    from test_forgeries import chunk
-
     header = (16).to_bytes(4, "big") * 2 + bytes([8, 2, 0, 0, 0])
     body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(2**30)))
     image = b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
@@ -293,11 +299,12 @@ REFUSED = {
     repeated_text: "a text of 1048576 bytes",
     lying_footer: "takes far more memory than it has bytes",
     repeated_manifest: "rows compressed to",
-    long_text_in_the_manifest: "compressed to",
+    long_text_in_the_manifest: "a text of 1048576 bytes",
+    many_long_texts_in_the_manifest: "bytes compressed to",
 }
 PACKED = (
     *(deep_metadata, repeated_images, coded_images, repeated_text, lying_footer),
-    *(repeated_manifest, long_text_in_the_manifest),
+    *(repeated_manifest, long_text_in_the_manifest, many_long_texts_in_the_manifest),
 )
 FOUND = {
     huge_image: "is of 60000 x 60000 pixels",

@@ -2,7 +2,6 @@
 
 import io
 import shutil
-import struct
 import subprocess
 import zlib
 from pathlib import Path
@@ -13,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 from support import synthetic_chain
-from support.forger import Forger
+from support.forger import Forger, chunk
 
 from slipstitch.audit import staleness
 from slipstitch.audit.auditing import audit_release
@@ -146,10 +145,6 @@ def saved(picture: Image.Image, kind: str) -> bytes:
 
 def opened(data: bytes) -> Image.Image:
     return Image.open(io.BytesIO(data))
-
-
-def chunk(kind: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
 def rgba_images(forger):
@@ -491,7 +486,7 @@ def test_signature_of_a_stranger_is_none(original, tmp_path):
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
     signer, problem = verify(original, signers(tmp_path, key))
     assert signer is None
-    assert "not by any of the signers" in problem
+    assert "not signed by any of the signers" in problem
 
 
 def test_release_that_is_not_signed_is_not_verified(release, tmp_path):

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import torch
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save_file
@@ -24,7 +25,14 @@ from support import fuzzing
 from slipstitch.capture.camera.views import _frames
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path, check_image, file_digest, read_parquet, write_parquet
+from slipstitch.provenance import (
+    atomic_path,
+    check_image,
+    file_digest,
+    load_yaml,
+    read_parquet,
+    write_parquet,
+)
 from slipstitch.train.model_file import load_model
 
 SOURCES = sorted((Path(__file__).parents[2] / "src").rglob("*.py"))
@@ -59,7 +67,20 @@ def test_no_source_runs_what_it_reads():
         if names:
             found[f"{source.parent.name}/{source.name}"] = names
     # A kernel is put together from the friction law's own formulas, nothing that was read.
-    assert found == {"cloth/friction.py": {"exec"}}
+    # YAML goes to a loader of its own, which makes nothing that the safe one does not make.
+    assert found == {"cloth/friction.py": {"exec"}, "provenance/reading.py": {"yaml.load"}}
+
+
+def test_yaml_makes_plain_data_only(monkeypatch):
+    used = []
+    monkeypatch.setattr(
+        yaml, "load", lambda text, Loader: used.append(Loader) or yaml.safe_load(text)
+    )
+    assert load_yaml("a: 1", "here") == {"a": 1}
+    (loader,) = used
+    assert issubclass(loader, yaml.SafeLoader)
+    assert loader.yaml_constructors == yaml.SafeLoader.yaml_constructors
+    assert loader.yaml_multi_constructors == yaml.SafeLoader.yaml_multi_constructors
 
 
 def test_the_search_finds_what_it_is_for():

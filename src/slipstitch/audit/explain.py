@@ -97,7 +97,7 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
         f"commit {commit[:12]}{changed}",
         f"  on       {record.get('host_kind')}; {record.get('wall_s')} s, "
         f"{record.get('cpu_s')} CPU s",
-        f"  with     {_short(record.get('versions', {}))}",
+        f"  with     {_short(artefact.versions)}",
         f"  seed     {record.get('seed')}",
         f"  config   {_short(record['config'])}",
     ]

@@ -103,7 +103,7 @@ def _ours(lineage: Lineage) -> Iterator[Artefact]:
 
 def _is_stale(artefact: Artefact) -> bool:
     made_by = artefact.record.get("code_digest")
-    now = current_digest(artefact.stage, None, artefact.record.get("versions"))
+    now = current_digest(artefact.stage, None, artefact.versions)
     return made_by != now or bool(catalogue_changes(artefact))
 
 
@@ -159,7 +159,7 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
             what = f"made with a configuration that differs from records/config.json: {changes[0]}"
             yield Finding(Kind.BROKEN, where, what, clips)
         digest = artefact.record.get("code_digest")
-        versions = artefact.record.get("versions", {})
+        versions = artefact.versions
         if sources.is_dir() and digest != current_digest(artefact.stage, sources, versions):
             what = f"its code digest is not that of {artefact.stage} in code/src at its versions"
             yield Finding(Kind.BROKEN, where, what, clips)

@@ -59,7 +59,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
 
 def _other_code(artefact: Artefact) -> Iterator[str]:
     """Why today's code would make something else: its sources, or what they are installed with."""
-    made_by, versions = artefact.record["code_digest"], artefact.record.get("versions", {})
+    made_by, versions = artefact.record["code_digest"], artefact.versions
     if made_by == current_digest(artefact.stage):
         return
     same_sources = current_digest(artefact.stage, None, versions)
@@ -102,7 +102,7 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
         if not isinstance(commit, str) or record.get("git_dirty"):
             dirty.add(artefact.stage)
         else:
-            versions = tuple(sorted(record.get("versions", {}).items()))
+            versions = tuple(sorted(artefact.versions.items()))
             claims[commit][artefact.stage, record.get("code_digest"), versions].append(path)
     if dirty:
         notes.append(

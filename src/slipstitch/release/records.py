@@ -62,6 +62,13 @@ class Artefact:
         return self.record.get("inputs", {})
 
     @property
+    def versions(self) -> dict[str, str]:
+        """Package -> version that it was made with; what is no text is left out."""
+        versions = self.record.get("versions")
+        found = versions.items() if isinstance(versions, Mapping) else ()
+        return {package: version for package, version in found if isinstance(version, str)}
+
+    @property
     def stage(self) -> str:
         """Name of the stage that wrote it; empty if none did."""
         return self.record.get("stage") or ""
