@@ -12,10 +12,11 @@ import pyarrow as pa
 from slipstitch.config import Config
 from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
-from slipstitch.render.bench_camera import POSE, BenchCamera, rectified, relative_pose
+from slipstitch.render.bench_camera import BenchCamera, rectified, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
+from slipstitch.render.pose import POSE
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_rotation_and_translation
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
