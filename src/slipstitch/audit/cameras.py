@@ -11,8 +11,7 @@ from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation
 from slipstitch.release.records import carried_file
-from slipstitch.render.packing import Job
-from slipstitch.render.shards import Rectifier
+from slipstitch.render.shards import FilmJob, Rectifier
 from slipstitch.render.shots import Shot, camera_record, shots
 from slipstitch.simulate.drop_and_drag import draw_perturbation
 from slipstitch.simulate.trajectory import Trajectory
@@ -37,7 +36,7 @@ class Cameras:
     viewpoint_id: str
 
     @cached_property
-    def job(self) -> Job:
+    def job(self) -> FilmJob:
         """The rendering job."""
         config, render = self.config, self.config.render
         if render.camera:
@@ -45,7 +44,7 @@ class Cameras:
             render = render.model_copy(update={"camera": str(carried)})
             config = config.model_copy(update={"render": render})
         name = render.viewpoint_ids()[self.viewpoint_id]
-        return Job.of_view(config, f"{self.simulation.id}.parquet", self.viewpoint_id, name)
+        return FilmJob.of_view(config, f"{self.simulation.id}.parquet", self.viewpoint_id, name)
 
     @cached_property
     def bare(self) -> Trajectory:

@@ -167,17 +167,18 @@ def _render(arguments: argparse.Namespace) -> None:
         )
     config = load_config(*arguments.config)
     bar = partial(progress, unit="frame")
-    job = Job.of(config, arguments.trajectory, arguments.viewpoint)
     if arguments.shading:
+        job = Job.of(config, arguments.trajectory, arguments.viewpoint)
         pack = write_pack(job, arguments.shading, bar)
         _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
         print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {job.viewpoint}")
         return
-    from slipstitch.render.shards import render_shard
+    from slipstitch.render.shards import FilmJob, render_shard
 
-    done = render_shard(job, arguments.out, progress=bar)
+    film = FilmJob.of(config, arguments.trajectory, arguments.viewpoint)
+    done = render_shard(film, arguments.out, progress=bar)
     _warn(arguments.out, done["smallest_share_of_cloth_in_image"])
-    print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {job.viewpoint}")
+    print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {film.viewpoint}")
 
 
 def _warn(path: Path, share_inside: float) -> None:

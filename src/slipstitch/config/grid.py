@@ -131,6 +131,17 @@ def bench_of(simulation: str) -> str:
 def simulations(config: Config) -> list[Simulation]:
     """The simulations of the grid, material by material, friction by friction.
 
+    Those for testing only come last.
+    """
+    return [
+        Simulation(**place, seed=simulation_seed(config.seed, place["material"], replicate))
+        for place, replicate in _places(config)
+    ]
+
+
+def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
+    """Every `Simulation` but for its seed, and its replicate; by material, then friction.
+
     Those for testing only come last: every material at the coefficients off the grid, then every
     fabric that no network trains on, at the grid's.
     """
@@ -143,16 +154,18 @@ def simulations(config: Config) -> list[Simulation]:
         (grid.test_materials, "test", on_grid, "train", grid.test_replicates),
     )
     return [
-        Simulation(
-            id=f"{material_id(material)}_f{f:02d}_r{r:02d}",
-            material_id=material_id(material),
-            friction_id=f"f{f:02d}",
-            replicate_id=f"r{r:02d}",
-            material=material,
-            friction=friction,
-            seed=simulation_seed(config.seed, material, r),
-            material_role=material_role,
-            friction_role=friction_role,
+        (
+            {
+                "id": f"{material_id(material)}_f{f:02d}_r{r:02d}",
+                "material_id": material_id(material),
+                "friction_id": f"f{f:02d}",
+                "replicate_id": f"r{r:02d}",
+                "material": material,
+                "friction": friction,
+                "material_role": material_role,
+                "friction_role": friction_role,
+            },
+            r,
         )
         for materials, material_role, frictions, friction_role, replicates in parts
         for material in materials
@@ -218,14 +231,14 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     render = config.render
     names = render.texture_ids()
     trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
-    grid = simulations(config)
+    grid = [place for place, _ in _places(config)]
     result: dict[tuple[str, str], dict[str, str]] = {}
     for view in viewpoints(config):
         if view["role"] == "test" and render.test_viewpoint_videos is not None:
             every = [
-                (simulation.id, texture)
+                (simulation["id"], texture)
                 for simulation in grid
-                if "test" not in (simulation.material_role, simulation.friction_role)
+                if "test" not in (simulation["material_role"], simulation["friction_role"])
                 for texture in trained
             ]
             every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
@@ -233,7 +246,7 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
                 result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
         else:
             textures = trained if view["floor_role"] == "test" else names
-            result |= {(simulation.id, view["id"]): textures for simulation in grid}
+            result |= {(simulation["id"], view["id"]): textures for simulation in grid}
     return result
 
 

@@ -23,7 +23,7 @@ from slipstitch.instrument.distribution import (
 )
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.poses import scaled
-from slipstitch.render.bench_camera import POSE
+from slipstitch.render.pose import POSE
 from slipstitch.train.model_file import read_weights, write_weights
 
 FORMAT = "slipstitch-instrument-2"
@@ -124,7 +124,7 @@ class Instrument:
         generator : numpy Generator
             Of the augmentations.
         poses : ndarray, shape (n, 4), optional
-            How the cameras stand (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
+            How the cameras stand (`slipstitch.render.pose.POSE`); as calibrated by default.
         """
         self.network.eval()
         told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
@@ -198,7 +198,7 @@ class Instrument:
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
         pose : ndarray, shape (4,), optional
-            How the camera stands (`slipstitch.render.bench_camera.POSE`); as calibrated by default.
+            How the camera stands (`slipstitch.render.pose.POSE`); as calibrated by default.
 
         Raises
         ------

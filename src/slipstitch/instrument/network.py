@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.distribution import friction_grid
-from slipstitch.render.bench_camera import POSE
+from slipstitch.render.pose import POSE
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
 

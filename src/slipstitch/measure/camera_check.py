@@ -11,9 +11,10 @@ from slipstitch.instrument.poses import TITLES, outside
 from slipstitch.measure.measuring import schedule_of
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
-from slipstitch.render.bench_camera import POSE, BenchCamera, relative_pose
+from slipstitch.render.bench_camera import BenchCamera, relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import read_camera_file
+from slipstitch.render.pose import POSE
 
 
 @dataclass(frozen=True)

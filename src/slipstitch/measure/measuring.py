@@ -16,8 +16,9 @@ from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Instrument, Measurement, load_instrument
 from slipstitch.instrument.poses import outside
-from slipstitch.render.bench_camera import POSE, relative_pose
+from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera_file import LensCamera, read_camera_file
+from slipstitch.render.pose import POSE
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827

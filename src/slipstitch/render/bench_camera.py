@@ -21,9 +21,6 @@ from slipstitch.render.rectification import rectify, stage_plane
 from slipstitch.render.surroundings import generator
 from slipstitch.simulate.trajectory import Trajectory
 
-#: What a network may be told of a camera, see `relative_pose`.
-POSE = ("yaw_deg", "pitch_deg", "roll_deg", "log_distance")
-
 _NO_DISTORTION = np.zeros(5)
 _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 
@@ -137,7 +134,7 @@ def draw_bench_camera(
 def relative_pose(
     rotation: np.ndarray, translation_m: np.ndarray, viewpoint: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, float]:
-    """Pose of a camera relative to a viewpoint: the numbers of `POSE`.
+    """Pose of a camera relative to a viewpoint: the numbers of `slipstitch.render.pose.POSE`.
 
     Parameters
     ----------

@@ -6,16 +6,16 @@ which compresses better. Packs are read and written frame by frame.
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
 
 from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config import Config
-from slipstitch.config.grid import films
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -69,8 +69,6 @@ class Job:
         How many frames the sample stage uses.
     seed : int
         The configuration's.
-    textures : mapping
-        Those that the cloth wears, id -> name.
     """
 
     trajectory_path: str | os.PathLike
@@ -79,10 +77,9 @@ class Job:
     settings: RenderSettings
     frames_sampled: int
     seed: int
-    textures: Mapping[str, str]
 
     @classmethod
-    def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "Job":
+    def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> Self:
         """The job of a configuration, with a viewpoint by its id or its name.
 
         Raises
@@ -106,12 +103,8 @@ class Job:
     @classmethod
     def of_view(
         cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
-    ) -> "Job":
-        """The job of a configuration, with id and name of a viewpoint.
-
-        A simulation or viewpoint that the configuration does not have is filmed in all textures.
-        """
-        film = (Path(trajectory_path).stem, viewpoint_id)
+    ) -> Self:
+        """The job of a configuration, with id and name of a viewpoint."""
         return cls(
             trajectory_path,
             viewpoint_id,
@@ -119,7 +112,6 @@ class Job:
             config.render,
             config.sample.frames_kept,
             config.seed,
-            films(config).get(film) or config.render.texture_ids(),
         )
 
     @property

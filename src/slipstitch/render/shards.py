@@ -1,21 +1,24 @@
 """From the light of a simulation from one viewpoint to its image shard: textures and cameras."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
 import pyarrow as pa
 
 from slipstitch.config import Config
+from slipstitch.config.grid import films
 from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
-from slipstitch.render.bench_camera import POSE, BenchCamera, rectified, relative_pose
+from slipstitch.render.bench_camera import BenchCamera, rectified, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
+from slipstitch.render.pose import POSE
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_rotation_and_translation
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
@@ -35,7 +38,32 @@ SCHEMA = pa.schema(
 _GROUP = 64
 
 
-def cameras(job: Job) -> dict[str, Augmentation]:
+@dataclass(frozen=True)
+class FilmJob(Job):
+    """A job with the textures that the cloth wears, which its shading does not depend on.
+
+    Attributes
+    ----------
+    textures : mapping
+        Id -> name.
+    """
+
+    textures: Mapping[str, str]
+
+    @classmethod
+    def of_view(
+        cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
+    ) -> Self:
+        """The job of a configuration, with id and name of a viewpoint.
+
+        A simulation or viewpoint that the configuration does not have is filmed in all textures.
+        """
+        job = Job.of_view(config, trajectory_path, viewpoint_id, viewpoint)
+        worn = films(config).get((job.simulation, viewpoint_id)) or config.render.texture_ids()
+        return cls(**vars(job), textures=worn)
+
+
+def cameras(job: FilmJob) -> dict[str, Augmentation]:
     """Every texture's name -> the camera of its video."""
     augmentation = job.settings.augmentation
     return {
@@ -96,7 +124,7 @@ class Rectifier:
 
 
 def composed_images(
-    job: Job, pack: Pack, trajectory: Trajectory
+    job: FilmJob, pack: Pack, trajectory: Trajectory
 ) -> Iterator[tuple[Shot, str, np.ndarray]]:
     """Every frame in every texture: shot, texture id, image (pixels, pixels, 3) uint8."""
     of = cameras(job)
@@ -109,13 +137,17 @@ def composed_images(
 
 
 def render_shard(
-    job: Job, out: str | os.PathLike, *, pack_path: str | os.PathLike | None = None, progress=iter
+    job: FilmJob,
+    out: str | os.PathLike,
+    *,
+    pack_path: str | os.PathLike | None = None,
+    progress=iter,
 ) -> dict:
     """Make the image shard of one simulation from one viewpoint, with every texture.
 
     Parameters
     ----------
-    job : Job
+    job : FilmJob
     out : path
         Parquet file, one row per image; written whole or not at all.
     pack_path : path, optional
@@ -181,7 +213,7 @@ def render_shards_from_packs(
             view = read_metadata(pack_path).get("viewpoint", {})
         except (OSError, ValueError):
             view = {}  # read_pack says what is wrong with it
-        job = Job.of_view(config, trajectory_path, view.get("id", ""), view.get("name", ""))
+        job = FilmJob.of_view(config, trajectory_path, view.get("id", ""), view.get("name", ""))
         out = folder / pack_path.name
         done = render_shard(job, out, pack_path=pack_path)
         yield out, done | {"viewpoint": job.viewpoint}
@@ -201,7 +233,7 @@ def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.n
 
 
 def _description(
-    job: Job, pack: Pack, pose: dict[str, float], files: list, started: tuple[float, float]
+    job: FilmJob, pack: Pack, pose: dict[str, float], files: list, started: tuple[float, float]
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
     of = cameras(job)

@@ -22,9 +22,9 @@ from slipstitch.provenance import (
 from slipstitch.render.augmentation import pixel_noise
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png, encode_srgb
-from slipstitch.render.packing import Job, read_pack, usable_trajectory
+from slipstitch.render.packing import read_pack, usable_trajectory
 from slipstitch.render.preview import decode_image
-from slipstitch.render.shards import SCHEMA, Rectifier, cameras
+from slipstitch.render.shards import SCHEMA, FilmJob, Rectifier, cameras
 from slipstitch.render.surroundings import generator
 from slipstitch.render.textures import texture
 
@@ -106,7 +106,7 @@ def compare(
     stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
     view = read_metadata(shard)["viewpoint"]
     settings = config.render
-    job = Job.of_view(config, trajectory_path, view["id"], view["name"])
+    job = FilmJob.of_view(config, trajectory_path, view["id"], view["name"])
     name = settings.texture_ids()[stored["texture"]]
     trajectory = usable_trajectory(trajectory_path)
     pack = read_pack(pack_path, trajectory_path)

@@ -15,7 +15,7 @@ from slipstitch.config.grid import Simulation, films, simulations, textures, vie
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock
-from slipstitch.render.bench_camera import POSE
+from slipstitch.render.pose import POSE
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import read_metadata, read_parquet, write_parquet
-from slipstitch.render.bench_camera import POSE
+from slipstitch.render.pose import POSE
 from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 MANIFEST = "manifest.parquet"
