@@ -11,8 +11,8 @@ from slipstitch.criticise import resimulation
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols.stick_slip import Slider, run
-from slipstitch.criticise.report.verdict_page import gain_words
 from slipstitch.criticise.resimulation import compare
+from slipstitch.criticise.verdict import gain_words
 from slipstitch.criticise.within_runs import _Run, _uneven_track, track_step, within_runs, words
 
 CASES = Path(__file__).parents[2] / "data" / "cases"

@@ -36,7 +36,9 @@ def drawn():
 
 def test_equal_figures_have_equal_bytes():
     assert svg(drawn()) == svg(drawn())
-    assert svg_element(drawn()).startswith("<svg") and "<metadata>" not in svg_element(drawn())
+    element = svg_element(drawn(), "Two & more")
+    assert element.startswith('<svg role="img" aria-label="Two &amp; more"')
+    assert "<metadata>" not in element and element == svg_element(drawn(), "Two & more")
     assert svg_uri(None) is None and svg_uri(drawn()) == svg_uri(svg(drawn()))
 
 

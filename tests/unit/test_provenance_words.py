@@ -21,8 +21,10 @@ STAGES = sorted(
         for stage in re.findall(r'code_of\("([\w.]+)"\)', rules.read_text(encoding="utf-8"))
     }
 )
-OF_SHADING = {"render", "render.packing", "capture"}
-OF_CLOTH = {"simulate", "calibrate", "convergence", "capture", "criticise"}
+# An audit computes again what the records and the pages of a release say.
+OF_SHADING = {"render", "render.packing", "capture", "audit"}
+OF_CLOTH = {"simulate", "calibrate", "convergence", "capture", "criticise", "audit"}
+OF_EVERY_PAGE = {"ablate", "audit", "criticise", "evaluate.capture_evaluation", "release", "report"}
 
 
 @pytest.fixture(scope="module")
@@ -137,11 +139,10 @@ def test_what_computes_changes_the_stages_that_use_it(changed, old, new, using, 
     ("name", "stages"),
     [
         ("report.css", {"report"}),
-        # One look of every page.
-        ("style.css", {"ablate", "criticise", "evaluate.capture_evaluation", "release", "report"}),
+        ("style.css", OF_EVERY_PAGE),
         ("captures.html.j2", {"evaluate.capture_evaluation"}),
         ("ablations.html.j2", {"ablate"}),
-        ("card.md.j2", {"release"}),
+        ("card.md.j2", {"release", "audit"}),
     ],
 )
 def test_a_template_counts_for_its_page_only(name, stages):

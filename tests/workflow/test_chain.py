@@ -264,4 +264,4 @@ def test_audit_of_the_release_finds_nothing_and_a_clip_can_be_made_again(chain, 
     clip = f"{simulations(config)[0].id}_t01_v01"
     answer = chain.run("slipstitch", "audit", "results/release", "--rebuild", clip)
     assert answer.returncode == 0, answer.stdout + answer.stderr
-    assert "bitwise identical motion; all 8 images are identical" in answer.stdout
+    assert "the same motion, bit by bit; all 8 images have equal pixels" in answer.stdout

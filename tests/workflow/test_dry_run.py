@@ -161,7 +161,8 @@ def test_a_case_is_looked_for_in_the_working_folder_first(workflow):
 def test_a_missing_case_is_one_line(workflow):
     answer = workflow.snakemake("-n", "--config", "criticise={cases: [gone]}", "--", "criticise")
     assert answer.returncode == 2
-    said = [line for line in answer.stderr.splitlines() if line]
+    profile, *said = (line for line in answer.stderr.splitlines() if line)
+    assert profile.startswith("Using workflow specific profile ")
     assert said == ["snakemake: error: criticise.cases: gone: no such folder"]
 
 

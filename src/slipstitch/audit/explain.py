@@ -149,9 +149,9 @@ def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     from slipstitch.material.fabrics import CATALOGUE
 
     name = row["material"]
-    there = contents.folder / "code/src/slipstitch/material/fabrics.json"
+    carried = f"code/src/slipstitch/material/{CATALOGUE.name}"
     try:
-        then = json.loads(there.read_text(encoding="utf-8"))["fabrics"][name]
+        then = json.loads((contents.folder / carried).read_text(encoding="utf-8"))["fabrics"][name]
     except (OSError, ValueError, KeyError, TypeError):
         return [f"fabric {name}: not in the release's sources"]
     now = json.loads(CATALOGUE.read_text(encoding="utf-8"))["fabrics"].get(name)
@@ -159,5 +159,5 @@ def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     return [
         f"fabric {name} ({same})",
         f"  areal density {then['areal_density_kg_m2']} kg/m2; stretching and bending tables in "
-        "code/src/slipstitch/material/fabrics.json",
+        f"{carried}",
     ]

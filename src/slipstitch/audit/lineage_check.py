@@ -25,6 +25,7 @@ from slipstitch.config import Config
 from slipstitch.config.grid import films, simulations, textures, viewpoints
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
+from slipstitch.material.fabrics import CATALOGUE
 from slipstitch.provenance import file_digest
 from slipstitch.release.code import SOURCES
 from slipstitch.release.currency import (
@@ -172,7 +173,7 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
 def _carried_fabric(sources: Path, name: str) -> str | None:
     """Digest of a fabric as the release's own sources have it; None if they do not."""
     try:
-        return fabric_digest(name, sources / "slipstitch/material/fabrics.json")
+        return fabric_digest(name, sources / "slipstitch/material" / CATALOGUE.name)
     except BadInput:
         return None
 

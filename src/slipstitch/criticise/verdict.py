@@ -19,6 +19,9 @@ from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.within_runs import within_runs, words
+from slipstitch.page.wording import counted, with_interval
+
+CLEAR_FALL = 0.8  # of an error, to be worth a headline
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
@@ -289,4 +292,32 @@ def _scatter(verdict: dict) -> str:
         f" But runs of {first['protocol']} scatter by {100 * first['run_scatter']:.2g} % "
         f"(usual: {100 * first['usual']:.2g} %), for which something may be to blame that was not "
         f"looked at{record}."
+    )
+
+
+def second_sentence(verdict: dict) -> str:
+    """What the extended model gains; without one, why none was named."""
+    if verdict["verdict"] in ("cause", "confounded"):
+        return gain_words(verdict["gain"])
+    if verdict["verdict"] == "unknown":
+        return verdict["reason"].capitalize() + "."
+    p = verdict["null"]["global_p"]
+    return f"Family-wise p of the plain model over all tests: {p:.3g}."
+
+
+def gain_words(gain: dict) -> str:
+    """The gain on unseen specimens; errors only where they fall clearly."""
+    how = (
+        f"({counted(gain['n_groups'], 'specimen')} held out one by one, with the selection "
+        "repeated each time)"
+    )
+    score = f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row"
+    if not gain["ci95"][0] > 0:
+        return f"On unseen specimens no gain is certain: {score} {how}."
+    before, after = 100 * gain["rmse_null"], 100 * gain["rmse_extended"]
+    if after > CLEAR_FALL * before:
+        return f"On unseen specimens the extended model gains {score} {how}."
+    return (
+        f"On unseen specimens the error falls from {before:.1f} to {after:.1f} % of friction, a "
+        f"gain of {score} {how}."
     )

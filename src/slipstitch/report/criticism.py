@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
-from slipstitch.criticise.report import second_sentence
-from slipstitch.criticise.verdict import statement
+from slipstitch.criticise.verdict import second_sentence, statement
 from slipstitch.page.figures import svg_uri
 from slipstitch.report.results import Results
 

@@ -12,9 +12,8 @@ from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.criticise.report.verdict_page import second_sentence
 from slipstitch.criticise.report.verdict_pictures import relative_residuals
-from slipstitch.criticise.verdict import sentence
+from slipstitch.criticise.verdict import second_sentence, sentence
 from slipstitch.criticise.within_runs import words
 from slipstitch.page.wording import counted, with_interval
 

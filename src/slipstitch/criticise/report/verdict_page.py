@@ -15,15 +15,13 @@ from slipstitch.criticise.report.verdict_pictures import (
     residual_picture,
 )
 from slipstitch.criticise.resimulation import Resimulation
-from slipstitch.criticise.verdict import sentence
+from slipstitch.criticise.verdict import second_sentence, sentence
 from slipstitch.criticise.within_runs import words
 from slipstitch.page.figures import svg, svg_element
 from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.page.templates import render
-from slipstitch.page.wording import counted, with_interval
 
 _TEMPLATE = Path(__file__).with_name("verdict.html.j2")
-CLEAR_FALL = 0.8  # of an error, to be worth a headline
 _TONES = {"none": GOOD, "cause": BLUE, "confounded": DOUBT, "unknown": VERMILION}
 
 
@@ -73,31 +71,3 @@ def left_over(verdict: dict, analysis: Analysis) -> str:
 def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
     named = verdict["verdict"] in ("cause", "confounded")
     return analysis.chosen.fitted if named and analysis.chosen else None
-
-
-def second_sentence(verdict: dict) -> str:
-    """What the extended model gains; without one, why none was named."""
-    if verdict["verdict"] in ("cause", "confounded"):
-        return gain_words(verdict["gain"])
-    if verdict["verdict"] == "unknown":
-        return verdict["reason"].capitalize() + "."
-    p = verdict["null"]["global_p"]
-    return f"Family-wise p of the plain model over all tests: {p:.3g}."
-
-
-def gain_words(gain: dict) -> str:
-    """The gain on unseen specimens; errors only where they fall clearly."""
-    how = (
-        f"({counted(gain['n_groups'], 'specimen')} held out one by one, with the selection "
-        "repeated each time)"
-    )
-    score = f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row"
-    if not gain["ci95"][0] > 0:
-        return f"On unseen specimens no gain is certain: {score} {how}."
-    before, after = 100 * gain["rmse_null"], 100 * gain["rmse_extended"]
-    if after > CLEAR_FALL * before:
-        return f"On unseen specimens the extended model gains {score} {how}."
-    return (
-        f"On unseen specimens the error falls from {before:.1f} to {after:.1f} % of friction, a "
-        f"gain of {score} {how}."
-    )
