@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture, output_path
+from slipstitch.cli.options import add_instrument, check_picture, output_path
 
 SUMMARY = "check whether the pose of a camera is in the training range of an instrument"
 EXAMPLE = (
@@ -23,16 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="CAMERA.json",
         help="camera file written by slipstitch capture camera",
     )
-    parser.add_argument(
-        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="configuration the instrument was trained with (default: config.json in the "
-        "nearest folder above the model)",
-    )
+    add_instrument(parser)
     parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
 
 

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from slipstitch.cli.options import (
+    add_instrument,
     add_threads,
     check_at_least,
     output_json,
@@ -36,16 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="camera file written by slipstitch capture camera, with the camera's position at "
         "the stage",
     )
-    parser.add_argument(
-        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="configuration the instrument was trained with (default: config.json in the "
-        "nearest folder above the model)",
-    )
+    add_instrument(parser)
     parser.add_argument(
         "--out", type=output_page, metavar="FILE", help="write the result as an HTML page"
     )

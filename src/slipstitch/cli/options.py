@@ -95,6 +95,20 @@ def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
     )
 
 
+def add_instrument(parser: argparse.ArgumentParser) -> None:
+    """``--model DIR`` and ``--config FILE`` of a trained instrument."""
+    parser.add_argument(
+        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration the instrument was trained with (default: config.json in the "
+        "nearest folder above the model)",
+    )
+
+
 def add_training(parser: argparse.ArgumentParser, out: str) -> None:
     """Dataset, split, seed and folder of one training."""
     from slipstitch.config.train import TRAINED_ON

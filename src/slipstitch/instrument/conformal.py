@@ -59,3 +59,8 @@ def covered(
     shares = np.array([inside[names == name].mean() for name in np.unique(names)])
     error = shares.std(ddof=1) / np.sqrt(len(shares)) if len(shares) > 1 else float("nan")
     return float(shares.mean()), float(error)
+
+
+def least_groups(level: float) -> int:
+    """Groups that a finite `grouped_quantile` needs: K with K / (K + 1) >= level."""
+    return int(np.ceil(level / (1.0 - level) - 1e-9))

@@ -15,6 +15,7 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
+from slipstitch.instrument.conformal import least_groups
 from slipstitch.instrument.distribution import (
     mixture_cumulative,
     probabilities_on_grid,
@@ -166,8 +167,7 @@ class Instrument:
         """Why intervals are the whole grid, as they are then; empty where they are not."""
         if self.error_bars and math.isfinite(self.error_bars.factor):
             return ""
-        level = self.settings.coverage
-        needed = math.ceil(level / (1.0 - level) - 1e-9)
+        needed = least_groups(self.settings.coverage)
         groups = self.card.get("calibration_simulations", 0)
         of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
         return f"no error bar: calibrated on {of_them}; {needed} are needed"

@@ -4,6 +4,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ class MeasuredPair:
         """Those without an alarm, which the combined value rests on."""
         return [video for video in self.videos if not video.measurement.alarm]
 
-    @property
+    @cached_property
     def together(self) -> Repeats | None:
         """The combined result; None if every video raised its alarm."""
         if not self.used:
@@ -56,7 +57,7 @@ class MeasuredPair:
             [each.interval_90 for each in measured],
         )
 
-    @property
+    @cached_property
     def outliers(self) -> list[str]:
         """Names of the videos that disagree with the others."""
         together = self.together
