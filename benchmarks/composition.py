@@ -30,7 +30,7 @@ from slipstitch.render.textures import texture
 from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
 
 ROOT = Path(__file__).parents[1]
-SIMULATIONS = ("m03_f04_r00", "m08_f11_r00")
+SIMULATIONS = ("m03_f0400_r00", "m08_f1100_r00")
 VIEWPOINTS = ("calibrated", "frontal", "side")
 SEED = 7
 

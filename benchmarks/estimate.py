@@ -1,6 +1,6 @@
 """Estimated cost of a scale against an extrapolation from a measured part of it.
 
-    python benchmarks/estimate.py [--scale config/paper.yaml] [--simulation m05_f06_r00]
+    python benchmarks/estimate.py [--scale config/paper.yaml] [--simulation m05_f0600_r00]
         [--viewpoints v00 v01 v02 v09] [--keep DIR]
 
 Runs one simulation of the scale and renders it as the workflow would (light, images, preview; one
@@ -109,7 +109,7 @@ def predicted(config: Config, folder: Path, simulation: str, views: list[str]) -
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scale", default=str(ROOT / "config/paper.yaml"))
-    parser.add_argument("--simulation", default="m05_f06_r00")
+    parser.add_argument("--simulation", default="m05_f0600_r00")
     parser.add_argument("--viewpoints", nargs="+", default=["v00", "v01", "v02", "v09"])
     parser.add_argument("--keep", type=Path, help="folder for the part, kept")
     arguments = parser.parse_args()

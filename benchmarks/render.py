@@ -74,7 +74,7 @@ def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
     """Print what a frame and an image cost, viewpoint by viewpoint, and the paper's dataset."""
     frames = math.ceil(images / len(TEXTURES) / len(VIEWPOINTS))
     settings = RenderSettings(pixels=pixels, textures=TEXTURES, floors=[floor])
-    path = folder / "m00_f00_r00.parquet"
+    path = folder / "m00_f0100_r00.parquet"
     write_trajectory(path, Trajectory(**synthetic_cloth.motion(frames, n=41)))
     watch = Stopwatch()
     shading_s = image_s = blender_s = 0.0
@@ -111,7 +111,7 @@ def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
 def long_process(folder: Path, pixels: int, frames: int) -> None:
     """Print memory and open files of one process that renders many frames."""
     settings = RenderSettings(pixels=pixels, textures=TEXTURES[:2], frames="all")
-    path = folder / "m00_f00_r00.parquet"
+    path = folder / "m00_f0100_r00.parquet"
     write_trajectory(path, Trajectory(**synthetic_cloth.motion(frames, n=41)))
 
     def watched(shots):

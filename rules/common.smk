@@ -50,7 +50,7 @@ FULL_VIEWPOINTS = [
 
 
 wildcard_constraints:
-    simulation=r"m\d\d_f\d\d_r\d\d",
+    simulation=r"m\d\d_f\d+_r\d\d",
     viewpoint=r"v\d\d",
     split="|".join(CONFIG.train.splits),
     seed=r"\d+",

@@ -6,7 +6,7 @@ CASES = {case.id: case for case in cases(CONFIG)}
 
 
 wildcard_constraints:
-    case=r"m\d\d_f\d\d_n\d+_h\d",
+    case=r"m\d\d_f\d+_n\d+_h\d",
 
 
 rule convergence:

@@ -231,7 +231,7 @@ def _networks(add, config, folder: Path) -> None:
     network = build_network(train, 2, 16)
     card = {
         "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
-        "settings": train.model_dump(mode="json"), "classes": [{"id": "f00"}, {"id": "f01"}],
+        "settings": train.model_dump(mode="json"), "classes": [{"id": "f0100"}, {"id": "f0300"}],
         "condition_classes": [], "pixels": 16, "frames": 5,
     }  # fmt: skip
     models = folder / "models/by_video/friction_baseline/seed0"

@@ -202,8 +202,8 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
                         "split": split,
                         "network": network,
                         "seed": seed,
-                        "true": f"f{a:02d}",
-                        "predicted": f"f{b:02d}",
+                        "true": f"f{100 + 100 * a:04d}",
+                        "predicted": f"f{100 + 100 * b:04d}",
                         "true_value": float(frictions[a]),
                         "predicted_value": float(frictions[b]),
                     }

@@ -21,14 +21,14 @@ def manifest(replicates=4, textures=3, mirrors=(1, 3)):
     """
     rows = []
     for m, f, r, t, v in product(range(2), range(3), range(replicates), range(textures), range(2)):
-        simulation = f"m{m:02d}_f{f:02d}_r{r:02d}"
+        simulation = f"m{m:02d}_f{100 + 300 * f:04d}_r{r:02d}"
         held = r == replicates - 1
         rows.append(
             {
                 "video": f"{simulation}_t{t:02d}_v{v:02d}",
                 "simulation": simulation,
                 "material_id": f"m{m:02d}",
-                "friction_id": f"f{f:02d}",
+                "friction_id": f"f{100 + 300 * f:04d}",
                 "replicate_id": f"r{r:02d}",
                 "texture_id": f"t{t:02d}",
                 "viewpoint": VIEWS[v],
@@ -127,11 +127,11 @@ def test_the_floors_exchange_mirrors_for_matte_simulations_of_the_same_coefficie
 def test_floors_leave_out_a_coefficient_without_mirrors():
     rows = manifest()
     for row in rows:
-        if row["friction_id"] == "f01":
+        if row["friction_id"] == "f0400":
             row["floor_reflectance"] = 0.0
     found = planned("floors", rows)
     ids = set().union(*(one.videos for one in found.variants), *found.tests.values())
-    assert {row["friction_id"] for row in chosen(rows, ids)} == {"f00", "f02"}
+    assert {row["friction_id"] for row in chosen(rows, ids)} == {"f0100", "f0700"}
 
 
 def test_what_a_variant_changes():

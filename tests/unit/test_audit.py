@@ -31,8 +31,8 @@ from slipstitch.sample.manifest import dataset_digest
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
-CLIP = "m05_f01_r00_t00_v00"
-OF_SIMULATION = {f"m05_f01_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
+CLIP = "m05_f0300_r00_t00_v00"
+OF_SIMULATION = {f"m05_f0300_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
 pytestmark = pytest.mark.xdist_group("audit")
 
 
@@ -255,79 +255,79 @@ def test_dropped_manifest_leaves_the_files_checked(release):
 
 FORGERIES = {
     "another seed": (
-        "simulate/m05_f01_r00.parquet",
+        "simulate/m05_f0300_r00.parquet",
         lambda one: one["metadata"].update(seed=1),
         OF_SIMULATION,
     ),
     "another friction": (
-        "simulate/m05_f01_r00.parquet",
+        "simulate/m05_f0300_r00.parquet",
         lambda one: one["metadata"].update(friction=0.6),
         OF_SIMULATION,
     ),
     "another perturbation": (
-        "simulate/m05_f01_r00.parquet",
+        "simulate/m05_f0300_r00.parquet",
         lambda one: one["metadata"]["perturbation"].update(yaw_deg=0.0),
         OF_SIMULATION,
     ),
     "another file": (
-        "simulate/m05_f01_r00.parquet",
+        "simulate/m05_f0300_r00.parquet",
         lambda one: one.update(sha256="0" * 64),
         OF_SIMULATION,
     ),
     "another setting": (
-        "simulate/m05_f01_r00.parquet",
+        "simulate/m05_f0300_r00.parquet",
         lambda one: one["provenance"]["config"]["simulation"].update(time_step_s=0.001),
         OF_SIMULATION,
     ),
     "other code": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["provenance"].update(code_digest="0" * 64),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "another input": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["provenance"]["inputs"].update(
-            {"results/simulate/m05_f01_r00.parquet": "0" * 64}
+            {"results/simulate/m05_f0300_r00.parquet": "0" * 64}
         ),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "another viewpoint": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["metadata"]["viewpoint"].update(name="frontal"),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "another floor": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["metadata"]["surroundings"].update(floor="polyester-mirror"),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "another lamp": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["metadata"]["surroundings"].update(lamp_position_m=[0.8, -0.5, 1.0]),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "another exposure": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["metadata"]["augmentation"]["t00"].update(exposure_stops=0.0),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "no viewpoint": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one["metadata"].pop("viewpoint"),
         OF_SIMULATION,  # which clips are its, only it could have told
     ),
     "an input left out": (
         "sample/manifest.parquet",
-        lambda one: one["provenance"]["inputs"].pop("results/sample/m05_f01_r00.parquet"),
+        lambda one: one["provenance"]["inputs"].pop("results/sample/m05_f0300_r00.parquet"),
         OF_SIMULATION,
     ),
     "no provenance": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one.update(provenance=None),
         {clip for clip in OF_SIMULATION if clip.endswith("v00")},
     ),
     "no record at all": (
-        "render/m05_f01_r00_v00.parquet",
+        "render/m05_f0300_r00_v00.parquet",
         lambda one: one.clear(),
         OF_SIMULATION,  # which clips are its, only it could have told
     ),
@@ -366,7 +366,7 @@ def test_forged_configuration_contradicts_the_records(release):
     content["simulation"]["yaw_sd_deg"] = 2.0
     path.write_text(json.dumps(content))
     reseal(release)
-    assert "records/simulate/m05_f01_r00.parquet.record.json" in found(release, Kind.BROKEN)
+    assert "records/simulate/m05_f0300_r00.parquet.record.json" in found(release, Kind.BROKEN)
 
 
 def test_forged_sources_do_not_have_the_digest_of_the_records(release):
@@ -374,7 +374,7 @@ def test_forged_sources_do_not_have_the_digest_of_the_records(release):
     path.write_text(path.read_text().replace("0.187", "0.188", 1))
     reseal(release)
     broken = found(release, Kind.BROKEN)
-    assert "records/simulate/m05_f01_r00.parquet.record.json" in broken
+    assert "records/simulate/m05_f0300_r00.parquet.record.json" in broken
 
 
 def test_changed_configuration_makes_stale_not_damaged(original):
@@ -539,9 +539,9 @@ def test_story_of_a_clip_names_every_link(original, capsys):
     assert main(["audit", str(original), "--explain", CLIP]) == 0
     story = capsys.readouterr().out
     for part in (
-        "results/sample/m05_f01_r00.parquet",
-        "results/render/m05_f01_r00_v00.parquet",
-        "results/simulate/m05_f01_r00.parquet",
+        "results/sample/m05_f0300_r00.parquet",
+        "results/render/m05_f0300_r00_v00.parquet",
+        "results/simulate/m05_f0300_r00.parquet",
         "results/calibrate/calibration.json",
         "fabric gray-interlock (same as the current one)",
         "friction 0.3",
@@ -557,9 +557,11 @@ def test_story_of_a_clip_names_every_link(original, capsys):
 
 
 def test_story_says_where_the_chain_breaks(release, capsys):
-    edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.update(sha256="0" * 64))
+    edit_record(
+        release, "render/m05_f0300_r00_v00.parquet", lambda one: one.update(sha256="0" * 64)
+    )
     main(["audit", str(release), "--explain", CLIP])
-    assert "results/render/m05_f01_r00_v00.parquet (DIFFERENT from the next)" in (
+    assert "results/render/m05_f0300_r00_v00.parquet (DIFFERENT from the next)" in (
         capsys.readouterr().out
     )
 
@@ -586,6 +588,6 @@ def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
 
 
 def test_clip_without_whole_records_is_not_rebuilt(release):
-    edit_record(release, "render/m05_f01_r00_v00.parquet", lambda one: one.clear())
+    edit_record(release, "render/m05_f0300_r00_v00.parquet", lambda one: one.clear())
     with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
         rebuild.rebuild(read_contents(release), CLIP)

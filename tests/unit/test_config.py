@@ -86,6 +86,7 @@ BAD = {
     "grid: {friction: [0.1]}": "grid.friction: unknown key; did you mean frictions?",
     "colour: red": "colour: unknown key; known: seed, grid, simulation",
     "grid: {frictions: [0.3, -0.1]}": "grid.frictions.1: must be at least 0, not -0.1",
+    "grid: {frictions: [0.3, 0.3004]}": "grid.frictions: must be a multiple of 0.001",
     "grid: {frictions: []}": "grid.frictions: must have at least 1 entries",
     "grid: {frictions: 0.3}": "grid.frictions: must be a list, not 0.3",
     "grid: {frictions: [0.3, 0.1]}": "grid.frictions: friction coefficients must increase",

@@ -24,19 +24,28 @@ def grid(**keys):
     return resolve_config({"grid": keys})
 
 
-def test_ids_are_positions_in_catalogue_and_lists():
+def test_ids_say_the_place_in_the_catalogue_and_the_value_in_thousandths():
     config = grid(materials=["gray-interlock", "ivory-rib-knit"], frictions=[0.1, 0.4])
     assert [one.id for one in simulations(config)] == [
-        "m05_f00_r00", "m05_f00_r01", "m05_f01_r00", "m05_f01_r01",
-        "m00_f00_r00", "m00_f00_r01", "m00_f01_r00", "m00_f01_r01",
+        "m05_f0100_r00", "m05_f0100_r01", "m05_f0400_r00", "m05_f0400_r01",
+        "m00_f0100_r00", "m00_f0100_r01", "m00_f0400_r00", "m00_f0400_r01",
     ]  # fmt: skip
-    one = find_simulation(config, "m00_f01_r01")
+    one = find_simulation(config, "m00_f0400_r01")
     assert (one.material, one.friction, one.replicate_id) == ("ivory-rib-knit", 0.4, "r01")
 
 
+def test_an_inserted_coefficient_leaves_the_other_ids_as_they_are():
+    before, after = (
+        {one.id: one for one in simulations(grid(frictions=frictions))}
+        for frictions in ([0.1, 0.5], [0.1, 0.345, 0.5, 10.0])
+    )
+    assert {name: after[name] for name in before} == before
+    assert {one.friction_id for one in after.values()} == {"f0100", "f0345", "f0500", "f10000"}
+
+
 def test_unknown_simulation_is_bad_input():
-    with pytest.raises(BadInput, match="no simulation 'm09_f00_r00'"):
-        find_simulation(grid(materials=["gray-interlock"]), "m09_f00_r00")
+    with pytest.raises(BadInput, match="no simulation 'm09_f0100_r00'"):
+        find_simulation(grid(materials=["gray-interlock"]), "m09_f0100_r00")
 
 
 def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficient():
@@ -51,7 +60,7 @@ def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficie
 
 
 def test_the_bench_of_a_simulation_leaves_out_its_coefficient():
-    assert bench_of("m05_f01_r00") == bench_of("m05_f13_r00") == "m05_r00"
+    assert bench_of("m05_f0300_r00") == bench_of("m05_f1300_r00") == "m05_r00"
     assert len({bench_of(one.id) for one in simulations(grid(replicates=20))}) == 3 * 20
 
 
@@ -60,7 +69,7 @@ def test_seeds_follow_the_configured_seed():
     assert not {one.seed for one in first} & {one.seed for one in second}
 
 
-def test_seed_is_that_of_the_simulation_not_of_its_place_in_the_grid():
+def test_a_simulation_is_the_same_in_any_grid():
     alone = simulations(grid(frictions=[0.3], replicates=1, materials=["gray-interlock"]))
     among = simulations(grid(frictions=[0.1, 0.3], replicates=2))
     same = [
@@ -68,8 +77,7 @@ def test_seed_is_that_of_the_simulation_not_of_its_place_in_the_grid():
         for one in among
         if (one.material, one.friction, one.replicate_id) == ("gray-interlock", 0.3, "r00")
     ]
-    assert [one.id for one in alone] != [one.id for one in same]
-    assert [one.seed for one in alone] == [one.seed for one in same]
+    assert alone == same
 
 
 def test_test_textures_and_viewpoints_come_after_those_of_training():
@@ -171,7 +179,7 @@ def test_table_reads_back_with_its_provenance(tmp_path):
     write_grid(config, path)
     rows = pq.read_table(path).to_pylist()
     of_simulations = [row for row in rows if row["kind"] == "simulation"]
-    assert [row["id"] for row in of_simulations] == ["m05_f00_r00", "m05_f01_r00"]
+    assert [row["id"] for row in of_simulations] == ["m05_f0100_r00", "m05_f0400_r00"]
     assert of_simulations[1]["friction"] == 0.4
     assert of_simulations[1]["seed"] == simulations(config)[1].seed
     assert read_provenance(path)["config"]["grid"]["frictions"] == [0.1, 0.4]

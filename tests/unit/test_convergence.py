@@ -120,7 +120,7 @@ def test_between_frames_a_motion_is_compared_with_the_way_from_one_to_the_next()
 )
 def test_what_happens_at_another_time_is_told_from_what_is_something_else(run, verdict):
     finest = {case.id: made_up_run(case.vertices_per_side) for case in cases(CONFIG)}
-    rows = describe(CONFIG, finest | {"m09_f01_n9_h0": made_up_run(**run)})["summary"]
+    rows = describe(CONFIG, finest | {"m09_f0500_n9_h0": made_up_run(**run)})["summary"]
     found = {(row["material"], row["friction"]): row for row in rows}["royal-target", 0.5]
     assert found["verdict"] == found["time_step"]["verdict"] == verdict
     assert {row["verdict"] for row in rows if row is not found} == {"converged"}
@@ -175,11 +175,11 @@ def test_a_study_is_described_and_drawn():
 
 
 def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_convergence():
-    runs = {name: made_up_run() for name in ("m09_f01_n9_h0", "m09_f01_n9_h2")}
+    runs = {name: made_up_run() for name in ("m09_f0500_n9_h0", "m09_f0500_n9_h2")}
     study = describe(CONFIG, runs)
     assert len(study["missing"]) == len(cases(CONFIG)) - 2
     (row,) = study["summary"]
-    assert row["time_step"]["finest"] == "m09_f01_n9_h2"
+    assert row["time_step"]["finest"] == "m09_f0500_n9_h2"
     assert row["mesh"] is None and row["verdict"] is None
     with pytest.raises(BadInput, match="no runs of the study found"):
         describe(CONFIG, {})

@@ -38,8 +38,8 @@ CONFIG = synthetic_chain.config(
 )
 CALIBRATION = "records/calibrate/calibration.json"
 VERIFICATION = "records/render/verification.json"
-OF_SIMULATION = "records/simulate/m05_f01_r00.parquet.record.json"
-OF_SHARD = "records/render/m05_f01_r00_v00.parquet.record.json"
+OF_SIMULATION = "records/simulate/m05_f0300_r00.parquet.record.json"
+OF_SHARD = "records/render/m05_f0300_r00_v00.parquet.record.json"
 pytestmark = pytest.mark.xdist_group("forgeries")
 
 

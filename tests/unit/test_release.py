@@ -259,8 +259,8 @@ def test_crate_knows_every_job_and_what_it_was_made_from(release):
     runs = 2 * 4 * 2
     assert sum("/render/m" in name for name in actions) == runs * 3
     assert sum("/simulate/" in name for name in actions) == runs
-    render = actions["#job/results/render/m05_f01_r00_v00.parquet"]
-    assert [one.id for one in render["object"]] == ["#results/simulate/m05_f01_r00.parquet"]
+    render = actions["#job/results/render/m05_f0300_r00_v00.parquet"]
+    assert [one.id for one in render["object"]] == ["#results/simulate/m05_f0300_r00.parquet"]
     assert render["instrument"]["name"] == "slipstitch render"
     steps = {one.id: one for one in crate.mainEntity["step"]}
     (engine,) = crate.get_by_type("OrganizeAction")
@@ -375,16 +375,16 @@ def test_folder_of_somebody_else_is_left_alone(results, tmp_path, prepare, probl
 
 def test_half_finished_results_are_refused(own_results, tmp_path):
     out = tmp_path / "out"
-    (own_results / "sample/m05_f01_r00.parquet").unlink()
-    with pytest.raises(BadInput, match=r"sample/m05_f01_r00.parquet: no such file"):
+    (own_results / "sample/m05_f0300_r00.parquet").unlink()
+    with pytest.raises(BadInput, match=r"sample/m05_f0300_r00.parquet: no such file"):
         write_release(CONFIG, own_results, out, ROOT)
     assert not out.exists()
 
 
 def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
-    path = own_results / "simulate/m05_f01_r00.parquet"
+    path = own_results / "simulate/m05_f0300_r00.parquet"
     pq.write_table(attach_metadata(pq.read_table(path), {"remade": True}), path)
-    with pytest.raises(BadInput, match=r"not the file that results/render/m05_f01_r00_v00"):
+    with pytest.raises(BadInput, match=r"not the file that results/render/m05_f0300_r00_v00"):
         write_release(CONFIG, own_results, tmp_path / "out", ROOT)
 
 

@@ -17,8 +17,8 @@ def rng():
 
 
 def test_without_variation_everything_is_as_it_was():
-    assert draw_surroundings(RenderSettings(), 7, "m00_f00_r00") == MATTE
-    camera = draw_augmentation(AugmentationSettings(), 7, "m00_f00_r00", "dots", "side")
+    assert draw_surroundings(RenderSettings(), 7, "m00_f0100_r00") == MATTE
+    camera = draw_augmentation(AugmentationSettings(), 7, "m00_f0100_r00", "dots", "side")
     assert camera == Augmentation()
     np.testing.assert_array_equal(camera.photograph(LIGHT, rng()), encode_srgb(LIGHT))
 
@@ -34,7 +34,7 @@ def test_the_paper_s_substrates_are_there():
 def test_a_floor_is_drawn_within_its_ranges_and_gives_back_no_more_than_it_gets(name):
     settings = RenderSettings(floors=[name])
     for simulation in range(20):
-        drawn = draw_surroundings(settings, 3, f"m{simulation:02d}_f00_r00")
+        drawn = draw_surroundings(settings, 3, f"m{simulation:02d}_f0100_r00")
         floor = FLOORS[name]
         assert floor.albedo[0] <= drawn.albedo <= floor.albedo[1]
         assert floor.reflectance[0] <= drawn.reflectance <= floor.reflectance[1]
@@ -45,10 +45,10 @@ def test_a_floor_is_drawn_within_its_ranges_and_gives_back_no_more_than_it_gets(
 
 def test_what_is_drawn_depends_on_seed_and_simulation_only():
     settings = RenderSettings(floors=list(FLOORS), augmentation=AugmentationSettings(lamp_m=0.2))
-    one = draw_surroundings(settings, 3, "m00_f00_r00")
-    assert draw_surroundings(settings, 3, "m00_f00_r00") == one
-    assert draw_surroundings(settings, 4, "m00_f00_r00") != one
-    others = [draw_surroundings(settings, 3, f"m{k:02d}_f00_r00") for k in range(60)]
+    one = draw_surroundings(settings, 3, "m00_f0100_r00")
+    assert draw_surroundings(settings, 3, "m00_f0100_r00") == one
+    assert draw_surroundings(settings, 4, "m00_f0100_r00") != one
+    others = [draw_surroundings(settings, 3, f"m{k:02d}_f0100_r00") for k in range(60)]
     assert {other.floor for other in others} == set(FLOORS)
     away = np.array([other.lamp_position_m for other in others]) - LAMP_POSITION_M
     assert 0.15 < np.abs(away).max() <= 0.2
@@ -56,9 +56,9 @@ def test_what_is_drawn_depends_on_seed_and_simulation_only():
 
 def test_a_video_s_camera_is_the_same_whatever_else_there_is():
     settings = AugmentationSettings(exposure_stops=1, colour_cast=0.2, noise=0.05, jpeg_quality=40)
-    one = draw_augmentation(settings, 3, "m00_f00_r00", "dots", "side")
-    assert draw_augmentation(settings, 3, "m00_f00_r00", "dots", "side") == one
-    for other in (("m01_f00_r00", "dots", "side"), ("m00_f00_r00", "linen", "side")):
+    one = draw_augmentation(settings, 3, "m00_f0100_r00", "dots", "side")
+    assert draw_augmentation(settings, 3, "m00_f0100_r00", "dots", "side") == one
+    for other in (("m01_f0100_r00", "dots", "side"), ("m00_f0100_r00", "linen", "side")):
         assert draw_augmentation(settings, 3, *other) != one
 
 
@@ -93,7 +93,7 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
         floors=list(FLOORS),
         augmentation={"lamp_m": 0.3, "exposure_stops": 1.0, "colour_cast": 0.2, "noise": 0.1},
     )
-    first, *others = (f"m03_f{k:02d}_r01" for k in range(16))
+    first, *others = (f"m03_f{100 * k:04d}_r01" for k in range(16))
     for other in others:
         assert draw_surroundings(looks, 3, other) == draw_surroundings(looks, 3, first)
         drawn = [
@@ -103,4 +103,4 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
         assert drawn[0] == drawn[1]
         noise = [pixel_noise(3, name, "dots", "side", 7).random() for name in (first, other)]
         assert noise[0] == noise[1]
-    assert draw_surroundings(looks, 3, "m03_f00_r02") != draw_surroundings(looks, 3, first)
+    assert draw_surroundings(looks, 3, "m03_f0100_r02") != draw_surroundings(looks, 3, first)

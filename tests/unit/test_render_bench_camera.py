@@ -44,15 +44,19 @@ def test_a_camera_is_drawn_by_bench_and_member_never_by_coefficient():
     def drawn(simulation, viewpoint):
         return draw_bench_camera(FAMILY, 0, simulation, viewpoint)
 
-    first = drawn("m05_f01_r00", "bench_1")
-    assert first == drawn("m05_f15_r00", "bench_1")
-    others = [("m05_f01_r01", "bench_1"), ("m04_f01_r00", "bench_1"), ("m05_f01_r00", "bench_2")]
+    first = drawn("m05_f0300_r00", "bench_1")
+    assert first == drawn("m05_f1500_r00", "bench_1")
+    others = [
+        ("m05_f0300_r01", "bench_1"),
+        ("m04_f0300_r00", "bench_1"),
+        ("m05_f0300_r00", "bench_2"),
+    ]
     assert all(drawn(*other) != first for other in others)
     assert recorded_bench_camera(json.loads(json.dumps(first.record()))) == first
 
 
 def test_cameras_fill_the_family_and_a_third_stands_as_calibrated():
-    cameras = [draw_bench_camera(FAMILY, seed, "m00_f00_r00", "bench_1") for seed in range(600)]
+    cameras = [draw_bench_camera(FAMILY, seed, "m00_f0100_r00", "bench_1") for seed in range(600)]
     yaw = np.array([camera.yaw_deg for camera in cameras])
     pitch = np.array([camera.pitch_deg for camera in cameras])
     assert np.mean(yaw == 0) == pytest.approx(1 / 3, abs=0.06)
@@ -70,7 +74,7 @@ def shard(tmp_path_factory):
     """Renders one simulation with these settings of the family; metadata and images."""
     folder = tmp_path_factory.mktemp("bench_camera")
     motion = synthetic_cloth.motion(6, n=11, frame_rate_hz=0.1)
-    write_trajectory(folder / "m05_f01_r00.parquet", Trajectory(**motion))
+    write_trajectory(folder / "m05_f0300_r00.parquet", Trajectory(**motion))
 
     def render(viewpoint, **family):
         render = {"pixels": 48, "textures": ["dots"], "bench_camera": family}
@@ -78,7 +82,7 @@ def shard(tmp_path_factory):
         config = {"render": render, "sample": {"frames": 3}, "simulation": {"frames": 6}}
         (folder / "config.json").write_text(json.dumps(config))
         out = folder / f"{viewpoint}.parquet"
-        files = ["--trajectory", str(folder / "m05_f01_r00.parquet"), "--out", str(out)]
+        files = ["--trajectory", str(folder / "m05_f0300_r00.parquet"), "--out", str(out)]
         words = ["--config", str(folder / "config.json"), "--viewpoint", viewpoint]
         assert main(["render", *words, *files]) == 0
         rows = pq.read_table(out).to_pylist()

@@ -18,7 +18,7 @@ from slipstitch.render.packing import Job
 from slipstitch.render.surroundings import draw_surroundings
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 
-ONE = "m05_f01_r00"
+ONE = "m05_f0300_r00"
 CONFIG = {
     "seed": 5,
     "render": {
@@ -240,7 +240,7 @@ def test_a_viewpoint_of_the_second_training_set_keeps_its_id_and_its_floors(tmp_
     """It shares its name with another."""
     render = {"viewpoints": ["calibrated", "side"], "reflective_floors": ["aluminium"]}
     config = resolve_config({"render": render})
-    path = tmp_path / "m05_f00_r00.parquet"
+    path = tmp_path / "m05_f0100_r00.parquet"
     ids = ("v00", "v02", "calibrated", "frontal")
     jobs = {name: Job.of(config, path, name) for name in ids}
     assert {name: job.viewpoint_id for name, job in jobs.items()} == {

@@ -41,13 +41,13 @@ def work(tmp_path_factory):
         )
     )
     motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
-    write_trajectory(folder / "m05_f01_r00.parquet", Trajectory(**motion))
+    write_trajectory(folder / "m05_f0300_r00.parquet", Trajectory(**motion))
     for viewpoint in ("v00", "v01"):
         assert render(folder, "--viewpoint", viewpoint, out=f"{viewpoint}.parquet") == 0
     return folder
 
 
-def render(folder, *words, out="out.parquet", trajectory="m05_f01_r00.parquet"):
+def render(folder, *words, out="out.parquet", trajectory="m05_f0300_r00.parquet"):
     files = ["--trajectory", str(folder / trajectory), "--out", str(folder / out)]
     return main(["render", "--config", str(folder / "config.json"), *files, *words])
 
@@ -64,7 +64,7 @@ def images(path):
 
 def test_a_trajectory_file_gives_back_what_was_written(work):
     motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
-    read = read_trajectory(work / "m05_f01_r00.parquet")
+    read = read_trajectory(work / "m05_f0300_r00.parquet")
     for name, values in motion.items():
         np.testing.assert_array_equal(getattr(read, name), values)
 
@@ -75,13 +75,13 @@ def test_a_shard_has_one_row_for_every_texture_and_sampled_frame(work):
     rows = table.to_pylist()
     expected = [(f, t) for f in sampled_frames(FRAMES, SAMPLED) for t in ("t00", "t01", "t02")]
     assert [(row["frame"], row["texture"]) for row in rows] == expected
-    assert {row["simulation"] for row in rows} == {"m05_f01_r00"}
+    assert {row["simulation"] for row in rows} == {"m05_f0300_r00"}
     assert {row["viewpoint"] for row in rows} == {"v00"}
     motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
     for row in rows:
         assert row["time_s"] == motion["time_s"][row["frame"]]
         assert row["stage_x_m"] == motion["stage_x_m"][row["frame"]]
-        assert row["image"]["path"].startswith(f"m05_f01_r00_{row['texture']}_v00_")
+        assert row["image"]["path"].startswith(f"m05_f0300_r00_{row['texture']}_v00_")
     assert all(image.shape == (32, 32, 3) for image in images(work / "v00.parquet").values())
 
 
@@ -100,7 +100,7 @@ def test_a_shard_tells_its_cameras_and_where_it_comes_from(work):
 def test_the_recorded_camera_projects_the_cloth_onto_its_image(work):
     # In the denim images of a side view the cloth is the only thing that is blue.
     metadata = read_metadata(work / "v00.parquet")["camera"]
-    trajectory = read_trajectory(work / "m05_f01_r00.parquet")
+    trajectory = read_trajectory(work / "m05_f0300_r00.parquet")
     for frame, crop in metadata["frames"].items():
         local = trajectory.positions_m[int(frame)] @ np.array(metadata["rotation"]).T
         local = local + metadata["translation_m"]
@@ -180,7 +180,7 @@ def test_interrupted_work_leaves_nothing(work, monkeypatch):
 
 
 def test_a_preview_is_a_contact_sheet_and_a_video_that_play(work, capsys):
-    sheet, video = work / "m05_f01_r00.png", work / "m05_f01_r00.mp4"
+    sheet, video = work / "m05_f0300_r00.png", work / "m05_f0300_r00.mp4"
     words = ["render", "--preview", "--out-sheet", str(sheet), "--out-video", str(video)]
     assert main([*words, str(work / "v00.parquet"), str(work / "v01.parquet")]) == 0
     assert capsys.readouterr().out.splitlines() == [str(sheet), str(video)]
@@ -252,7 +252,7 @@ def _missing(source, path):
 def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message):
     path = work / "bad_trajectory.parquet"
     path.unlink(missing_ok=True)
-    damage(work / "m05_f01_r00.parquet", path)
+    damage(work / "m05_f0300_r00.parquet", path)
     assert render(work, "--viewpoint", "v00", out="bad.parquet", trajectory=path.name) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -281,7 +281,7 @@ def test_wrong_options_are_one_clear_line(work, capsys, words, message):
     [
         (["--out-sheet", "a.png"], "at least one shard"),
         (["v00.parquet"], "requires --out-sheet or --out-video"),
-        (["--out-sheet", "a.png", "m05_f01_r00.parquet"], "not an image shard"),
+        (["--out-sheet", "a.png", "m05_f0300_r00.parquet"], "not an image shard"),
         (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),
         (["--out-video", "a.avi", "v00.parquet"], "must end in .mp4"),
         (["--out-sheet", "a.png", "v00.parquet", "v00.parquet"], "which is also in another shard"),

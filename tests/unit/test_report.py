@@ -316,7 +316,7 @@ def test_a_coarse_grid_is_said_to_make_both_error_columns_the_same(page):
 
 def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path):
     """The published one stands in where the folder has none of its own."""
-    distance = {"finest": "m09_f01_n41_h1", "mean_m": 5e-4, "mean_largest_m": 2.5e-3,
+    distance = {"finest": "m09_f0300_n41_h1", "mean_m": 5e-4, "mean_largest_m": 2.5e-3,
                 "worst_m": 0.03, "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
                 "events_missing": ["flip"], "verdict": "not converged"}  # fmt: skip
     curve = {"time_s": [0, 1], "mean_m": [0, 1e-3], "shifted_mean_m": [0, 1e-4]}
@@ -329,7 +329,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
                      "mesh": None, "verdict": "not converged"}],
         "comparisons": [{"material": "royal-target", "friction": 0.5, "kind": "time step",
                          "curve": curve}],
-        "missing": ["m09_f01_n61_h0"],
+        "missing": ["m09_f0300_n61_h0"],
     }  # fmt: skip
     folder = tmp_path / "results"
     shutil.copytree(whole, folder)
@@ -341,7 +341,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
         in text
     )
     assert "not converged" in text
-    assert "Not run, so not compared: m09_f01_n61_h0" in text
+    assert "Not run, so not compared: m09_f0300_n61_h0" in text
 
 
 def test_checks_show_measured_theory_and_demand(page):
@@ -375,9 +375,9 @@ def test_what_is_there_is_shown_and_what_is_not_is_said(write, there, absent, tm
 
 def test_missing_simulations_are_named(tmp_path):
     synthetic_results.write_simulate(CONFIG, tmp_path)
-    (tmp_path / "simulate" / "m05_f01_r00.parquet").unlink()
+    (tmp_path / "simulate" / "m05_f0300_r00.parquet").unlink()
     text = text_of(render_page(page_context(Results(tmp_path, CONFIG), NOW)))
-    assert "1 not run: m05_f01_r00" in text
+    assert "1 not run: m05_f0300_r00" in text
 
 
 def test_costs_add_up_over_jobs(whole):
@@ -455,7 +455,7 @@ def test_the_time_can_be_set_from_outside_and_the_page_has_its_record(monkeypatc
     ("place", "content"),
     [
         ("evaluate/metrics.json", "{"),
-        ("simulate/m05_f00_r00.parquet", "no parquet"),
+        ("simulate/m05_f0100_r00.parquet", "no parquet"),
         ("sample/manifest.parquet", "no parquet"),
         ("calibrate/calibration.json", "\x00"),
     ],

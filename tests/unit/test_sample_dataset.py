@@ -122,7 +122,7 @@ def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_
         assert roles[1] == ("test" if row["friction"] == 0.35 else "train")
         if "test" in roles:
             assert row["split_by_video"] == row["split_by_simulation"] == "test"
-    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f02"}
+    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f0350"}
     plain = synthetic.config()
     without = write_dataset(plain, synthetic.write_shards(plain, tmp_path / "r2"), tmp_path / "s2")
     sides = {row["video"]: row["split_by_simulation"] for row in rows}
@@ -139,9 +139,9 @@ def test_more_phases_keep_more_frames_and_the_same_first_ones(config, tmp_path):
 
 
 def test_a_missing_shard_is_named_by_its_simulation_or_video(config, rendered, tmp_path):
-    with pytest.raises(BadInput, match=r"no image shard of simulation m\d\d_f00_r00 \(1 of"):
+    with pytest.raises(BadInput, match=r"no image shard of simulation m\d\d_f0100_r00 \(1 of"):
         write_dataset(config, rendered[2:], tmp_path)
-    with pytest.raises(BadInput, match=r"no images of video m\d\d_f00_r00_t00_v00"):
+    with pytest.raises(BadInput, match=r"no images of video m\d\d_f0100_r00_t00_v00"):
         write_dataset(config, rendered[1:], tmp_path)
 
 
@@ -174,7 +174,7 @@ def test_images_of_another_size_are_refused(rendered, tmp_path):
 
 def test_a_simulation_that_is_not_of_the_grid_is_refused(config, rendered, tmp_path):
     smaller = synthetic.config(grid={"replicates": 1, "materials": config.grid.materials[:2]})
-    with pytest.raises(BadInput, match=r"'m.._f.._r01' is not in the configured grid"):
+    with pytest.raises(BadInput, match=r"'m\d\d_f\d+_r01' is not in the configured grid"):
         write_dataset(smaller, rendered, tmp_path)
 
 

@@ -98,7 +98,7 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
         (["--material", "gray-interlock", "--friction", "nan"], "friction nan: must lie"),
         (["--material", "gray-interlock", "--friction", "50"], "friction 50: must lie"),
         (["--material", "gray-interlock"], "either --material and --friction, or --simulation"),
-        (["--simulation", "m00_f00_r00"], "--simulation requires --config"),
+        (["--simulation", "m00_f0100_r00"], "--simulation requires --config"),
         (
             ["--material", "gray-interlock", "--friction", "0.3", "--set", "time_step_s=0"],
             "simulation.time_step_s: must be greater than 0",

@@ -19,7 +19,7 @@ from slipstitch.status.schedule import finish_times_s
 from slipstitch.status.state import Expectation, Measured, stage_of, status
 from slipstitch.status.status_text import text
 
-NAMES = ("m00_f00_r00", "m00_f01_r00", "m00_f02_r00", "m00_f03_r00")
+NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
 
 
 class Event:

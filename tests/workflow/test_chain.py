@@ -170,9 +170,9 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
     changed = [first, *(round(friction + 0.05, 2) for friction in rest)]
     pending = chain.pending("--config", f"grid={{frictions: {changed}}}")
     assert {file for file in pending if file.startswith("simulate/")} == {
-        f"simulate/{one.id}.parquet" for one in simulations(config) if one.friction_id != "f00"
+        f"simulate/{one.id}.parquet" for one in simulations(config) if one.friction_id != "f0100"
     }
-    assert not [file for file in pending if file.startswith("render/") and "_f00_" in file]
+    assert not [file for file in pending if file.startswith("render/") and "_f0100_" in file]
 
 
 @pytest.mark.parametrize(

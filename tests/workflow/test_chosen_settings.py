@@ -12,7 +12,7 @@ pytestmark = pytest.mark.xdist_group("chosen_settings")
 # No push of the strip is solved with the first, so that the calibration takes the second.
 KEY = "newton_iterations_max"
 CONFIGURED, CHOSEN = 2, 30
-CLIP = "m05_f01_r00_t00_v00"
+CLIP = "m05_f0600_r00_t00_v00"
 SCALE = f"""
 grid: {{materials: [gray-interlock], frictions: [0.1, 0.6], replicates: 2}}
 simulation: {{{KEY}: {CONFIGURED}, frames: 24}}

@@ -9,7 +9,7 @@ from slipstitch.cli.main import main
 
 pytestmark = pytest.mark.xdist_group("chain")
 
-ONE = "m00_f00_r00"
+ONE = "m00_f0100_r00"
 PACKS = [f"results/render/shading/{ONE}_v00.parquet", f"results/render/shading/{ONE}_v01.parquet"]
 SHARDS = [f"results/render/{ONE}_v00.parquet", f"results/render/{ONE}_v01.parquet"]
 CONFIG = ["--config", "results/config.json"]

@@ -20,7 +20,7 @@ from slipstitch.config.load import load_config
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
 
 ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a file system")
-ONE = "m00_f00_r00"
+ONE = "m00_f0100_r00"
 CONFIG = ("--config", "results/config.json")
 
 

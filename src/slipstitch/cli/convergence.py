@@ -11,8 +11,8 @@ from slipstitch.cli.options import add_calibration, add_config, output_file, out
 
 SUMMARY = "simulate the cases of the convergence study, compare them, publish the results"
 EXAMPLE = (
-    "slipstitch convergence run --config config.yaml --case m05_f01_n41_h2 "
-    "--out results/convergence/runs/m05_f01_n41_h2.parquet"
+    "slipstitch convergence run --config config.yaml --case m05_f0300_n41_h2 "
+    "--out results/convergence/runs/m05_f0300_n41_h2.parquet"
 )
 
 
@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=output_folder, default="results/published/convergence", help="folder"
     )
     publish.set_defaults(action=_publish)
-    run.add_argument("--case", required=True, help="id of the case, e.g. m05_f01_n41_h2")
+    run.add_argument("--case", required=True, help="id of the case, e.g. m05_f0300_n41_h2")
     run.add_argument(
         "--out", type=output_file, required=True, help="Parquet file, one row per frame"
     )

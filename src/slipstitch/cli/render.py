@@ -9,8 +9,8 @@ from slipstitch.cli.options import add_config, output_folder_path, output_path
 
 SUMMARY = "render a simulation from one viewpoint with every texture; verify images; write previews"
 EXAMPLE = (
-    "slipstitch render --config config.yaml --trajectory results/simulate/m05_f01_r00.parquet "
-    "--viewpoint v00 --out results/render/m05_f01_r00_v00.parquet"
+    "slipstitch render --config config.yaml --trajectory results/simulate/m05_f0300_r00.parquet "
+    "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet"
 )
 
 

@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--simulation",
         nargs="+",
         metavar="ID",
-        help="id in the configured grid, e.g. m05_f01_r00; several are simulated as one batch",
+        help="id in the configured grid, e.g. m05_f0300_r00; several are simulated as one batch",
     )
     parser.add_argument(
         "--device",

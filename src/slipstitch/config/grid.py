@@ -1,4 +1,4 @@
-"""The grid of simulations, with its ids and seeds: the meaning of m05_f01_r00_t02_v01.
+"""The grid of simulations, with its ids and seeds: the meaning of m05_f0300_r00_t02_v01.
 
 The ids are kept in ``results/grid.parquet``.
 """
@@ -37,7 +37,7 @@ class GridSettings(Section):
         (0.1, 0.3, 0.6, 1.0),
         min_length=1,
         max_length=100,
-        description="friction coefficients, increasing; ids f00.. are positions in this list",
+        description="friction coefficients, increasing, multiples of 0.001; id f0350 is 0.35",
     )
     replicates: int = Field(
         2,
@@ -78,6 +78,8 @@ class GridSettings(Section):
     def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
         if any(after <= before for before, after in pairwise(frictions)):
             raise ValueError("friction coefficients must increase along the list")
+        if too_fine := [f for f in frictions if abs(1000 * f - round(1000 * f)) > 1e-6]:
+            raise ValueError(f"must be a multiple of 0.001, as its id is, not {too_fine[0]:g}")
         return frictions
 
     @model_validator(mode="after")
@@ -109,6 +111,11 @@ def material_id(name: str) -> str:
     return f"m{fabric_names().index(name):02d}"
 
 
+def friction_id(friction: float) -> str:
+    """The coefficient in thousandths, ``0.35`` -> ``f0350``: ids stay the same in any grid."""
+    return f"f{round(1000 * friction):04d}"
+
+
 def simulation_seed(seed: int, material: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
@@ -121,7 +128,7 @@ def simulation_seed(seed: int, material: str, replicate: int) -> int:
 
 
 def bench_of(simulation: str) -> str:
-    """The bench of a simulation by its id, ``m05_f01_r00`` -> ``m05_r00``.
+    """The bench of a simulation by its id, ``m05_f0300_r00`` -> ``m05_r00``.
 
     What is drawn for floor, lamp and camera is drawn by this: the same at every coefficient.
     """
@@ -146,19 +153,17 @@ def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
     fabric that no network trains on, at the grid's.
     """
     grid = config.grid
-    on_grid = list(enumerate(grid.frictions))
-    off_grid = list(enumerate(grid.test_frictions, len(on_grid)))
     parts = (
-        (grid.materials, "train", on_grid, "train", grid.replicates),
-        (grid.materials, "train", off_grid, "test", grid.test_replicates),
-        (grid.test_materials, "test", on_grid, "train", grid.test_replicates),
+        (grid.materials, "train", grid.frictions, "train", grid.replicates),
+        (grid.materials, "train", grid.test_frictions, "test", grid.test_replicates),
+        (grid.test_materials, "test", grid.frictions, "train", grid.test_replicates),
     )
     return [
         (
             {
-                "id": f"{material_id(material)}_f{f:02d}_r{r:02d}",
+                "id": f"{material_id(material)}_{friction_id(friction)}_r{r:02d}",
                 "material_id": material_id(material),
-                "friction_id": f"f{f:02d}",
+                "friction_id": friction_id(friction),
                 "replicate_id": f"r{r:02d}",
                 "material": material,
                 "friction": friction,
@@ -169,7 +174,7 @@ def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
         )
         for materials, material_role, frictions, friction_role, replicates in parts
         for material in materials
-        for f, friction in frictions
+        for friction in frictions
         for r in range(replicates)
     ]
 
@@ -270,8 +275,8 @@ def grid_rows(config: Config) -> list[dict]:
         for name in config.grid.materials
     ]
     rows += [
-        {"kind": "friction", "id": f"f{i:02d}", "name": f"{friction:g}", "value": friction}
-        for i, friction in enumerate(config.grid.frictions)
+        {"kind": "friction", "id": friction_id(f), "name": f"{f:g}", "value": f}
+        for f in config.grid.frictions
     ]
     rows += [
         {"kind": "replicate", "id": f"r{i:02d}", "name": f"replicate {i}", "value": float(i)}

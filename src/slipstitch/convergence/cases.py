@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from slipstitch.config import Config
-from slipstitch.config.grid import material_id
+from slipstitch.config.grid import friction_id, material_id
 from slipstitch.config.simulation import SimulationSettings
 
 
@@ -32,7 +32,7 @@ def cases(config: Config) -> list[StudyCase]:
     refinements += [(side, 0) for side in sides[1:]]
     return [
         StudyCase(
-            f"{material_id(material)}_f{study.frictions.index(friction):02d}_n{side}_h{halvings}",
+            f"{material_id(material)}_{friction_id(friction)}_n{side}_h{halvings}",
             material,
             friction,
             side,

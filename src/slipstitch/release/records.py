@@ -33,7 +33,7 @@ class Artefact:
     Attributes
     ----------
     path : str
-        As the records call it, such as ``results/render/m05_f01_r00_v00.parquet``.
+        As the records call it, such as ``results/render/m05_f0300_r00_v00.parquet``.
     sha256 : str
         Of the file's bytes.
     rows_sha256 : str or None

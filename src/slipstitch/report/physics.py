@@ -123,7 +123,7 @@ def _old_verdict(found: Mapping[str, Any], study: Mapping[str, Any]) -> str:
 
 
 def _refinement(kind: str, finest: str) -> str:
-    """Description of the finest run of a kind, from its id such as m05_f01_n61_h0."""
+    """Description of the finest run of a kind, from its id such as m05_f0300_n61_h0."""
     side, _, halvings = finest.partition("_n")[2].partition("_h")
     if not halvings:
         return f"finest {kind}"
