@@ -6,7 +6,6 @@ from itertools import pairwise
 from pydantic import Field, field_validator
 
 from slipstitch.config.section import Fabrics, Friction, Section
-from slipstitch.material import fabric_names
 
 
 class ConvergenceSettings(Section):
@@ -19,7 +18,20 @@ class ConvergenceSettings(Section):
     """
 
     materials: Fabrics = Field(
-        tuple(fabric_names()), min_length=1, description="fabrics of the catalogue"
+        (
+            "ivory-rib-knit",
+            "pink-ribbon-brown",
+            "white-dots-on-blk",
+            "navy-sparkle-sweat",
+            "camel-ponte-roma",
+            "gray-interlock",
+            "11oz-black-denim",
+            "white-swim-solid",
+            "tango-red-jet-set",
+            "royal-target",
+        ),
+        min_length=1,
+        description="fabrics of the catalogue",
     )
     frictions: tuple[Friction, ...] = Field(
         (0.1, 0.5, 1.5),
