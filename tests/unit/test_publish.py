@@ -1,6 +1,7 @@
 """A made-up run published: whole, unfinished, and refused."""
 
 import contextlib
+import csv
 import json
 import shutil
 
@@ -9,11 +10,13 @@ from support import synthetic_results
 
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
 from slipstitch.provenance import file_digest, read_provenance
 from slipstitch.publish.publishing import INDEX, finished_files, publish
 from slipstitch.report.page import write_report
 from slipstitch.sample.manifest import read_manifest
+from slipstitch.simulate.trajectory import read_trajectory
 
 CONFIG = synthetic_results.config()
 
@@ -55,6 +58,11 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     assert len(read_provenance(out / INDEX)["inputs"]) >= len(finished_files(CONFIG))
     jobs = {row["stage"]: row["jobs"] for row in json.loads((out / "cost.json").read_text())}
     assert jobs["simulate"] == 12
+    with (out / "simulations.csv").open() as file:
+        solved = {row["simulation"]: row for row in csv.DictReader(file)}
+    assert set(solved) == {one.id for one in simulations(CONFIG)}
+    one = read_trajectory(run / "simulate" / f"{next(iter(solved))}.parquet")
+    assert float(next(iter(solved.values()))["simulated_s"]) == round(float(one.time_s[-1]), 3)
     assert "Partial." not in (out / "index.html").read_text()
 
 

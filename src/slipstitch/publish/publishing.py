@@ -9,12 +9,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import pandas
+
 from slipstitch.config import Config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.provenance.record import write_json
 from slipstitch.report.results import Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
+from slipstitch.simulate.trajectory import read_trajectory
 
 INDEX = "published.json"
 _PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
@@ -100,6 +103,8 @@ def publish(
         record = provenance_record("publish", inputs=inputs, config=config, started=started)
         write_json(folder / "config.json", config.model_dump(mode="json"))
         write_json(folder / "cost.json", list(_costs(found)))
+        if solved := list(_simulations(found)):
+            pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
         write_json(folder / "origin.json", dict(found.provenance()))
         if "sample/" + MANIFEST in there:
             rows, digest = read_manifest(found.folder / "sample")
@@ -154,3 +159,21 @@ def _costs(results: Results) -> Iterator[dict[str, Any]]:
     """A row a class of jobs: of the rendering, light, images, previews and comparison apart."""
     for cost in results.benchmarks(job_classes=True):
         yield json.loads(json.dumps(asdict(cost)).replace("NaN", "null"))
+
+
+def _simulations(results: Results) -> Iterator[dict[str, Any]]:
+    """What each simulation cost and how well it is solved; a batch's cost is not split."""
+    for one in results.simulated():
+        run = read_trajectory(results.simulation_path(one))
+        job = results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv"
+        cost = pandas.read_csv(job, sep="\t").iloc[-1] if job.is_file() else {}
+        yield {
+            "simulation": one.id,
+            "material": one.material,
+            "friction": one.friction,
+            "cpu_s": cost.get("cpu_time"),
+            "wall_s": cost.get("s"),
+            "simulated_s": round(float(run.time_s[-1]), 3),
+            "friction_tolerance": run.metadata.get("settings", {}).get("friction_tolerance"),
+            **run.metadata.get("solver", {}),
+        }
