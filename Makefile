@@ -19,7 +19,7 @@ help:
 	@echo 'make test       lint and tests (make test TESTS=tests/unit for a subset)'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
-	@echo 'make benchmark  cost of simulations, compared with SolverVBD (BENCHMARK=--full: 131 s)'
+	@echo 'make benchmark  cost of simulations, compared with SolverVBD'
 	@echo 'make benchmark-criticise  how many of 300 hidden effects are found, missed or misnamed'
 	@echo 'make benchmark-departures  the same on a second bench, half of the cases with faulty instruments'
 	@echo 'make captures   ingest videos, score them, add them to the report; surrogates by default, 1 to 2 CPU h'
@@ -61,7 +61,7 @@ test: lint
 
 benchmark: setup
 	$(BIN)/pip install --quiet --no-deps newton==1.8.0
-	$(SINGLE) $(BIN)/python benchmarks/solver_cost.py $(BENCHMARK)
+	$(SINGLE) $(BIN)/python benchmarks/solver_cost.py
 
 benchmark-criticise: setup
 	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300

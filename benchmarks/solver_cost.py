@@ -1,9 +1,10 @@
 """Cost of the simulator, compared with SolverVBD of Newton physics.
 
-    python benchmarks/solver_cost.py [--full | --window S] [--only protocol mesh side-by-side]
+    python benchmarks/solver_cost.py [--only mesh side-by-side]
 
 Writes results/published/benchmark/benchmark.json and .png with their provenance, and the page
-docs/benchmarks.md from them. Parts that are not run keep what the file already holds. CPU seconds
+docs/benchmarks.md from them and from the published table of the paper's grid. Parts that are not
+run keep what the file already holds; `--only` without a name runs none. CPU seconds of the parts
 count the simulation alone, without starting Python and loading kernels; one process at a time.
 """
 
@@ -13,7 +14,6 @@ import importlib.util
 import json
 import math
 import os
-import random
 import resource
 import sys
 import time
@@ -25,12 +25,12 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import numpy as np
+import pandas
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "results" / "published" / "benchmark" / "benchmark.json"
-PARTS = ("protocol", "mesh", "side-by-side")
-FRICTIONS = (0.1, 0.5, 1.0, 1.5)
-WINDOW_S, FULL_S = 8.0, 131.0
+GRID = ROOT / "results" / "published" / "paper" / "simulations.csv"
+PARTS = ("mesh", "side-by-side")
 SIDES = (21, 41, 61, 81, 121, 161)
 MESH_WINDOW_S = 0.4
 STEP_S, SHORT_S, SETTLE_S = 1 / 12, 0.5, 1.0
@@ -80,20 +80,7 @@ def _simulate(material, friction, window_s, start_height_m, changes):
     }
 
 
-def protocol_part(window_s):
-    """All fabrics at four friction coefficients, as the factory simulates them, in one shuffle."""
-    from slipstitch.material.fabrics import fabric_names
-
-    runs = [(material, friction) for material in fabric_names() for friction in FRICTIONS]
-    random.Random(0).shuffle(runs)
-    rows = []
-    for material, friction in runs:
-        rows.append(simulate(material, friction, window_s))
-        print(_line(rows[-1]), file=sys.stderr, flush=True)
-        yield {"rows": rows, "runs_in_all": len(runs), "window_s": window_s}
-
-
-def mesh_part(_):
+def mesh_part():
     """Cost against mesh size where the cloth touches down, and the exponent of the vertices."""
     rows = []
     for sides in SIDES:
@@ -119,7 +106,7 @@ def _line(row):
     )
 
 
-def side_by_side_part(_):
+def side_by_side_part():
     """The same sheet on the same mesh, hung, lowered and laid on the floor, by both solvers."""
     if importlib.util.find_spec("newton") is None:
         print("newton is not installed (pip install 'slipstitch[benchmark]')", file=sys.stderr)
@@ -267,31 +254,29 @@ def main():
     from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 
     parser = argparse.ArgumentParser(description=__doc__)
-    window = parser.add_mutually_exclusive_group()
-    window.add_argument("--window", type=float, default=WINDOW_S, help="of the protocol, in s")
-    window.add_argument(
-        "--full", action="store_const", dest="window", const=FULL_S, help="all of its 131 s"
-    )
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)
     arguments = parser.parse_args()
     started = start_clock()
     result = json.loads(OUT.read_text()) if OUT.is_file() else {}
-    run = {"protocol": protocol_part, "mesh": mesh_part, "side-by-side": side_by_side_part}
+    run = {"mesh": mesh_part, "side-by-side": side_by_side_part}
     for part in arguments.only:
-        for found in run[part](arguments.window):
+        for found in run[part]():
             result[part] = {**found, "load_average": round(os.getloadavg()[0], 1)}
             with atomic_path(OUT) as temporary:
                 temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    record = provenance_record("simulate", config={"parts": arguments.only}, started=started)
+    grid = pandas.read_csv(GRID)
+    record = provenance_record(
+        "simulate", inputs=[GRID], config={"parts": arguments.only}, started=started
+    )
     result["host"], result["commit"] = record["host_kind"], record["git_commit"]
     with atomic_path(OUT) as temporary:
         temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     picture = OUT.with_suffix(".png")
     with atomic_path(picture) as temporary:
-        draw(result, temporary)
+        draw(result, grid, temporary)
     for file in (OUT, picture):
         write_sidecar(file, record)
-    (ROOT / "docs" / "benchmarks.md").write_text(page(result), encoding="utf-8")
+    (ROOT / "docs" / "benchmarks.md").write_text(page(result, grid), encoding="utf-8")
     print(OUT)
 
 

@@ -173,6 +173,7 @@ def _simulations(results: Results) -> Iterator[dict[str, Any]]:
             "friction": one.friction,
             "cpu_s": cost.get("cpu_time"),
             "wall_s": cost.get("s"),
+            "memory_mib": cost.get("max_rss"),
             "simulated_s": round(float(run.time_s[-1]), 3),
             "friction_tolerance": run.metadata.get("settings", {}).get("friction_tolerance"),
             **run.metadata.get("solver", {}),
