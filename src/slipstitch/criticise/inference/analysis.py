@@ -160,6 +160,8 @@ def _analyse(
         return result("insufficient", why=why)
     if measurements.implausible:
         return result("insufficient", why="; ".join(measurements.implausible))
+    if measurements.lower_bound[null_state.keep].all():
+        return result("insufficient", why="every reading is only a bound")
     if global_p > SIGNIFICANCE and not _could_be_seen(detectable):
         why = "not even an effect that doubles the friction would have been seen"
         return result("insufficient", why=why)

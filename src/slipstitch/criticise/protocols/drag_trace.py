@@ -125,12 +125,16 @@ def off_ramps(out: pd.DataFrame, back: pd.DataFrame) -> np.ndarray:
 
 
 def _late_ramp(x, force, level, threshold, spring_mN_mm) -> np.ndarray | None:
-    """Indices of the ramp if the force stayed flat before it; None if it rose at once."""
-    low = _first_lasting(force > force[:2].mean() + threshold)
-    high = _first_lasting(force > 0.6 * level)
-    if low is None or high is None or low < 2:
+    """Indices of the ramp if the force stayed flat before it; None if it rose at once.
+
+    None too if no reading lies on the ramp: a reading of the plateau says nothing about the zero.
+    """
+    start = force[:2].mean()
+    low = _first_lasting(force > start + threshold)
+    high = _first_lasting(force > start + 0.6 * (level - start))
+    if low is None or high is None or low < 2 or high <= low:
         return None
-    ramp = np.arange(low, max(high, low + 1))
+    ramp = np.arange(low, high)
     offset = np.mean(force[ramp] - spring_mN_mm * x[ramp])
     before = force[: low - 1] - offset - spring_mN_mm * x[: low - 1]
     return ramp if before.mean() > threshold else None

@@ -15,8 +15,9 @@ from scipy.stats import chi2 as chi_square
 # Uncertainties are usually stated this much too small; only more is allowed for before reading.
 USUAL_UNDERSTATEMENT = 1.25
 FEWEST_READINGS = 30
-# Median of |z| of a normal variable.
+# Median of |z| of a normal variable; beyond as many deviations a trace bends.
 MEDIAN_DEVIATION = 0.6745
+BENDS = 4.0
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,13 @@ def noise_of(
     z = np.concatenate([np.zeros(0), *deviations])
     if len(z) < FEWEST_READINGS:
         return TraceNoise(sensor, quantity, 1.0, (0.0, np.inf))
-    factor = np.median(np.abs(z)) / MEDIAN_DEVIATION if robust else np.sqrt(np.mean(z**2))
+    if robust:
+        factor = np.median(np.abs(z)) / MEDIAN_DEVIATION
+        z = z[np.abs(z) <= BENDS * factor]
+        factor = np.median(np.abs(z)) / MEDIAN_DEVIATION
+    else:
+        factor = np.sqrt(np.mean(z**2))
     # A median tells as much as a mean square of a third of the readings; neighbours share them.
-    degrees = len(z) / (6.0 if robust else 1.0)
+    degrees = len(z) / (7.0 if robust else 1.0)
     low, high = factor * np.sqrt(degrees / chi_square.ppf([0.975, 0.025], degrees))
     return TraceNoise(sensor, quantity, float(factor), (float(low), float(high)))
