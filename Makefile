@@ -10,7 +10,7 @@ SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-departures benchmark-audit \
 	benchmark-batch \
 	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
-	benchmark-scale captures convergence criticise-measured clean
+	benchmark-scale captures convergence criticise-measured figures clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -33,6 +33,7 @@ help:
 	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
 	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
 	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
+	@echo 'make figures    write the figures of README and docs that come from published files again'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -109,6 +110,9 @@ criticise-measured: setup
 		$(SINGLE) $(BIN)/slipstitch criticise data/cases/$$case \
 			--out results/criticise/$$case/verdict.json --report docs/measured/$$case.md || exit; \
 	done
+
+figures: setup
+	$(BIN)/python benchmarks/figures.py
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

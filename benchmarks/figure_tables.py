@@ -1,0 +1,106 @@
+"""Tables of the documentation, each from one published file alone."""
+
+import json
+
+from solver_cost_page import page
+
+from slipstitch.calibrate.choice import describe
+
+
+def _read(root, name):
+    file = root / "results" / "published" / name / f"{'dag' if name == 'scale' else name}.json"
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def _table(head, rows):
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _mm(metres):
+    return f"{1e3 * metres:.2f} mm" if metres < 9.95e-4 else f"{1e3 * metres:.1f} mm"
+
+
+def convergence(root):
+    """The settings of the simulations against finer steps and a finer mesh."""
+    study = _read(root, "convergence")
+    halved = 2 ** study["settings"]["convergence"]["halvings"]
+    rows = []
+    for case in study["summary"]:
+        for kind in ("time_step", "mesh"):
+            found = case[kind]
+            finer = f"steps {halved} times shorter" if kind == "time_step" else "the finer mesh"
+            apart_s = found["event_shift_s"]
+            sizes = ("mean_m", "mean_largest_m", "worst_m", "shifted_mean_m")
+            rows.append(
+                [
+                    f"{case['material']}, {case['friction']:g}",
+                    finer,
+                    *(_mm(found[size]) for size in sizes),
+                    "below 0.005 s" if apart_s < 0.005 else f"{apart_s:.2f} s",
+                ]
+            )
+    head = "fabric, μ|compared with|mean|mean, worst moment|worst vertex|mean, shifted in time"
+    return _table([*head.split("|"), "events apart by"], rows)
+
+
+def sweep(root):
+    """The pushed strip with every setting that was tried."""
+    strip = _read(root, "calibration")["strip"]
+    rows = []
+    for trial in strip["trials"]:
+        failed = sum(run["failure"] is not None for run in trial["runs"])
+        remark = "does not meet it"
+        if trial["meets"]:
+            remark = "meets it" if trial["may_be_chosen"] else "meets it, not to be chosen"
+        if trial["settings"] == strip["chosen"]["settings"]:
+            remark = "chosen"
+        rows.append(
+            [
+                describe(trial),
+                f"{trial['strain_error']:.4f}",
+                f"{trial['friction_error']:.4f}",
+                f"{trial['wrong_regimes']} of {len(trial['runs'])}"
+                + (f" ({failed} not solved)" if failed else ""),
+                f"{trial['work'] / 1e6:.2f} · 10⁶",
+                remark,
+            ]
+        )
+    head = "setting|largest error of ε|of μ|wrong regimes|iterations × vertices|demand"
+    return _table(head.split("|"), rows)
+
+
+def checks(root):
+    """The other known answers with the chosen settings: the worst of each kind."""
+    worst = {}
+    for check in _read(root, "calibration")["checks"]:
+        kept = worst.setdefault(check["name"], {**check, "number": 0})
+        kept["number"] += 1
+        kept["error"] = max(kept["error"], check["error"])
+    rows = []
+    for name, check in worst.items():
+        unit = " %" if check["relative"] else " µm" if name.endswith("creep") else " mm"
+        scale = {" %": 1e2, " µm": 1e6, " mm": 1e3}[unit]
+        shown = [
+            "yes or no" if check["demand"] == 0 else f"{scale * check['demand']:g}{unit}",
+            "none" if check["error"] == 0 else f"{scale * check['error']:.2g}{unit}",
+        ]
+        rows.append([name.replace("-", " "), str(check["number"]), *shown])
+    return _table(["experiment, compared", "cases", "demand", "largest error"], rows)
+
+
+def graph(root):
+    """What Snakemake needs to plan the jobs."""
+    rows = [
+        [
+            f"{one['jobs']} jobs ({one['simulations']} simulations)",
+            f"{one['cpu_s']:.1f}",
+            f"{one['memory_mib']:.0f} MiB",
+        ]
+        for one in _read(root, "scale")["building"]
+    ]
+    return _table(["job graph (`snakemake -n all`)", "CPU s", "memory"], rows)
+
+
+TABLES = {"convergence": convergence, "sweep": sweep, "checks": checks, "graph": graph}
+PAGES = {"docs/benchmarks.md": lambda root: page(_read(root, "benchmark"))}

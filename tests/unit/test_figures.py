@@ -1,0 +1,108 @@
+"""Every result in README and docs is the published one, or says how it was measured."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def figures():
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        return importlib.import_module("figures")
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+
+
+def test_every_figure_is_the_published_one(figures):
+    found = figures.complaints()
+    assert not found, "\n".join(found)
+
+
+def _page(figures, tmp_path, text, **published):
+    for name, content in published.items():
+        path = tmp_path / "results" / "published" / f"{name}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content))
+    (tmp_path / "Makefile").write_text("benchmark:\n")
+    return figures.written_again(text, "docs/page.md", tmp_path)
+
+
+SCORE = (
+    "# Page\n\nIt was fast. It is right in {}<!-- results/published/scores.json: {} --> % of all.\n"
+)
+SCORES = {"by_video": {"friction_lt_0.1": 0.876, "errors_m": [-0.002, 0.001, 0.004]}}
+
+
+@pytest.mark.parametrize(
+    ("steps", "figure"),
+    [
+        ("/by_video/friction_lt_0.1 | .1%", "87.6"),
+        ("/by_video/errors_m/* | median | * 1e3 | .1f", "1.0"),
+        ("/by_video/errors_m/0 | * 1e3 | .0f", "−2"),
+        ("/by_video/errors_m | len | d", "3"),
+    ],
+)
+def test_a_figure_is_written_from_its_file(figures, tmp_path, steps, figure):
+    text, found = _page(figures, tmp_path, SCORE.format("99", steps), scores=SCORES)
+    assert text == SCORE.format(figure, steps)
+    assert (
+        len(found) == 1
+    )  # the drift names the place, the sentence and the figure that it should be
+    assert found[0].startswith("docs/page.md:3: 'It is right in 99 % of all.'")
+    assert f"has {figure} (make figures)" in found[0]
+    assert _page(figures, tmp_path, text)[1] == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "lost.json: /by_video",
+        "scores.json: /by_video/unknown | .1%",
+        "scores.json: /by_video | .1f",
+    ],
+)
+def test_a_missing_source_is_named(figures, tmp_path, source):
+    text = SCORE.replace("scores.json: {}", source).format("99")
+    new, found = _page(figures, tmp_path, text, scores=SCORES)
+    assert new == text
+    assert len(found) == 1
+    assert found[0].startswith("docs/page.md:3: 'It is right in 99 % of all.': no such figure in")
+
+
+@pytest.mark.parametrize(
+    "result",
+    [
+        "Right in 99 % of all.",
+        "An error of 0.2 ± 0.1.",
+        "It took\n9.5 s.",
+        "3 of 4 were found.",
+        "| a | b |\n|---|---|\n| x | **0.31** |",
+        "150 CPU s and 2 GiB.",
+    ],
+)
+def test_a_result_needs_a_source(figures, tmp_path, result):
+    page = f"# Page\n\n{result}\n"
+    found = _page(figures, tmp_path, page)[1]
+    assert found
+    assert all("a result without a source" in line for line in found)
+    for source in ("Measured once: `make benchmark`.", "<!-- no results: closed forms -->"):
+        assert _page(figures, tmp_path, f"{page}\n{source}\n")[1] == []
+        assert _page(figures, tmp_path, f"{source}\n\n{page}")[1]  # it holds for its section alone
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["make unknown", "slipstitch unknown", "python benchmarks/unknown.py", "pytest tests/no"],
+)
+def test_a_command_that_is_gone_is_named(figures, tmp_path, command):
+    found = _page(
+        figures, tmp_path, f"# Page\n\nMeasured once: `make benchmark` and `{command}`.\n"
+    )
+    assert len(found[1]) == 1
+    assert f"there is no {command if 'py' not in command else command.split()[1]}" in found[1][0]
