@@ -2,14 +2,14 @@
 
 import json
 
+import pandas
 from solver_cost_page import page
 
 from slipstitch.calibrate.choice import describe
 
 
 def _read(root, name):
-    file = root / "results" / "published" / name / f"{'dag' if name == 'scale' else name}.json"
-    return json.loads(file.read_text(encoding="utf-8"))
+    return json.loads((root / "results" / "published" / name).read_text(encoding="utf-8"))
 
 
 def _table(head, rows):
@@ -23,7 +23,7 @@ def _mm(metres):
 
 def convergence(root):
     """The settings of the simulations against finer steps and a finer mesh."""
-    study = _read(root, "convergence")
+    study = _read(root, "convergence/convergence.json")
     halved = 2 ** study["settings"]["convergence"]["halvings"]
     rows = []
     for case in study["summary"]:
@@ -46,7 +46,7 @@ def convergence(root):
 
 def sweep(root):
     """The pushed strip with every setting that was tried."""
-    strip = _read(root, "calibration")["strip"]
+    strip = _read(root, "paper/calibration.json")["strip"]
     rows = []
     for trial in strip["trials"]:
         failed = sum(run["failure"] is not None for run in trial["runs"])
@@ -73,7 +73,7 @@ def sweep(root):
 def checks(root):
     """The other known answers with the chosen settings: the worst of each kind."""
     worst = {}
-    for check in _read(root, "calibration")["checks"]:
+    for check in _read(root, "paper/calibration.json")["checks"]:
         kept = worst.setdefault(check["name"], {**check, "number": 0})
         kept["number"] += 1
         kept["error"] = max(kept["error"], check["error"])
@@ -97,10 +97,15 @@ def graph(root):
             f"{one['cpu_s']:.1f}",
             f"{one['memory_mib']:.0f} MiB",
         ]
-        for one in _read(root, "scale")["building"]
+        for one in _read(root, "scale/dag.json")["building"]
     ]
     return _table(["job graph (`snakemake -n all`)", "CPU s", "memory"], rows)
 
 
 TABLES = {"convergence": convergence, "sweep": sweep, "checks": checks, "graph": graph}
-PAGES = {"docs/benchmarks.md": lambda root: page(_read(root, "benchmark"))}
+PAGES = {
+    "docs/benchmarks.md": lambda root: page(
+        _read(root, "benchmark/benchmark.json"),
+        pandas.read_csv(root / "results/published/paper/simulations.csv"),
+    )
+}

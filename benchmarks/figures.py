@@ -2,9 +2,10 @@
 
 A result stands in the text in one of four ways:
 
-- ``80<!-- results/published/benchmark/benchmark.json: /protocol/rows/*/cpu_s | median | .0f -->``:
-  a JSON pointer (RFC 6901; ``*`` for all members), then ``min``, ``max``, ``mean``, ``median``,
-  ``sum`` or ``len``, a factor such as ``* 1e3``, and a format (``.1%`` without the sign);
+- ``43<!-- results/published/paper/simulations.csv: /cpu_s | median | .0f -->``: a JSON pointer
+  (RFC 6901; ``*`` for all members), or a column of a CSV file, then ``min``, ``max``, ``mean``,
+  ``median``, ``sum`` or ``len``, a factor such as ``* 1e3``, and a format (``.1%`` without the
+  sign);
 - in a table between ``<!-- table: NAME -->`` and ``<!-- end -->``, or on a page, that ``TABLES`` or
   ``PAGES`` writes;
 - in a section (from heading to heading) with "Measured once: `COMMAND`" or "Estimated: `COMMAND`";
@@ -19,6 +20,7 @@ import statistics
 import sys
 from pathlib import Path
 
+import pandas
 from figure_tables import PAGES, TABLES
 
 ROOT = Path(__file__).parents[1]
@@ -57,7 +59,11 @@ def looked_up(data, pointer):
 def figure(root, file, steps):
     """The figure as text; ValueError or KeyError if the file does not have it."""
     pointer, *steps, form = (step.strip() for step in steps.split("|"))
-    value = looked_up(json.loads((root / file).read_text(encoding="utf-8")), pointer)
+    if file.endswith(".csv"):
+        data = pandas.read_csv(root / file).to_dict("list")
+    else:
+        data = json.loads((root / file).read_text(encoding="utf-8"))
+    value = looked_up(data, pointer)
     for step in steps:
         value = value * float(step[1:]) if step.startswith("*") else REDUCED[step](value)
     return f"{value:{form}}".removesuffix("%").replace("-", "−")
