@@ -43,6 +43,11 @@ class NotConverged(SlipstitchError):  # noqa: N818
         self.state = state or {}
 
 
+def first_line(error: BaseException) -> str:
+    """The first line of an error's message; its kind if it has none."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__
+
+
 # What the machine refuses, whatever the program: told in one line, without a traceback.
 _OF_THE_MACHINE = {
     errno.ENOSPC: "no space left on the disk",

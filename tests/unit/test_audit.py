@@ -566,6 +566,19 @@ def test_story_says_where_the_chain_breaks(release, capsys):
     )
 
 
+def test_story_states_the_digest_of_other_pixels(release, capsys):
+    decoded = []
+
+    def edit(rows):
+        row = next(row for row in rows if row["video"] == CLIP)
+        decoded.append(row["pixels_sha256"])
+        row["pixels_sha256"] = "0" * 64
+
+    edit_table(release / "manifest.parquet", edit)
+    main(["audit", str(release), "--explain", CLIP])
+    assert f"NOT equal to the decoded pixels ({decoded[0]})" in capsys.readouterr().out
+
+
 def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     first = np.zeros((3, 8, 8, 3), np.uint8)
     second = first.copy()
@@ -582,7 +595,8 @@ def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
 def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
     pixels = np.zeros((3, 8, 8, 3), np.uint8)
     same = rebuild.compare("a", pixels, pixels, True)
-    other = replace(same, differing=("solver of results/simulate/a.parquet",))
+    told = ("solver of results/simulate/a.parquet",)
+    other = rebuild.compare("a", pixels, pixels, True, told)
     assert same.same and not other.same
     assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
 

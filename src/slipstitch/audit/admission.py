@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import reading
 from slipstitch.release.records import RECORDS
 from slipstitch.release.shards import FOLDER
@@ -41,6 +43,13 @@ _KINDS = {
     stat.S_ISCHR: "a device",
     stat.S_ISBLK: "a device",
 }
+
+
+#: What content that somebody made up may make of the code that reads it.
+UNUSABLE = (
+    *(LookupError, TypeError, ValueError, AttributeError, StopIteration, ArithmeticError),
+    *(OSError, RecursionError, cv2.error, pa.ArrowException, SlipstitchError),
+)
 
 
 class Harmful(BadInput):

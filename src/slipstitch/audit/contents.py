@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from slipstitch.audit.admission import (
+    UNUSABLE,
     Harmful,
     check_entries,
     check_nesting,
@@ -22,7 +23,7 @@ from slipstitch.audit.admission import (
 )
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.config import Config, load_config
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, first_line
 from slipstitch.provenance import file_digest, read_metadata
 from slipstitch.release.checksums import SUMS, read_sums
 from slipstitch.release.currency import calibrated_by
@@ -144,9 +145,9 @@ def _read(contents: Contents, name: str, read) -> None:
         contents.findings.append(Finding(Kind.BROKEN, name, what))
     except RecursionError:
         raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
-        what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        contents.findings.append(Finding(Kind.BROKEN, name, f"cannot be read: {what}"))
+    except UNUSABLE as error:
+        what = f"cannot be read: {first_line(error)}"
+        contents.findings.append(Finding(Kind.BROKEN, name, what))
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:

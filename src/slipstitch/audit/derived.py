@@ -13,17 +13,17 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from slipstitch.audit.admission import check_parquet
+from slipstitch.audit.admission import UNUSABLE, check_parquet
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.png import png_problem
 from slipstitch.config import Config
 from slipstitch.config.grid import grid_table
-from slipstitch.errors import SlipstitchError
+from slipstitch.errors import first_line
+from slipstitch.page.wording import shortened
 from slipstitch.provenance.reading import load_yaml
 from slipstitch.release import card, previews
 from slipstitch.release.checksums import SUMS
@@ -46,19 +46,6 @@ from slipstitch.release.splits import PREFIX
 from slipstitch.sample.manifest import MANIFEST_SCHEMA
 
 _BESIDE = (card.CARD, "LICENSE", CITATION, CROISSANT, CRATE, MANIFEST)
-# What a forged record may make of the code that writes card and crate.
-_UNUSABLE = (
-    KeyError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    IndexError,
-    ZeroDivisionError,
-    OSError,
-    RecursionError,
-    pa.ArrowException,
-    SlipstitchError,
-)
 
 
 def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
@@ -91,9 +78,8 @@ def check_derived(contents: Contents) -> tuple[list[Finding], list[str]]:
     for name, check in made:
         try:
             findings += check()
-        except _UNUSABLE as error:
-            words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            what = f"cannot be regenerated from the records: {words}"
+        except UNUSABLE as error:
+            what = f"cannot be regenerated from the records: {first_line(error)}"
             findings.append(Finding(Kind.BROKEN, name, what))
     return findings, []
 
@@ -150,9 +136,8 @@ def _head(contents: Contents) -> Iterator[Finding]:
             for entry in configs
             for one in entry["data_files"]
         }
-    except (*_UNUSABLE, UnicodeDecodeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else repr(error)
-        what = f"its header names no splits: {reason}"
+    except UNUSABLE as error:
+        what = f"its header names no splits: {first_line(error)}"
         yield Finding(Kind.BROKEN, card.CARD, what)
         return
     expected = card.data_files(sides_of_parts(contents.rows))
@@ -179,7 +164,7 @@ def _grid(contents: Contents, config: Config) -> Iterator[Finding]:
     try:
         check_parquet(path, images=False)
         same = table_digest(pq.read_table(path)) == table_digest(expected)
-    except _UNUSABLE as error:
+    except UNUSABLE as error:
         what = f"cannot be read: {str(error).removeprefix(f'{path}: ')}"
         yield Finding(Kind.BROKEN, GRID, what)
         return
@@ -234,12 +219,8 @@ def _same_text(contents: Contents, name: str, expected: str) -> Iterator[Finding
         return
     lines = difflib.ndiff(expected.splitlines(), found.splitlines())
     odd = next((line for line in lines if line[0] in "+-"), "  ")
-    said = f"says {_short(odd[2:])!r}" if odd[0] == "+" else f"lacks {_short(odd[2:])!r}"
+    said = f"{'says' if odd[0] == '+' else 'lacks'} {shortened(odd[2:], 80)!r}"
     yield Finding(Kind.BROKEN, name, f"does not match manifest and records: {said}")
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _croissant(contents: Contents) -> Iterator[Finding]:

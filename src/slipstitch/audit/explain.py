@@ -9,6 +9,7 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import read_shard
 from slipstitch.audit.lineage import Lineage
 from slipstitch.errors import BadInput
+from slipstitch.page.wording import shortened
 from slipstitch.release.currency import CALIBRATION, current_digest
 from slipstitch.release.records import Artefact, carried_file, is_carried, is_ours, record_file
 from slipstitch.release.splits import PREFIX
@@ -34,15 +35,12 @@ def explain(contents: Contents, clip: str) -> str:
     row = find_clip(contents, clip)
     lineage = Lineage(contents)
     lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
-    seen: set[str] = set()
-    below = dict.fromkeys(lineage.behind(row))
-    for path in below:
+    for path in lineage.behind(row):
         artefact = lineage.artefacts.get(path)
         if artefact is None:
             lines += ["", f"{path}: NO RECORD, the chain is broken here"]
-        elif path not in seen:
+        else:
             lines += ["", *_artefact(contents, lineage, artefact, row)]
-        seen.add(path)
     lines += ["", *_fabric(contents, row)]
     return "\n".join(lines)
 
@@ -54,8 +52,8 @@ def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     else:
         found = read_shard(shard).pixels.get(row["video"])
         same = found == row["pixels_sha256"]
-        pixels = "equal to the decoded pixels" if same else "NOT equal to the decoded pixels "
-        f"({found})"
+        pixels = f"{'equal' if same else 'NOT equal'} to the decoded pixels"
+        pixels += "" if same else f" ({found})"
     known = {"video", "pixels_sha256", "shard", "first_row", "frames", "pixels"}
     labels = [
         f"{name} {value}"
@@ -139,9 +137,9 @@ def _checks(contents: Contents, artefact: Artefact) -> list[str]:
     ]
 
 
-def _short(value: Any, most: int = 400) -> str:
-    text = json.dumps(value, ensure_ascii=False) if not isinstance(value, str) else value
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return shortened(text, 400)
 
 
 def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:

@@ -14,12 +14,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.audit.admission import Harmful, check_parquet, short_texts, text_columns
+from slipstitch.audit.admission import UNUSABLE, Harmful, check_parquet, short_texts, text_columns
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import Lineage
 from slipstitch.audit.png import png_problem
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, first_line
 from slipstitch.provenance import file_digest
 from slipstitch.release.checksums import files_below
 from slipstitch.release.shards import FOLDER, shard_schema
@@ -54,20 +54,6 @@ class Shard:
     odd: str | None = None
     grows: bool = False
     flaws: dict[str, str] = field(default_factory=dict)
-
-
-# What reading a file that somebody made up may end in.
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    cv2.error,
-    pa.ArrowException,
-    BadInput,
-)
 
 
 def _batches(path: Path) -> Iterator[pa.RecordBatch]:
@@ -124,8 +110,8 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
         shard.problem, shard.grows = _GROWS, True
     except Harmful as error:
         shard.problem, shard.grows = str(error).removeprefix(f"{path}: "), True
-    except _UNREADABLE as error:
-        shard.problem = str(error).splitlines()[0] if str(error) else type(error).__name__
+    except UNUSABLE as error:
+        shard.problem = first_line(error)
     shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
     return shard
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from slipstitch import theory
+from slipstitch.audit.admission import UNUSABLE
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.files import Shard
 from slipstitch.audit.findings import Finding, Kind
@@ -22,7 +23,7 @@ from slipstitch.calibrate.experiments import experiments
 from slipstitch.calibrate.sweep import variations
 from slipstitch.config import Config
 from slipstitch.config.calibrate import BASE, KEYS
-from slipstitch.errors import SlipstitchError
+from slipstitch.errors import first_line
 from slipstitch.provenance import read_json
 from slipstitch.release.currency import CALIBRATION
 from slipstitch.release.records import VERIFICATION, carried_file
@@ -30,10 +31,6 @@ from slipstitch.release.records import VERIFICATION, carried_file
 _NEAR = 1e-9
 # A released image beside the composed one: noise and compression of its camera lie between.
 _AS_PHOTOGRAPHED_DB = 20.0
-_UNUSABLE = (
-    *(KeyError, TypeError, ValueError, AttributeError, IndexError, StopIteration),
-    *(ArithmeticError, RecursionError, cv2.error, SlipstitchError),
-)
 
 
 def check_judged(
@@ -62,9 +59,8 @@ def check_judged(
             continue
         try:
             problems = list(check(read_json(place)))
-        except _UNUSABLE as error:
-            words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            problems = [f"cannot be checked: {words}"]
+        except UNUSABLE as error:
+            problems = [f"cannot be checked: {first_line(error)}"]
         for problem in problems:
             yield Finding(Kind.BROKEN, carried_file(path), problem, every)
 
@@ -180,7 +176,7 @@ def _verification(
         good = again["psnr_db"] >= least and again["ssim"] >= LEAST_SSIM
         if not (good and one["as_stored"] is True and one["passed"] is True):
             yield f"{where}: deviates too much from the direct render"
-        released = _released(contents, config, one, shards)
+        released = _released(contents, one, shards)
         if released is not None and not _photographed(contents, config, one, released, images[0]):
             yield f"{where}: the compared image is not the released one"
 
@@ -216,7 +212,7 @@ def _decoded(text: str) -> np.ndarray:
 
 
 def _released(
-    contents: Contents, config: Config, one: Mapping[str, Any], shards: Mapping[str, Shard]
+    contents: Contents, one: Mapping[str, Any], shards: Mapping[str, Shard]
 ) -> np.ndarray | None:
     """The image as it is in the release; None where the dataset leaves its frame out."""
     from slipstitch.release.previews import reader

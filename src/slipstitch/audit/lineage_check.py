@@ -130,7 +130,7 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
             behind = lineage.artefacts.get(name)
             if behind is not None and behind.sha256 != digest:
                 what = f"was made from a {name} other than the one described by {record_file(name)}"
-                touched = clips if len(clips) < len(lineage.clips(name)) else lineage.clips(name)
+                touched = min(lineage.clips(name), clips, key=len)
                 yield Finding(Kind.BROKEN, where, what, touched)
     listed = (
         lineage.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in lineage.artefacts else {}
@@ -282,14 +282,14 @@ _PARTS = {"": "name", "_id": "id", "_role": "role"}
 
 
 def _times(
-    columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray | None
+    columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray
 ) -> str | None:
     """Errors in frame numbers, times and stage positions of a clip."""
     if columns.get("frame") != frames.tolist():
         return "its frames are not the sampled ones"
     for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):
         found = columns.get(name)
-        if expected is None or found is None:
+        if found is None:
             continue
         if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
             return f"{name} differs from the protocol"

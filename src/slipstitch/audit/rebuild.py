@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +138,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
             raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
         again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
         differing = (*_differing(simulated[0], trajectory), *_differing(of_view[0], shard))
-    done = compare(clip, _released(contents, row), again, same_motion)
-    return replace(done, differing=differing)
+    return compare(clip, _released(contents, row), again, same_motion, differing)
 
 
 def _differing(recorded: Artefact, made: Path) -> list[str]:
@@ -157,8 +156,14 @@ def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:
     return table["frame"].slice(row["first_row"], row["frames"]).to_pylist()
 
 
-def compare(clip: str, released: np.ndarray, again: np.ndarray, same_motion: bool) -> Rebuilt:
-    """Compare two arrays of images, uint8 of equal shape."""
+def compare(
+    clip: str,
+    released: np.ndarray,
+    again: np.ndarray,
+    same_motion: bool,
+    differing: tuple[str, ...] = (),
+) -> Rebuilt:
+    """Compare two arrays of images, uint8 of equal shape; the rest as in `Rebuilt`."""
     difference = released.astype(np.int16) - again
     mean_square = float(np.mean(np.square(difference, dtype=np.float64)))
     return Rebuilt(
@@ -169,6 +174,7 @@ def compare(clip: str, released: np.ndarray, again: np.ndarray, same_motion: boo
         images=len(released),
         largest_difference=int(np.abs(difference).max()),
         psnr_db=round(10 * np.log10(255**2 / mean_square), 2) if mean_square else None,
+        differing=differing,
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.audit.admission import UNUSABLE
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
@@ -20,7 +21,7 @@ from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.errors import BadInput
+from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
 from slipstitch.release.currency import CALIBRATION, calibrated_simulation, other_versions
 from slipstitch.release.records import VERIFICATION, Artefact, is_ours, record_file
@@ -48,7 +49,6 @@ _SECTIONS = {
     "render.packing": ("render",),
     "sample": ("grid", "render", "sample"),
 }
-_UNUSABLE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, BadInput)
 _NEAR = 1e-9
 # A step ends when its residual is below the tolerance: of many, one ends closely below.
 _LARGEST_RESIDUAL_SHARE = 0.1
@@ -84,12 +84,11 @@ def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterato
             continue
         problems = list(other_versions(artefact.record, lock))
         try:
-            problems += _made_with(artefact, contents, config, grid)
+            problems += _made_with(artefact, config, grid)
             if stage not in stale and path != VERIFICATION and stage in checks:
                 problems += checks[stage](artefact, contents, config, grid)
-        except _UNUSABLE as error:
-            words = str(error).splitlines()[0] if str(error) else type(error).__name__
-            problems.append(f"cannot be traced: {words}")
+        except UNUSABLE as error:
+            problems.append(f"cannot be traced: {first_line(error)}")
         for problem in problems:
             yield _broken(lineage, artefact, problem)
 
@@ -105,14 +104,7 @@ def _simulation_of(artefact: Artefact, grid: Mapping[str, Simulation]) -> Simula
     return grid[name]
 
 
-def _told(artefact: Artefact, contents: Contents, config: Config) -> SimulationSettings:
-    """The settings that a simulation was told to use: the configured, as calibrated."""
-    return calibrated_simulation(artefact, config, contents.calibrated)
-
-
-def _made_with(
-    artefact: Artefact, contents: Contents, config: Config, grid: Mapping[str, Simulation]
-) -> Iterator[str]:
+def _made_with(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) -> Iterator[str]:
     """Whether no key of a section is left out, and the seed."""
     recorded = artefact.record["config"]
     plain = config.model_dump(mode="json")
@@ -193,7 +185,7 @@ def _simulated(
     from slipstitch.simulate.drop_and_drag import draw_perturbation
 
     simulation = _simulation_of(artefact, grid)
-    settings = _told(artefact, contents, config)
+    settings = calibrated_simulation(artefact, config, contents.calibrated)
     frame_s = 1.0 / settings.frame_rate_hz
     steps = ceil(frame_s / settings.time_step_s - 1e-9)
     across_m = np.linspace(0, SIDE_M, settings.vertices_per_side)

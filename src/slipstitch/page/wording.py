@@ -97,6 +97,11 @@ def yes_or_no(value: float | None) -> str:
     return NONE if value is None else ("yes" if value else "no")
 
 
+def shortened(text: str, most: int) -> str:
+    """A text of at most `most` characters, its end left out where it is longer."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
     """At most that many items, evenly from first to last.
 

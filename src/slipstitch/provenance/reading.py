@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from slipstitch.errors import BadInput, Damaged
+from slipstitch.errors import BadInput, Damaged, first_line
 
 SIDECAR_SUFFIX = ".provenance.json"
 YAML_BYTES_MAX = 256 * 1024
@@ -28,10 +28,6 @@ BYTES_A_BYTE_MAX = 10_000
 ROWS_A_BYTE_MAX = 100
 # What pyarrow raises for damaged files, besides OSError and its own exceptions (ValueErrors).
 _DAMAGE = (OSError, ValueError, MemoryError, KeyError, TypeError, OverflowError, RecursionError)
-
-
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
 
 
 @contextlib.contextmanager
@@ -56,7 +52,7 @@ def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
     except PermissionError:
         raise BadInput(f"{path}: permission denied") from None
     except _DAMAGE as error:
-        raise Damaged(path, f"damaged or not a {kind}: {_first_line(error)}") from None
+        raise Damaged(path, f"damaged or not a {kind}: {first_line(error)}") from None
 
 
 def _check_claims(path: str | os.PathLike, metadata) -> None:
@@ -227,7 +223,7 @@ def load_yaml(text: str, where: str) -> Any:
     except RecursionError:
         raise BadInput(f"{where}: invalid YAML: nested too deeply") from None
     except ValueError as error:  # a date of month 13, say
-        raise BadInput(f"{where}: not YAML: {_first_line(error)}") from None
+        raise BadInput(f"{where}: not YAML: {first_line(error)}") from None
     if _values(content) > YAML_VALUES_MAX:
         raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values with aliases expanded")
     return content

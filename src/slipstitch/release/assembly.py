@@ -1,7 +1,6 @@
 """Assembling a release in a temporary folder that is renamed at the very end."""
 
 import datetime
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -13,7 +12,13 @@ from typing import Any
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.progress import progress
-from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
+from slipstitch.provenance import (
+    atomic_path,
+    file_digest,
+    provenance_record,
+    start_clock,
+    write_json,
+)
 from slipstitch.release.card import CARD
 from slipstitch.release.checksums import SIGNATURE, SUMS, files_below, write_sums
 from slipstitch.release.code import check_project, copy_code, locked_versions
@@ -228,7 +233,7 @@ def _fill(
     record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
     write_crate(folder, facts, artefacts, record)
     content = {name: file_digest(folder / name) for name in files_below(folder)}
-    _write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
+    write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
     digest = write_sums(folder)
     files = [*files_below(folder), SUMS]
     if key is not None:
@@ -245,11 +250,6 @@ def _fill(
     )
 
 
-def _write_json(path: Path, content: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
 def _write_records(
     folder: Path, config: Config, results: Path, artefacts: Mapping[str, Artefact]
 ) -> None:
@@ -258,6 +258,6 @@ def _write_records(
         if is_carried(artefact):
             place = locate(path, results.parent, _outside(config))
             shutil.copyfile(place, folder / carried_file(path))
-    _write_json(folder / CONFIG, config.model_dump(mode="json"))
+    write_json(folder / CONFIG, config.model_dump(mode="json"))
     if (results / "grid.parquet").is_file():
         shutil.copyfile(results / "grid.parquet", folder / GRID)

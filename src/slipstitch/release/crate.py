@@ -25,10 +25,10 @@ from slipstitch.release.code import CODE, SNAKEFILE
 from slipstitch.release.records import CRATE, RELEASE_RECORD, Artefact, in_order, record_file
 
 PROFILES = {
-    "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
-    "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
-    "https://w3id.org/ro/wfrun/provenance/0.5": "Provenance Run Crate",
-    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
+    "https://w3id.org/ro/wfrun/process/0.5": {"name": "Process Run Crate", "version": "0.5"},
+    "https://w3id.org/ro/wfrun/workflow/0.5": {"name": "Workflow Run Crate", "version": "0.5"},
+    "https://w3id.org/ro/wfrun/provenance/0.5": {"name": "Provenance Run Crate", "version": "0.5"},
+    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": {"name": "Workflow RO-Crate"},
 }
 _ENGINE = "https://snakemake.github.io"
 _CONTEXT = "https://w3id.org/ro/terms/workflow-run/context"
@@ -84,12 +84,8 @@ def crate_text(
         },
     )
     root["conformsTo"] = [
-        crate.add(
-            ContextEntity(crate, url, {"@type": "CreativeWork", "name": name, "version": "0.5"})
-            if "wfrun" in url
-            else ContextEntity(crate, url, {"@type": "CreativeWork", "name": name})
-        )
-        for url, name in PROFILES.items()
+        crate.add(ContextEntity(crate, url, {"@type": "CreativeWork", **profile}))
+        for url, profile in PROFILES.items()
     ]
     entities = {
         name: crate.add(

@@ -9,6 +9,7 @@ from slipstitch.config import Config, resolve_config
 from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.material import fabric_digest
+from slipstitch.page.wording import shortened
 from slipstitch.provenance import code_digest
 from slipstitch.provenance.code import RESULT_PACKAGES
 from slipstitch.release.code import LOCK
@@ -172,9 +173,4 @@ def _differences(name: str, then: Any, now: Any, skip: frozenset[str]) -> Iterat
                     f"{name}.{key}", then[key], now.get(key, "no such key"), frozenset()
                 )
     elif then != now:
-        yield f"{name}: {_shown(then)} -> {_shown(now)}"
-
-
-def _shown(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+        yield f"{name}: {shortened(str(then), 60)} -> {shortened(str(now), 60)}"

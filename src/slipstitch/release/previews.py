@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from PIL import Image, ImageDraw, ImageFont
 
+from slipstitch.page.wording import evenly
 from slipstitch.sample.shards import decode
 
 FOLDER = "previews"
@@ -22,13 +23,6 @@ _PAPER, _INK = "#ffffff", "#22262b"
 
 Row = Mapping[str, Any]
 Show = Callable[[Row, int], np.ndarray]
-
-
-def _spread(values: Sequence, count: int = _LARGEST_TILES) -> list:
-    """At most `count` of the values, evenly spread, the first and the last among them."""
-    if len(values) <= count:
-        return list(values)
-    return [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
 
 
 def reader(folder: Path) -> Show:
@@ -75,8 +69,8 @@ def _table(
     first: dict[tuple, Row] = {}
     for row in rows:
         first.setdefault((row[down], row[across]), row)
-    downs = _spread(list(dict.fromkeys(row[down] for row in rows)))
-    acrosses = _spread(list(dict.fromkeys(row[across] for row in rows)))
+    downs = evenly(list(dict.fromkeys(row[down] for row in rows)), _LARGEST_TILES)
+    acrosses = evenly(list(dict.fromkeys(row[across] for row in rows)), _LARGEST_TILES)
     # In the order of the shards, so that each is read once.
     wanted = {key: first[key] for key in first if key[0] in downs and key[1] in acrosses}
     images = {
@@ -133,8 +127,8 @@ def draw_previews(folder: Path, rows: Sequence[Row]) -> dict[str, tuple[str, Ima
         f"One moment of one simulation ({first['material']}, friction {first['friction']:g}) from "
         "every viewpoint in every texture",
     )  # fmt: skip
-    positions = _spread(range(first["frames"]), 8)
-    chosen = _spread(alike, 6)
+    positions = evenly(range(first["frames"]), 8)
+    chosen = evenly(alike, 6)
     draw(
         NAMES[2],
         [[show(row, position) for position in positions] for row in chosen],

@@ -236,12 +236,8 @@ def read_record(path: Path) -> Artefact:
             raise ValueError(f"not a record: {name} is not {kind.__name__}")
     record = artefact.provenance
     if record is not None:
-        for name, kind in {
-            "stage": str,
-            "inputs": dict,
-            "config": dict,
-            "code_digest": str,
-        }.items():
+        kinds = {"stage": str, "inputs": dict, "config": dict, "code_digest": str}
+        for name, kind in kinds.items():
             if not isinstance(record, dict) or not isinstance(record.get(name), kind):
                 raise ValueError(f"not a record: provenance has no {name}")
     return artefact
