@@ -243,7 +243,7 @@ def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
     path.write_text("no video")
     words = ["--out", str(tmp_path / "camera.json")]
     assert main(["capture", "camera", str(path), *CHECKERBOARD, *words]) == 2
-    assert "text.mp4: not a video that OpenCV can read" in capsys.readouterr().err
+    assert "text.mp4: a text file, not a video" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

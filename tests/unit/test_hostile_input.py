@@ -23,6 +23,7 @@ from safetensors.torch import save_file
 from support import fuzzing
 
 from slipstitch.capture.camera.views import _frames
+from slipstitch.capture.recording import Recording
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -194,6 +195,14 @@ def test_a_video_that_claims_a_thousand_million_frames_is_read_to_its_real_end(t
     path.write_bytes(content)
     assert int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)) >= 10**8
     assert 1 <= len(list(_frames(path))) <= 6
+
+
+def test_a_video_whose_name_is_not_text_is_one_clear_line(tmp_path):
+    film(tmp_path / "film.avi")
+    path = (tmp_path / "film.avi").rename(tmp_path / os.fsdecode(b"\xff.avi"))
+    for read in (Recording, lambda path: list(_frames(path))):
+        with pytest.raises(BadInput, match="the name is not text"):
+            read(path)
 
 
 def test_an_image_that_claims_more_pixels_than_memory_holds_is_refused(tmp_path):

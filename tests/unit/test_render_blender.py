@@ -8,11 +8,11 @@ from support import synthetic_cloth
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.render.blender import ClothScene
-from slipstitch.render.camera import Camera, cloth_room, crop_to
+from slipstitch.render.camera import Camera, cloth_room, crop_to, pose
 
 
 def view(pixels, name="calibrated", x=0.1):
-    return crop_to(VIEWPOINTS[name], cloth_room(x, 0.15, 0.2, 0.2), pixels)
+    return crop_to(pose(VIEWPOINTS[name]), cloth_room(x, 0.15, 0.2, 0.2), pixels)
 
 
 def random_camera(seed, pixels, rows=None):

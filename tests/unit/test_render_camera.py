@@ -29,7 +29,7 @@ def test_the_frontal_camera_stands_ahead_of_the_stage_and_the_side_camera_beside
 @pytest.mark.parametrize("name", VIEWPOINTS)
 @pytest.mark.parametrize(("x", "z"), [(0.0, 0.21), (0.0, 0.15), (0.3, 0.15)])
 def test_the_crop_holds_the_room_of_the_cloth_and_little_else(name, x, z):
-    camera = crop_to(VIEWPOINTS[name], cloth_room(x, z, 0.2, 0.2), 112)
+    camera = crop_to(pose(VIEWPOINTS[name]), cloth_room(x, z, 0.2, 0.2), 112)
     place = camera.project(cloth_room(x, z, 0.2, 0.2))
     assert place.min() > -0.5
     assert place.max() < 111.5
@@ -37,7 +37,9 @@ def test_the_crop_holds_the_room_of_the_cloth_and_little_else(name, x, z):
 
 
 def test_the_crop_follows_the_stage():
-    cameras = [crop_to(VIEWPOINTS["side"], cloth_room(x, 0.15, 0.2, 0.2), 64) for x in (0, 0.3)]
+    cameras = [
+        crop_to(pose(VIEWPOINTS["side"]), cloth_room(x, 0.15, 0.2, 0.2), 64) for x in (0, 0.3)
+    ]
     stage = [
         camera.project(np.array([[x, 0.0, 0.15]]))[0]
         for camera, x in zip(cameras, (0, 0.3), strict=True)
@@ -50,7 +52,7 @@ def test_the_crop_follows_the_stage():
 
 
 def test_more_pixels_show_the_same_view():
-    camera = crop_to(VIEWPOINTS["calibrated"], cloth_room(0.1, 0.15, 0.2, 0.2), 64)
+    camera = crop_to(pose(VIEWPOINTS["calibrated"]), cloth_room(0.1, 0.15, 0.2, 0.2), 64)
     point = np.array([[0.12, 0.03, 0.05]])
     fine = camera.at_resolution(256)
     # The centre of pixel 0 lies half a pixel from the image's edge at every resolution.

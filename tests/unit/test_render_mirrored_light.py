@@ -5,7 +5,7 @@ import pytest
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.render.blender import ClothScene
-from slipstitch.render.camera import crop_to
+from slipstitch.render.camera import crop_to, pose
 from slipstitch.render.mirrored_light import glint_share
 from slipstitch.render.surroundings import FLOOR_M, Surroundings
 
@@ -16,7 +16,7 @@ PIXELS = 24
 def test_the_glint_s_share_is_blender_s(viewpoint, roughness):
     # With a floor that only mirrors and one that only scatters, under the lamp alone: what the
     # mirror adds to the lamp's light, over all of it.
-    camera = crop_to(VIEWPOINTS[viewpoint], FLOOR_M * 0.3 + [0.1, 0, 0], PIXELS)
+    camera = crop_to(pose(VIEWPOINTS[viewpoint]), FLOOR_M * 0.3 + [0.1, 0, 0], PIXELS)
     aside = np.array([[5.0, 5.0, 5.0], [5.1, 5.0, 5.0], [5.0, 5.1, 5.0]])
     uv = np.array([[0, 0], [1, 0], [0, 1.0]])
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.errors import BadInput
+from slipstitch.page.wording import shortened
 
 _LARGEST_BYTES = 20_000_000
 _LONGEST_NAME = 80
@@ -69,12 +70,12 @@ def number(
     return read
 
 
-def whole_number(low: int, high: int) -> Callable[[str], int]:
-    """Reader of whole numbers."""
+def whole_number(high: int) -> Callable[[str], int]:
+    """Reader of whole numbers from 0 to `high`."""
 
     def read(cell: str) -> int:
-        if not (cell.isascii() and cell.isdigit() and len(cell) < 10 and low <= int(cell) <= high):
-            raise ValueError(f"must be a whole number from {low} to {high}")
+        if not (cell.isascii() and cell.isdigit() and len(cell) < 10 and int(cell) <= high):
+            raise ValueError(f"must be a whole number from 0 to {high}")
         return int(cell)
 
     return read
@@ -181,7 +182,7 @@ def _value(column: TableColumn, cell: str, where: str) -> Any:
         if column.may_be_empty:
             return None
         raise BadInput(f"{where}: empty")
-    shown = cell if len(cell) <= 60 else cell[:57] + "..."
+    shown = shortened(cell, 60)
     if cell.startswith(_FORMULA):
         raise BadInput(f"{where}: {shown!r} looks like a formula; must be a plain value")
     try:

@@ -5,8 +5,10 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-# A broken file is answered with one line of ours; set before FFmpeg is first used.
+# A broken file is answered with one line of ours, and a play list must not lead to other files or
+# to the network; set before FFmpeg is first used.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
 
 import cv2
 import numpy as np
@@ -49,6 +51,8 @@ class Recording:
     ----------
     size_px : tuple of int
         Width, height, as the sensor has it: no orientation tag is followed.
+    frames_claimed : int
+        By the file's header, which may be wrong.
 
     Raises
     ------
@@ -67,16 +71,22 @@ class Recording:
             raise BadInput(f"{path}: {'a text file' if first else 'empty'}, not a video")
         video = self._open()
         good, image = video.read()
+        self.frames_claimed = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
         video.release()
         if not good:
             raise BadInput(f"{path}: not a video that OpenCV can read (damaged or truncated?)")
         self.size_px: tuple[int, int] = (image.shape[1], image.shape[0])
 
     def _open(self) -> cv2.VideoCapture:
+        name = str(self.path.resolve())
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise BadInput(f"{self.path}: the name is not text; OpenCV cannot open it") from None
         level = cv2.getLogLevel()
         cv2.setLogLevel(0)
         try:
-            video = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
+            video = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
         finally:
             cv2.setLogLevel(level)
         video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)

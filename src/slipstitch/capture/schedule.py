@@ -6,11 +6,10 @@ import numpy as np
 
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.catalogue import Viewpoint
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose
+from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to
 from slipstitch.render.shots import viewpoint_pose
 
 
@@ -24,8 +23,8 @@ class Schedule:
         Numbers in the simulation.
     frame_rate_hz : float
         Frame k is at k / this, counted from the start of the stage's motion.
-    fixed : Pose
-        The viewpoint that the networks were trained for.
+    pose : Pose
+        Of the viewpoint that the networks were trained for.
     pixels : int
         Side of an image.
     follows : bool
@@ -37,7 +36,7 @@ class Schedule:
 
     frame: np.ndarray
     frame_rate_hz: float
-    fixed: Pose
+    pose: Pose
     pixels: int
     follows: bool
     duration_s: float
@@ -67,14 +66,9 @@ class Schedule:
         """Times of the frames from the start of the stage's motion."""
         return self.frame / self.frame_rate_hz
 
-    @property
-    def pose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation and translation, stage to camera, of the viewpoint."""
-        return pose(self.fixed) if isinstance(self.fixed, Viewpoint) else self.fixed
-
     def crop(self, time_s: float | np.ndarray) -> Camera:
         """The image's camera at a time."""
         if not self.follows:
             time_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
         room = cloth_room(*self.path.position_m(time_s), SIDE_M, SIDE_M)
-        return crop_to(self.fixed, room, self.pixels)
+        return crop_to(self.pose, room, self.pixels)

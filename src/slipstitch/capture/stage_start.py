@@ -18,7 +18,7 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.recording import Moment
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.rectification import stage_plane
+from slipstitch.render.rectification import in_stage_plane
 
 # The strip that is followed: this much around the clamps, in the upright plane.
 _HALF_WIDTH_M = 0.10
@@ -73,8 +73,6 @@ class _Strip:
     """The upright plane around the clamps as a small metric image, row 0 on top."""
 
     def __init__(self, lens: LensCamera, crop: Camera, path: StagePath):
-        normal, _ = stage_plane(crop, 0.0)
-        along = np.array([-normal[1], normal[0], 0.0])
         height = path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
         sinking = float(np.linalg.norm(np.diff(lens.project(clamps), axis=0)))
@@ -84,7 +82,7 @@ class _Strip:
         half = round((_HALF_WIDTH_M + _ASIDE_M) / self.pixel_m)
         row, column = np.mgrid[:rows, : 2 * half + 1]
         sideways = (column - half) * self.pixel_m
-        points = sideways[..., None] * along + (top - row * self.pixel_m)[..., None] * [0, 0, 1.0]
+        points = in_stage_plane(crop, sideways, top - row * self.pixel_m)
         place = lens.project(points.reshape(-1, 3)).reshape(rows, 2 * half + 1, 2)
         self.map = place.astype(np.float32)
         self.up, self.aside = round(_UP_M / self.pixel_m), round(_ASIDE_M / self.pixel_m)
@@ -110,10 +108,15 @@ class _Strip:
         _, best, _, (x, y) = cv2.minMaxLoc(likeness)
         shift = 0.0
         if 0 < y < len(likeness) - 1:
-            before, at, after = likeness[y - 1 : y + 2, x]
-            curvature = before - 2 * at + after
-            shift = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
+            shift = float(vertex_of_parabola(*likeness[y - 1 : y + 2, x]))
         return (y + shift - self.up) * self.pixel_m, float(best)
+
+
+def vertex_of_parabola(before: np.ndarray, at: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Where a parabola through three neighbours peaks, from the middle one; 0 if it does not."""
+    curvature = before - 2 * at + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)
 
 
 def find_start(

@@ -13,9 +13,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from slipstitch.bench.stage_path import SIDE_M, StagePath
+from slipstitch.capture.stage_start import vertex_of_parabola
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.rectification import stage_plane
+from slipstitch.render.rectification import in_stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0
@@ -82,12 +83,10 @@ class StageFollower:
     """
 
     def __init__(self, lens: LensCamera, crop: Camera, path: StagePath):
-        normal, _ = stage_plane(crop, 0.0)
-        along = np.array([-normal[1], normal[0], 0.0])
         height = path.start_height_m - path.drop_m
         rows = np.arange(_ABOVE_M, -_BELOW_M, -_GRID_M)
         columns = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _GRID_M)
-        points = columns[None, :, None] * along + (height + rows)[:, None, None] * [0, 0, 1.0]
+        points = in_stage_plane(crop, columns[None, :], (height + rows)[:, None])
         self._path = path
         reach_m = self._reach_m(path.duration_s)
         self._x_m = np.arange(-reach_m, path.stroke_m + reach_m, _GRID_M)
@@ -182,9 +181,7 @@ class StageFollower:
         peak = np.clip(near.argmax(axis=1), 1, near.shape[1] - 2)
         row = np.arange(len(near))
         before, at, after = (near[row, peak + k] for k in (-1, 0, 1))
-        curvature = before - 2 * at + after
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)
+        shift = vertex_of_parabola(before, at, after)
         inner = (before > -1) & (after > -1)
         return self._x_m[peak] + np.clip(shift, -1, 1) * _GRID_M, np.where(inner, at, -1.0)
 
@@ -211,14 +208,6 @@ def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) 
     """
     stroke = ((rate * time_s - path.drop_duration_s) // path.stroke_duration_s).astype(int)
     back = stroke % 2 == 1
-
-    def offsets_m(parameters: np.ndarray) -> np.ndarray:
-        speed, late_s, ahead_m, behind_m = parameters
-        expected_m, _ = path.position_m(speed * (time_s - late_s))
-        return place_m - expected_m - np.where(back, behind_m, ahead_m)
-
-    def left_over(parameters: np.ndarray) -> np.ndarray:
-        return np.append(offsets_m(parameters) / _SCALE_M, parameters[1] / _START_SD_S)
 
     whole = _parameters(time_s, place_m, back, rate, path)
     parts = []

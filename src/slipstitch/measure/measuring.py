@@ -38,10 +38,8 @@ class MeasuredVideo:
         Half the width of the middle 68 % of the distribution.
     instrument : str
         What identifies the instrument: the digest of its weights, if its card has one.
-    config_path : path
-        The configuration that told which frames to take.
     stage_path : StagePath
-        As that configuration has it.
+        As the instrument's configuration has it.
     without_error_bar : str
         Why the interval is the whole grid; empty where it is not.
     caveats : tuple of str
@@ -53,7 +51,6 @@ class MeasuredVideo:
     measurement: Measurement
     uncertainty: float
     instrument: str
-    config_path: Path
     stage_path: StagePath
     without_error_bar: str = ""
     caveats: tuple[str, ...] = ()
@@ -160,7 +157,6 @@ class MeasuringBench:
             measured,
             _half_width(grid, probability),
             str(self.instrument.card.get("weights_sha256") or "unknown"),
-            self.config_path,
             self.schedule.path,
             self.instrument.without_error_bar,
             tuple(self.instrument.caveats),

@@ -85,16 +85,6 @@ class BenchCamera:
         return Camera(wrong @ camera.rotation, translation_m, matrix, camera.pixels, camera.rows)
 
 
-def recorded_bench_camera(record: dict[str, Any] | None) -> BenchCamera | None:
-    """The camera whose `BenchCamera.record` this is."""
-    if record is None:
-        return None
-    values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in record.items()
-    }
-    return BenchCamera(**values)
-
-
 def draw_bench_camera(
     settings: RenderSettings, seed: int, simulation: str, viewpoint: str
 ) -> BenchCamera:

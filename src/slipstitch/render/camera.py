@@ -13,7 +13,8 @@ import numpy as np
 
 from slipstitch.catalogue import Viewpoint
 
-Pose = Viewpoint | tuple[np.ndarray, np.ndarray]
+#: Rotation (3, 3) and translation (3,), world to camera.
+Pose = tuple[np.ndarray, np.ndarray]
 
 #: The fixed cameras are aimed here: the middle of the stage's travel, between clamps and floor.
 AIM_M = (0.15, 0.0, 0.07)
@@ -71,8 +72,8 @@ class Camera:
         return Camera(self.rotation, self.translation_m, matrix, self.pixels + 2 * margin)
 
 
-def pose(viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,), world to camera, of a viewpoint's fixed camera."""
+def pose(viewpoint: Viewpoint) -> Pose:
+    """Pose of the fixed camera of a viewpoint in the catalogue."""
     azimuth, elevation = (
         math.radians(viewpoint.azimuth_deg),
         math.radians(viewpoint.elevation_deg),
@@ -115,9 +116,7 @@ def cloth_room(
     return np.array(corners)
 
 
-def turned(
-    rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float
-) -> tuple[np.ndarray, np.ndarray]:
+def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> Pose:
     """A camera's rotation and translation after walking round the vertical through `AIM_M`.
 
     Parameters
@@ -140,18 +139,17 @@ def turned(
     return rotation @ about, rotation @ (aim - about @ aim) + translation_m
 
 
-def crop_to(viewpoint: Pose, room_m: np.ndarray, pixels: int) -> Camera:
+def crop_to(fixed: Pose, room_m: np.ndarray, pixels: int) -> Camera:
     """A fixed camera's image, cropped to the smallest square around these points (N, 3).
 
     Parameters
     ----------
-    viewpoint : Viewpoint, or ndarrays (3, 3) and (3,)
-        Of the catalogue, or a camera's rotation and translation, world to camera.
+    fixed : Pose
     room_m : ndarray (N, 3)
     pixels : int
         Side of the image.
     """
-    rotation, translation = pose(viewpoint) if isinstance(viewpoint, Viewpoint) else viewpoint
+    rotation, translation = fixed
     local = room_m @ rotation.T + translation
     image = local[:, :2] / local[:, 2:]
     low, high = image.min(axis=0), image.max(axis=0)

@@ -24,7 +24,8 @@ CONVENTION = (
     "of the first pixel is (0, 0); stage: x along the drag from under the clamps' first place, "
     "y along the cloth's upper edge, z up from the floor"
 )
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+#: Terms of the distortion in OpenCV's order.
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,12 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
         raise BadInput(f"{path}: rotation is not a rotation matrix")
     terms = content.get("distortion")
-    if not isinstance(terms, dict) or set(terms) != set(_DISTORTION):
-        raise BadInput(f"{path}: distortion must contain {', '.join(_DISTORTION)}")
+    if not isinstance(terms, dict) or set(terms) != set(DISTORTION):
+        raise BadInput(f"{path}: distortion must contain {', '.join(DISTORTION)}")
     matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
     translation = _numbers(path, content, "translation_m", (3,))
     camera = Camera(rotation, translation, matrix, int(size[0]), int(size[1]))
-    ordered = {"distortion": [terms[name] for name in _DISTORTION]}
+    ordered = {"distortion": [terms[name] for name in DISTORTION]}
     return LensCamera(camera, _numbers(path, ordered, "distortion", (5,)))
 
 

@@ -45,7 +45,8 @@ class Layers:
         Scene, first- and second-order light there, divided by the rays per pixel.
     mirrored : ndarray (2, pixels^2), optional
         First- and second-order light reflected by the floor.
-    rays : MirroredRays, optional        The cloth in its reflection.
+    rays : MirroredRays, optional
+        The cloth in its reflection.
     """
 
     pixels: int

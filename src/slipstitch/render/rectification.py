@@ -31,6 +31,20 @@ def stage_plane(crop: Camera, stage_x_m: float) -> tuple[np.ndarray, float]:
     return np.array([0.0, 1.0, 0.0]), 0.0
 
 
+def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of the plane that `stage_plane` gives at the stage's start, by their place.
+
+    Parameters
+    ----------
+    crop : Camera
+    sideways_m, height_m : ndarray
+        From the middle between the clamps, and above the floor; broadcast against each other.
+    """
+    normal, _ = stage_plane(crop, 0.0)
+    along = np.array([-normal[1], normal[0], 0.0])
+    return sideways_m[..., None] * along + height_m[..., None] * [0, 0, 1.0]
+
+
 def source_pixels(
     lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float], along: np.ndarray | None = None
 ) -> np.ndarray:

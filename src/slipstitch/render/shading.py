@@ -63,7 +63,8 @@ class Sight:
         Of the rays.
     floor : ndarray (rays pixels, rays pixels) bool
         The rays that see the floor.
-    mirrored : MirroredSight, optional        On a reflective floor.
+    mirrored : MirroredSight, optional
+        On a reflective floor.
     """
 
     rays: int

@@ -19,7 +19,7 @@ from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
 from slipstitch.render.pose import POSE
-from slipstitch.render.shots import Shot, cloth_size, viewpoint_rotation_and_translation
+from slipstitch.render.shots import Shot, cloth_size, viewpoint_pose
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -97,7 +97,7 @@ class Rectifier:
     @classmethod
     def of(cls, job: Job, trajectory: Trajectory) -> "Rectifier":
         """The rectifier of a job."""
-        viewpoint = viewpoint_rotation_and_translation(job.viewpoint, job.settings)
+        viewpoint = viewpoint_pose(job.viewpoint, job.settings)
         return cls(job, trajectory, job.bench_camera, viewpoint, cloth_size(trajectory))
 
     def __call__(self, image: np.ndarray, shot: Shot) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipstitch.bench.frames import sampled_frames
-from slipstitch.catalogue import VIEWPOINTS, Viewpoint
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
 from slipstitch.render.bench_camera import BenchCamera, bench_room
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to, pose, turned
@@ -49,7 +49,7 @@ def shots(
         rows = sampled_frames(count, frames_sampled)
     width, length = cloth_size(trajectory)
     x, z = trajectory.stage_x_m, trajectory.stage_z_m
-    fixed = viewpoint_rotation_and_translation(viewpoint, settings)
+    fixed = viewpoint_pose(viewpoint, settings)
     result = []
     for row in rows:
         at_x, at_z = (x, z) if settings.crop == "fixed" else (x[row], z[row])
@@ -68,17 +68,9 @@ def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
     seen_from = VIEWPOINTS[viewpoint]
     path = settings.camera_of(viewpoint)
     if path is None:
-        return seen_from
+        return pose(seen_from)
     turn = seen_from.azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
     return turned(*read_camera_file(path).pose, turn)
-
-
-def viewpoint_rotation_and_translation(
-    viewpoint: str, settings: RenderSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same as arrays (3, 3) and (3,), world to camera."""
-    fixed = viewpoint_pose(viewpoint, settings)
-    return pose(fixed) if isinstance(fixed, Viewpoint) else fixed
 
 
 def cloth_size(trajectory: Trajectory) -> tuple[float, float]:

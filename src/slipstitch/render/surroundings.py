@@ -95,8 +95,13 @@ def draw_surroundings(
 def _draw_floor(names: Sequence[str], rng: np.random.Generator) -> tuple[str, float, float, float]:
     """A floor's name, albedo, reflectance and roughness."""
     name = names[int(rng.integers(len(names)))]
+    return name, *draw_look(name, rng)
+
+
+def draw_look(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Albedo, reflectance and roughness of a floor of the catalogue."""
     floor = FLOORS[name]
     albedo, reflectance, roughness = (
         float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
     )
-    return name, albedo, reflectance, roughness
+    return albedo, reflectance, roughness

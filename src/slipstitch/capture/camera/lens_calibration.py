@@ -12,6 +12,7 @@ import numpy as np
 from slipstitch.capture.camera.board import Board
 from slipstitch.capture.camera.views import View
 from slipstitch.errors import BadInput
+from slipstitch.render.camera_file import DISTORTION
 
 FEWEST_VIEWS = 5
 # With less tilt, or an uncertainty (relative) above this, the views are too much alike.
@@ -266,11 +267,11 @@ def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> d
         for view, residuals in zip(result.views, result.residuals_px, strict=True)
     }
     matrix, spread = result.matrix, result.uncertainty
-    content = {
+    return {
         "image_size_px": list(result.size_px),
         "focal_px": [matrix[0, 0], matrix[1, 1]],
         "principal_point_px": [matrix[0, 2], matrix[1, 2]],
-        "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), result.distortion, strict=True)),
+        "distortion": dict(zip(DISTORTION, result.distortion, strict=True)),
         "rotation": stage and stage.rotation.tolist(),
         "translation_m": stage and stage.translation_m.tolist(),
         "uncertainty": {
@@ -288,4 +289,3 @@ def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> d
         "board": board.record(),
         "board_on_floor": stage and stage.place.record(),
     }
-    return content

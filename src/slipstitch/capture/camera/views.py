@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from slipstitch.capture.camera.board import Board, Sighting
+from slipstitch.capture.recording import Recording
 from slipstitch.errors import BadInput
 from slipstitch.provenance import image_bytes
 
@@ -37,37 +38,14 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     return image
 
 
-def _as_file(path: str | os.PathLike) -> str:
-    """The path so that OpenCV takes it for a file, whatever it is called and names."""
-    # A play list must not lead to other files or to the network.
-    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
-    name = os.path.abspath(path)
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        raise BadInput(f"{path}: the name is not text; OpenCV cannot open it") from None
-    return name
-
-
 def _frames(path: str | os.PathLike) -> Iterator[tuple[str, np.ndarray]]:
     """Frames at regular intervals of a video, grey."""
-    if not Path(path).is_file():
-        raise BadInput(f"{path}: no such file")
-    video = cv2.VideoCapture(_as_file(path), cv2.CAP_FFMPEG)
-    number = 0
-    try:
-        count = video.get(cv2.CAP_PROP_FRAME_COUNT)  # what the file claims
-        step = max(1, int(min(count, _FRAMES_CLAIMED_MAX)) // _FRAMES_TRIED) if count > 0 else 1
-        while video.grab():
-            if number % step == 0:
-                good, image = video.retrieve()
-                if good:
-                    yield f"{path}#{number}", cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            number += 1
-    finally:
-        video.release()
-    if number == 0:
-        raise BadInput(f"{path}: not a video that OpenCV can read")
+    recording = Recording(path, frame_rate_hz=1.0)  # when a frame was taken does not matter
+    step = max(1, min(recording.frames_claimed, _FRAMES_CLAIMED_MAX) // _FRAMES_TRIED)
+    for moment in recording.moments():
+        image = moment.image() if moment.number % step == 0 else None
+        if image is not None:
+            yield f"{path}#{moment.number}", cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:

@@ -105,7 +105,7 @@ def read_captures(
             TableColumn("video", below),
             TableColumn("material", name),
             TableColumn("substrate", name),
-            TableColumn("repeat", whole_number(0, 99)),
+            TableColumn("repeat", whole_number(99)),
             TableColumn("mu_ref", friction, may_be_empty=reference is not None),
             TableColumn("mu_ref_error", friction, may_be_empty=reference is not None),
             TableColumn("reflective", yes_or_no),

@@ -48,7 +48,7 @@ def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
             TableColumn("substrate", name),
             TableColumn("position", name),
             TableColumn("orientation", name),
-            TableColumn("repeat", whole_number(0, 9999)),
+            TableColumn("repeat", whole_number(9999)),
             TableColumn("angle_deg", number(0, 85, open_ends=True)),
             TableColumn("bench_error_deg", number(0, 10)),
         ],

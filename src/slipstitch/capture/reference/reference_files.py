@@ -1,8 +1,9 @@
 """Reference friction as files: a table, all details, a picture."""
 
-import csv
 from dataclasses import asdict
 from pathlib import Path
+
+import pandas
 
 from slipstitch.capture.reference.angles import read_angles
 from slipstitch.capture.reference.estimate import Reference, estimate
@@ -40,13 +41,14 @@ def reference_to_files(
     found = [(angles, estimate(angles)) for angles in read_angles(table)]
     references = [pair for _, pair in found]
     record = provenance_record("capture", inputs=[table], started=started)
-    with recorded_path(out, record) as temporary, open(temporary, "w", newline="") as stream:
-        writer = csv.DictWriter(stream, COLUMNS, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        for pair in references:
-            counts = {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
-            values = asdict(pair) | counts
-            writer.writerow({key: _shown(values[key]) for key in COLUMNS})
+    rows = [
+        asdict(pair)
+        | {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
+        for pair in references
+    ]
+    with recorded_path(out, record) as temporary:
+        content = pandas.DataFrame(rows, columns=list(COLUMNS))
+        content.to_csv(temporary, index=False, float_format="%.6g")
     if details:
         write_json(details, [asdict(pair) for pair in references], record)
     if picture:
@@ -55,7 +57,3 @@ def reference_to_files(
         with recorded_path(picture, record) as temporary:
             draw_references(found, temporary, picture.suffix[1:])
     return references
-
-
-def _shown(value):
-    return f"{value:.6g}" if isinstance(value, float) else value

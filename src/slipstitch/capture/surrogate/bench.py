@@ -4,25 +4,25 @@ Nothing of it is known to the networks, and only what a real bench would write d
 calibrated camera with its errors, slip angles, a table of videos.
 """
 
-import csv
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas
 
-from slipstitch.catalogue import FLOORS, Viewpoint
+from slipstitch.catalogue import FLOORS
 from slipstitch.config import Config
 from slipstitch.config.captures import CaptureSettings, PairSettings
 from slipstitch.config.grid import simulation_seed
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
-from slipstitch.render.camera import Camera, Pose, pose, turned
-from slipstitch.render.camera_file import LensCamera, write_camera_file
+from slipstitch.provenance import provenance_record, recorded_path, start_clock, write_sidecar
+from slipstitch.render.camera import Camera, turned
+from slipstitch.render.camera_file import DISTORTION, LensCamera, write_camera_file
 from slipstitch.render.shots import viewpoint_pose
-from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, generator
+from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, draw_look, generator
 
 # With this focal length (in image widths) the whole travel is in the image.
 _FOCAL_WIDTHS = 1.72
@@ -103,8 +103,7 @@ def film_size(settings: CaptureSettings) -> tuple[int, int]:
 def true_camera(config: Config) -> LensCamera:
     """The true camera."""
     settings = config.captures
-    fixed: Pose = viewpoint_pose("calibrated", config.render)
-    place = pose(fixed) if isinstance(fixed, Viewpoint) else fixed
+    place = viewpoint_pose("calibrated", config.render)
     place = turned(*place, settings.camera_turn_deg)
     width, height = film_size(settings)
     focal = _FOCAL_WIDTHS * width
@@ -133,12 +132,9 @@ def calibrated_camera(config: Config) -> LensCamera:
 def surroundings(config: Config, pair: PairSettings) -> Surroundings:
     """Floor and lamp of a pair, drawn from what such floors look like."""
     rng = generator(config.seed, "surrogate", pair.material, pair.substrate)
-    floor = FLOORS[pair.substrate]
-    albedo, reflectance, roughness = (
-        float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
-    )
+    look = draw_look(pair.substrate, rng)
     x, y, z = np.array(LAMP_POSITION_M) + rng.uniform(-0.15, 0.15, 3)
-    return Surroundings(pair.substrate, albedo, reflectance, roughness, (x, y, z))
+    return Surroundings(pair.substrate, *look, (x, y, z))
 
 
 def slip_angles(config: Config) -> list[dict]:
@@ -190,37 +186,28 @@ def write_bench(config: Config, folder: str | os.PathLike) -> None:
     """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
     started = start_clock()
     folder = Path(folder)
+    tables = {"slip_angles.csv": slip_angles(config), "captures.csv": captures_rows(config)}
     lens = calibrated_camera(config)
     camera = lens.camera
-    names = ("k1", "k2", "p1", "p2", "k3")
     write_camera_file(
         folder / "camera.json",
         {
             "image_size_px": [camera.pixels, camera.rows],
             "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
             "principal_point_px": camera.matrix[:2, 2].tolist(),
-            "distortion": dict(zip(names, lens.distortion, strict=True)),
+            "distortion": dict(zip(DISTORTION, lens.distortion, strict=True)),
             "rotation": camera.rotation.tolist(),
             "translation_m": camera.translation_m.tolist(),
             "surrogate": True,
         },
     )
-    for name, rows in (
-        ("slip_angles.csv", slip_angles(config)),
-        ("captures.csv", captures_rows(config)),
-    ):
-        with (
-            atomic_path(folder / name) as temporary,
-            open(temporary, "w", newline="", encoding="utf-8") as stream,
-        ):
-            writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
     record = provenance_record(
         "capture",
         config=config.model_dump(mode="json", include={"seed", "captures"}),
         seed=config.seed,
         started=started,
     )
-    for name in ("camera.json", "slip_angles.csv", "captures.csv"):
-        write_sidecar(folder / name, record)
+    write_sidecar(folder / "camera.json", record)
+    for name, rows in tables.items():
+        with recorded_path(folder / name, record) as temporary:
+            pandas.DataFrame(rows).to_csv(temporary, index=False)
