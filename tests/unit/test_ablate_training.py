@@ -188,7 +188,7 @@ def test_the_command_answers_sums_up_and_refuses_in_one_line(dataset, tmp_path, 
     out.rename(out.with_name("seed4.json"))
     for words, problem in (
         (sums, "seed3.json: no such file"),
-        ([*sums, "--seed", "1"], "--summary cannot be combined"),
+        ([*sums, "--seed", "1"], "--seed cannot be combined with --summary"),
         ([*start, "--out", "x.json"], "--dataset, --question and --seed are required"),
     ):
         assert main(words) == 2

@@ -1,6 +1,7 @@
 """The command line: verbs, exit codes, one line for what is wrong."""
 
 import re
+import shutil
 import subprocess
 import sys
 import types
@@ -12,6 +13,7 @@ import slipstitch.cli.main as command
 from slipstitch.cli import capture
 from slipstitch.errors import BadInput, NotConverged
 
+ROOT = Path(__file__).parents[2]
 VERB = "doctor"  # any verb that exists; its module is replaced below
 
 
@@ -196,3 +198,169 @@ def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_pa
     assert reason.format(**named) in line
     assert file.read_text() == "kept"
     assert list(tmp_path.iterdir()) == [file]
+
+
+BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--out", "x.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (
+            ["calibrate", "--draw", "c.json", "--out", "o.json"],
+            "--out cannot be combined with --draw",
+        ),
+        (["calibrate", "--draw", "c.json"], "--draw requires --picture"),
+        (
+            ["calibrate", "--config", "config.yaml", "--out", "o.json", "--only-failures"],
+            "--only-failures requires a picture",
+        ),
+        (
+            [
+                "calibrate",
+                "--config",
+                "config.yaml",
+                "--out",
+                "o.json",
+                "--sweep",
+                "base",
+                "--picture",
+                "p.png",
+            ],
+            "--picture cannot be combined with --sweep",
+        ),
+        ([*BY_HAND, "--simulation", "m05_f0300_r00"], "--material cannot be combined with --sim"),
+        (
+            [
+                "simulate",
+                "--simulation",
+                "m05_f0300_r00",
+                "--config",
+                "config.yaml",
+                "--out",
+                "x.parquet",
+                "--seed",
+                "0",
+            ],
+            "--seed cannot be combined with --simulation",
+        ),
+        (
+            [
+                "simulate",
+                "--simulation",
+                "m05_f0300_r00",
+                "m05_f0600_r00",
+                "--config",
+                "config.yaml",
+                "--out",
+                "x.parquet",
+                "x.parquet",
+            ],
+            "--out: names a file twice",
+        ),
+        ([*BY_HAND, "--model", "m.yaml", "--set", "model=n.yaml"], "--model cannot be combined"),
+        (
+            ["render", "--preview", "--verify", "x.parquet"],
+            "--verify cannot be combined with --pre",
+        ),
+        (
+            ["render", "--verify", "--out-dir", "d", "x.parquet"],
+            "--out-dir cannot be combined with",
+        ),
+        (
+            ["render", "--from-shading", "p", "--packs", "d"],
+            "--packs cannot be combined with --from",
+        ),
+        (["render", "--shading", "p", "--out", "x"], "--out cannot be combined with --shading"),
+        (
+            [
+                "evaluate",
+                "--captures",
+                "--config",
+                "config.yaml",
+                "--dataset",
+                "d",
+                "--models",
+                "m",
+                "--out",
+                "o",
+                "--predictions",
+                "p",
+                "--details",
+                "d",
+            ],
+            "--details cannot be combined with --captures",
+        ),
+        (
+            ["audit", "r", "--explain", "c", "--rebuild", "c"],
+            "--rebuild cannot be combined with --ex",
+        ),
+        (
+            ["audit", "r", "--explain", "c", "--json", "a.json"],
+            "--json cannot be combined with --ex",
+        ),
+        (
+            ["audit", "r", "--rebuild", "c", "--page", "a.html"],
+            "--page cannot be combined with --re",
+        ),
+        (
+            ["criticise", "case", "--out", "v.json", "--power", "--model", "m.yaml"],
+            "--model cannot be combined with --power",
+        ),
+        (["criticise", "case", "--out", "-", "--validate", "new"], "--validate: needs --out FILE"),
+        (
+            [
+                "capture",
+                "camera",
+                "--squares",
+                "10x7",
+                "--square-mm",
+                "20",
+                "--out",
+                "c.json",
+                "view.png",
+                "--place-mm",
+                "0",
+                "0",
+            ],
+            "--place-mm requires --stage-view",
+        ),
+        (
+            [
+                "capture",
+                "camera",
+                "--squares",
+                "10x7",
+                "--square-mm",
+                "20",
+                "--out",
+                "c.json",
+                "view.png",
+                "--dictionary",
+                "DICT_4X4_50",
+            ],
+            "--dictionary cannot be combined with --board checkerboard",
+        ),
+        (
+            ["measure", "a.mp4", "b.mp4", "--camera", "c.json", "--model", "m", "--start-s", "0"],
+            "--start-s cannot be combined with several videos",
+        ),
+        (
+            ["measure", "a.mp4", "--camera", "c.json", "--model", "m", "--frame-rate-hz", "0"],
+            "--frame-rate-hz 0: must be greater than 0",
+        ),
+        (
+            ["protocol", "incline", "--friction", "1", "--slope-deg", "90", "--out", "x.json"],
+            "--slope-deg 90: must be below 90",
+        ),
+    ],
+)
+def test_options_that_contradict_are_refused_before_any_work(
+    words, reason, tmp_path, monkeypatch, capsys
+):
+    shutil.copy(ROOT / "config.yaml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert command.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]

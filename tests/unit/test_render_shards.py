@@ -266,7 +266,7 @@ def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message)
     [
         (["--viewpoint", "v07"], "no viewpoint 'v07'; the configuration has v00 (side)"),
         ([], "rendering requires --viewpoint"),
-        (["--viewpoint", "v00", "--out-sheet", "a.png"], "require --preview"),
+        (["--viewpoint", "v00", "--out-sheet", "a.png"], "cannot be combined with rendering"),
     ],
 )
 def test_wrong_options_are_one_clear_line(work, capsys, words, message):
@@ -279,7 +279,7 @@ def test_wrong_options_are_one_clear_line(work, capsys, words, message):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--out-sheet", "a.png"], "at least one shard"),
+        (["--out-sheet", "a.png"], "--preview requires image shards"),
         (["v00.parquet"], "requires --out-sheet or --out-video"),
         (["--out-sheet", "a.png", "m05_f0300_r00.parquet"], "not an image shard"),
         (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),

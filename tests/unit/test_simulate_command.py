@@ -93,10 +93,10 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
         (["--material", "silk", "--friction", "0.3"], "unknown material 'silk'"),
         (
             ["--material", "gray-interlock", "--friction", "-1"],
-            "friction -1: must lie between 0 and 10",
+            "--friction -1: must lie between 0 and 10",
         ),
-        (["--material", "gray-interlock", "--friction", "nan"], "friction nan: must lie"),
-        (["--material", "gray-interlock", "--friction", "50"], "friction 50: must lie"),
+        (["--material", "gray-interlock", "--friction", "nan"], "--friction nan: must lie"),
+        (["--material", "gray-interlock", "--friction", "50"], "--friction 50: must lie"),
         (["--material", "gray-interlock"], "either --material and --friction, or --simulation"),
         (["--simulation", "m00_f0100_r00"], "--simulation requires --config"),
         (

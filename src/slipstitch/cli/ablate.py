@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
+from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file, refuse
 
 SUMMARY = "ablations: change one training choice at a time, at an equal budget"
 EXAMPLE = (
@@ -39,14 +39,13 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.errors import BadInput
 
     check_at_least(arguments, threads=1, seed=0)
-    given = (arguments.dataset, arguments.question, arguments.seed)
+    one = ("dataset", "question", "seed")
     config = load_config(*arguments.config)
     if arguments.summary:
-        if any(option is not None for option in given):
-            raise BadInput("--summary cannot be combined with --dataset, --question and --seed")
+        refuse(arguments, one, "--summary")
         _summary(config, arguments)
         return
-    if any(option is None for option in given) or arguments.page:
+    if any(getattr(arguments, name) is None for name in one) or arguments.page:
         raise BadInput(
             "--dataset, --question and --seed are required, or --summary (--page requires "
             "--summary)"

@@ -5,7 +5,7 @@ import os
 import re
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_json, output_page
+from slipstitch.cli.options import add_config, output_json, output_page, refuse
 
 SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
@@ -61,8 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     from slipstitch.audit.contents import read_contents
     from slipstitch.errors import BadInput
 
-    if arguments.explain and arguments.rebuild:
-        raise BadInput("--explain and --rebuild exclude each other")
+    ignored = ("config", "expect", "verify", "allow_stale", "page")
+    if arguments.explain:
+        refuse(arguments, ("rebuild", "json", *ignored), "--explain")
+    elif arguments.rebuild:
+        refuse(arguments, ignored, "--rebuild")
     if arguments.jobs < 1:
         raise BadInput(f"--jobs {arguments.jobs}: must be at least 1")
     for path in (arguments.json, arguments.page):

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, check_picture, output_file
+from slipstitch.cli.options import add_config, check_picture, output_file, refuse
 
 SUMMARY = "choose numerical settings with a pushed strip, and check them against theory"
 EXAMPLE = (
@@ -54,14 +54,21 @@ def run(arguments: argparse.Namespace) -> None:
 
     pictures = _pictures(arguments)
     if arguments.draw:
+        refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
+        if not pictures:
+            raise BadInput("--draw requires --picture, --strip-picture or --settings-picture")
         draw_again(arguments.draw, pictures)
         return
     if not arguments.config or not arguments.out:
         raise BadInput("--config and --out are required, or --draw")
+    if arguments.only_failures and not pictures:
+        raise BadInput("--only-failures requires a picture to draw")
     config = load_config(*arguments.config)
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):
             raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
+        drawing = ("picture", "strip_picture", "settings_picture", "only_failures")
+        refuse(arguments, ("sweeps", *drawing), "--sweep")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
     calibration = calibrate_to_file(

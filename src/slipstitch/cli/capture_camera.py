@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture, output_path
+from slipstitch.cli.options import check_picture, output_path, refuse, require
 
 SUMMARY = "calibrate a camera from images or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
@@ -28,8 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--marker-mm", type=float, help="ChArUco: side length of a marker")
     parser.add_argument(
         "--dictionary",
-        default="DICT_5X5_100",
-        help="ChArUco: OpenCV's name of the marker dictionary",
+        help="ChArUco: OpenCV's name of the marker dictionary (default: DICT_5X5_100)",
     )
     parser.add_argument(
         "--stage-view",
@@ -42,18 +41,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--place-mm",
         nargs=2,
         type=float,
-        default=(0.0, 0.0),
         metavar=("X", "Y"),
         help="position of the board's first corner in that image, in the stage's coordinates",
     )
     parser.add_argument(
         "--angle-deg",
         type=float,
-        default=0.0,
         help="angle from the stage's direction to the board's width, counter-clockwise from above",
     )
     parser.add_argument(
-        "--thickness-mm", type=float, default=0.0, help="height of the board's face above the floor"
+        "--thickness-mm", type=float, help="height of the board's face above the floor (default: 0)"
     )
     parser.add_argument(
         "--out", required=True, type=output_path, metavar="FILE", help="camera file"
@@ -70,15 +67,20 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.capture.camera.lens_calibration import FloorPlace
 
     check_picture(arguments.picture)
+    for name in ("place_mm", "angle_deg", "thickness_mm"):
+        if getattr(arguments, name) is not None:
+            require(arguments, ["stage_view"], f"--{name.replace('_', '-')}")
+    if arguments.board == "checkerboard":
+        refuse(arguments, ("dictionary",), "--board checkerboard")
     board = Board.named(
         arguments.board,
         arguments.squares,
         arguments.square_mm,
         arguments.marker_mm,
-        arguments.dictionary,
+        arguments.dictionary or "DICT_5X5_100",
     )
-    x_mm, y_mm = arguments.place_mm
-    place = FloorPlace(x_mm, y_mm, arguments.angle_deg, arguments.thickness_mm)
+    x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
+    place = FloorPlace(x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0)
     line = calibrate_to_file(
         board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
     )

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import check_at_least, output_json, output_named
+from slipstitch.cli.options import check_at_least, output_json, output_named, refuse
 
 SUMMARY = "find what the friction model gets wrong in a measured case, and why"
 EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
@@ -72,9 +72,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
+    from slipstitch.errors import BadInput
 
     check_at_least(arguments, seed=0, replicates=50)
+    if arguments.validate and arguments.out == "-":
+        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
     if arguments.power:
+        ignored = ("report", "picture", "model", "resimulate", "validate")
+        refuse(arguments, ignored, "--power")
         from slipstitch.criticise.criticism_files import power_to_file
 
         case = read_case(arguments.case, with_measurements=False)
@@ -103,13 +108,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _validate(out: Path, case: Path) -> None:
     from slipstitch.criticise.case import has_measurements
-    from slipstitch.errors import BadInput
     from slipstitch.predict.predictive import read_verdict
     from slipstitch.predict.validation import lock, score, score_words
     from slipstitch.provenance import write_json
 
-    if str(out) == "-":
-        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
     prediction = out.with_suffix(".prediction.csv")
     record = lock(read_verdict(out), case, prediction)
     print(f"{prediction}: locked, sha256 {record['prediction_sha256']}", file=sys.stderr)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file
+from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file, refuse
 
 SUMMARY = "evaluate the trained networks: metrics, confusion, predictions"
 EXAMPLE = (
@@ -78,6 +78,7 @@ def _captures(config, arguments: argparse.Namespace) -> None:
     from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
     from slipstitch.evaluate.text_table import capture_lines
 
+    refuse(arguments, ("details",), "--captures")
     if not (arguments.models or arguments.instruments):
         raise BadInput("--captures requires --models, --instruments or both")
     metrics = write_captures_evaluation(

@@ -87,9 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
-            raise BadInput(f"--{name.replace('_', '-')}: {value:g}; must be greater than 0")
+            least = "at least 0" if lowest == 0 else "greater than 0"
+            raise BadInput(f"--{name.replace('_', '-')} {value:g}: must be {least}")
     if arguments.start_s is not None and len(arguments.videos) > 1:
-        raise BadInput("--start-s: only allowed for a single video")
+        raise BadInput("--start-s cannot be combined with several videos")
     bench = measuring_bench(
         arguments.camera,
         arguments.model,

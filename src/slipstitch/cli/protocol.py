@@ -81,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     options = {name: getattr(arguments, name) for name in OPTIONS}
     options = {name: value for name, value in options.items() if value is not None}
+    if arguments.slope_deg is not None and not arguments.slope_deg < 90:
+        raise BadInput(f"--slope-deg {arguments.slope_deg:g}: must be below 90")
     given = {"time_step_s": arguments.time_step}
     if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
         given["vertices_per_side"] = options.pop("vertices", None)

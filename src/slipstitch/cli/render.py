@@ -5,7 +5,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_folder_path, output_path
+from slipstitch.cli.options import add_config, output_folder_path, output_path, refuse, require
 
 SUMMARY = "render a simulation from one viewpoint with every texture; verify images; write previews"
 EXAMPLE = (
@@ -74,48 +74,39 @@ def configure(parser: argparse.ArgumentParser) -> None:
     previews.add_argument("shards", type=Path, nargs="*", metavar="SHARDS", help="image shards")
 
 
+# What each way to run needs and what it takes besides; all else is refused.
+MODES = {
+    "--preview": (("shards",), ("out_sheet", "out_video")),
+    "--verify": (("trajectories", "packs", "out", "shards"), ()),
+    "--from-shading": (("trajectory", "out_dir"), ()),
+    "--shading": (("trajectory", "viewpoint"), ()),
+    "rendering": (("trajectory", "viewpoint", "out"), ()),
+}
+
+
 def run(arguments: argparse.Namespace) -> None:
     """Preview, verify, compose or render; print one line on each result."""
-    if arguments.preview:
-        _preview(arguments)
-    elif arguments.verify:
-        _verify(arguments)
-    elif arguments.from_shading:
-        _compose(arguments)
-    else:
-        _render(arguments)
-
-
-def _needed(arguments: argparse.Namespace, names: list[str], mode: str) -> None:
-    from slipstitch.errors import BadInput
-
-    for name in names:
-        if not getattr(arguments, name):
-            what = "at least one shard" if name == "shards" else f"--{name.replace('_', '-')}"
-            raise BadInput(f"{mode} requires {what}")
+    runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _render}
+    chosen = next((name for name in runs if getattr(arguments, name)), None)
+    mode = "rendering" if chosen is None else f"--{chosen.replace('_', '-')}"
+    needed, taken = MODES[mode]
+    others = [name for names in MODES.values() for group in names for name in group]
+    ignored = {*runs, *others} - {chosen, *needed, *taken}
+    refuse(arguments, sorted(ignored), mode)
+    require(arguments, needed, mode)
+    runs.get(chosen, _render)(arguments)
 
 
 def _preview(arguments: argparse.Namespace) -> None:
     from slipstitch.errors import BadInput
     from slipstitch.render.preview import preview
 
-    if not arguments.shards:
-        raise BadInput("--preview requires at least one shard")
     if not (arguments.out_sheet or arguments.out_video):
         raise BadInput("--preview requires --out-sheet or --out-video")
-    _refused(arguments, ["trajectory", "viewpoint", "out", "shading", "from_shading"], "--preview")
     preview(arguments.shards, arguments.out_sheet, arguments.out_video)
     for path in (arguments.out_sheet, arguments.out_video):
         if path:
             print(path)
-
-
-def _refused(arguments: argparse.Namespace, names: list[str], mode: str) -> None:
-    from slipstitch.errors import BadInput
-
-    for name in names:
-        if getattr(arguments, name):
-            raise BadInput(f"--{name.replace('_', '-')} cannot be combined with {mode}")
 
 
 def _verify(arguments: argparse.Namespace) -> None:
@@ -123,8 +114,6 @@ def _verify(arguments: argparse.Namespace) -> None:
     from slipstitch.progress import progress
     from slipstitch.render.verification import verify
 
-    _needed(arguments, ["trajectories", "packs", "out", "shards"], "--verify")
-    _refused(arguments, ["trajectory", "viewpoint", "shading", "from_shading"], "--verify")
     done = verify(
         load_config(*arguments.config),
         arguments.shards,
@@ -141,8 +130,6 @@ def _compose(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
     from slipstitch.render.shards import render_shards_from_packs
 
-    _needed(arguments, ["trajectory", "out_dir"], "--from-shading")
-    _refused(arguments, ["viewpoint", "shading", "shards", "out"], "--from-shading")
     config = load_config(*arguments.config)
     packs, folder = arguments.from_shading, arguments.out_dir
     for out, done in render_shards_from_packs(config, arguments.trajectory, packs, folder):
@@ -151,20 +138,9 @@ def _compose(arguments: argparse.Namespace) -> None:
 
 def _render(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
     from slipstitch.progress import progress
     from slipstitch.render.packing import Job, write_pack
 
-    _needed(arguments, ["trajectory", "viewpoint"], "rendering")
-    if arguments.shards or arguments.out_sheet or arguments.out_video:
-        raise BadInput("shards, --out-sheet and --out-video require --preview")
-    if not arguments.shading:
-        _needed(arguments, ["out"], "rendering")
-    elif arguments.out:
-        raise BadInput(
-            "--out and --shading exclude each other; to compose images from a pack "
-            "use --from-shading"
-        )
     config = load_config(*arguments.config)
     bar = partial(progress, unit="frame")
     if arguments.shading:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_calibration, add_config, output_named
+from slipstitch.cli.options import add_calibration, add_config, output_named, refuse
 
 SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
 EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
@@ -34,7 +34,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--friction", type=float, help="friction coefficient between cloth and floor"
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the perturbation of the bench")
+    parser.add_argument(
+        "--seed", type=int, help="seed of the perturbation of the bench (default: 0)"
+    )
     parser.add_argument(
         "--model", metavar="FILE", help="extended model written by slipstitch criticise --model"
     )
@@ -50,18 +52,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; print one line per result."""
+    from slipstitch.config.section import FRICTION_MAX
     from slipstitch.errors import BadInput
     from slipstitch.simulate.drop_and_drag import DropAndDrag
     from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
 
     by_hand = arguments.material is not None and arguments.friction is not None
-    if by_hand == (arguments.simulation is not None):
+    if arguments.simulation is not None:
+        refuse(arguments, ("material", "friction", "seed"), "--simulation")
+    elif not by_hand:
         raise BadInput("give either --material and --friction, or --simulation with --config")
     config = _configuration(arguments, by_hand)
     if by_hand:
-        if arguments.seed < 0:
-            raise BadInput(f"--seed {arguments.seed}: must be at least 0")
-        runs: list = [(DropAndDrag(arguments.material, arguments.friction, arguments.seed), {})]
+        seed = arguments.seed or 0
+        if seed < 0:
+            raise BadInput(f"--seed {seed}: must be at least 0")
+        if not 0 <= arguments.friction <= FRICTION_MAX:
+            raise BadInput(
+                f"--friction {arguments.friction:g}: must lie between 0 and {FRICTION_MAX:g}"
+            )
+        runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
     elif arguments.config:
         runs = runs_of_the_grid(config, arguments.simulation)
     else:
@@ -70,6 +80,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise BadInput(
             f"{len(arguments.out)} files in --out for {len(runs)} simulations: must be one each"
         )
+    if len(set(arguments.out)) < len(arguments.out):
+        raise BadInput("--out: names a file twice")
     count = len(runs)
     for simulated in simulate_to_files(
         config, runs, arguments.out, device=arguments.device, calibration=arguments.calibration
@@ -100,6 +112,8 @@ def _configuration(arguments: argparse.Namespace, by_hand: bool):
         except BadInput:
             raise BadInput(f"--set {text}: invalid value") from None
     if arguments.model:
+        if "model" in changes:
+            raise BadInput("--model cannot be combined with --set model")
         changes["model"] = arguments.model
     # A single run is not sampled: use the smallest number allowed.
     overrides = {"sample": {"sample": {"frames": 2}}} if by_hand else {}
