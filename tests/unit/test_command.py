@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 import slipstitch.cli.main as command
 from slipstitch.cli import capture
 from slipstitch.errors import BadInput, NotConverged
+from slipstitch.status.state import SAID_CPU_TIME
 
 ROOT = Path(__file__).parents[2]
 VERB = "doctor"  # any verb that exists; its module is replaced below
@@ -104,6 +106,16 @@ def test_fault_of_the_program_keeps_its_traceback(verb):
     verb.run = run
     with pytest.raises(ZeroDivisionError):
         command.main([VERB])
+
+
+def test_a_job_of_the_workflow_states_its_cpu_time_last(verb, capsys, monkeypatch):
+    verb.run = lambda arguments: print("done", file=sys.stderr)
+    assert command.main([VERB]) == 0
+    assert capsys.readouterr().err == "done\n"
+    monkeypatch.setenv("SLIPSTITCH_CPU_TIME", "1")
+    assert command.main([VERB]) == 0
+    said = capsys.readouterr().err.removeprefix("done\n")
+    assert 0 < float(SAID_CPU_TIME.fullmatch(said.rstrip())[1]) <= time.process_time() + 60
 
 
 @pytest.mark.parametrize("words", [["--size", "big"], ["--sise", "3"], ["stray"]])

@@ -56,10 +56,12 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     }
     assert not {name for name in there if name.startswith("render")}
     assert len(read_provenance(out / INDEX)["inputs"]) >= len(finished_files(CONFIG))
-    jobs = {row["stage"]: row["jobs"] for row in json.loads((out / "cost.json").read_text())}
-    assert jobs["simulate"] == 12
+    cost = {row["stage"]: row for row in json.loads((out / "cost.json").read_text())}
+    assert cost["simulate"]["jobs"] == 12
     with (out / "simulations.csv").open() as file:
         solved = {row["simulation"]: row for row in csv.DictReader(file)}
+    total_s = sum(float(row["cpu_s"]) for row in solved.values())
+    assert cost["simulate"]["cpu_s"] == pytest.approx(total_s)
     assert set(solved) == {one.id for one in simulations(CONFIG)}
     one = read_trajectory(run / "simulate" / f"{next(iter(solved))}.parquet")
     assert float(next(iter(solved.values()))["simulated_s"]) == round(float(one.time_s[-1]), 3)

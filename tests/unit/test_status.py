@@ -243,6 +243,21 @@ def test_disk_to_come_is_foreseen_from_the_model_and_then_from_what_is_there(ben
     assert status(bench.results, config).stages[0].disk_to_come_bytes == pytest.approx(3000.0)
 
 
+def test_cpu_times_are_those_that_the_jobs_state_wherever_they_are_shown(bench):
+    """Snakemake samples every 30 s: its benchmark file misses the end of a job."""
+    bench.begin()
+    bench.finish(0, cpu_s=8.0)
+    bench.write(
+        f"logs/simulate/{NAMES[0]}.log", "x.parquet: 3 halvings, 1.0 CPU s\nCPU time: 9.50 s\n"
+    )
+    bench.finish(1, cpu_s=8.0)  # its log says nothing
+    assert status(bench.results, None).stages[0].cpu_s == 17.5
+    (reported,) = Results(bench.results, Config()).benchmarks()
+    assert (reported.cpu_s, reported.jobs) == (17.5, 2)
+    bench.write(f"logs/simulate/{NAMES[0]}.log", "x" * 1000)
+    assert status(bench.results, None).stages[0].cpu_s == 16.0
+
+
 def test_the_end_of_a_log_is_short_whatever_the_log_holds(tmp_path):
     log = tmp_path / "log"
     log.write_bytes(b"\xff\x00" * 1_000_000 + b"\n\rlast\n")

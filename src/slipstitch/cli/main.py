@@ -155,6 +155,8 @@ def main(arguments: list[str] | None = None) -> int:
         _refuse_tight_memory()
         status = module.run(parsed)
         sys.stdout.flush()
+        if "SLIPSTITCH_CPU_TIME" in os.environ:  # a job of the workflow: for its log
+            print(f"CPU time: {sum(os.times()[:4]):.2f} s", file=sys.stderr)
         return int(status or 0)
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)

@@ -18,6 +18,7 @@ from slipstitch.provenance.record import write_json
 from slipstitch.report.results import Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.status.state import read_benchmark
 
 INDEX = "published.json"
 _PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
@@ -166,14 +167,14 @@ def _simulations(results: Results) -> Iterator[dict[str, Any]]:
     for one in results.simulated():
         run = read_trajectory(results.simulation_path(one))
         job = results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv"
-        cost = pandas.read_csv(job, sep="\t").iloc[-1] if job.is_file() else {}
+        cost = read_benchmark(job)
         yield {
             "simulation": one.id,
             "material": one.material,
             "friction": one.friction,
-            "cpu_s": cost.get("cpu_time"),
-            "wall_s": cost.get("s"),
-            "memory_mib": cost.get("max_rss"),
+            "cpu_s": cost and cost.cpu_s,
+            "wall_s": cost and cost.wall_s,
+            "memory_mib": cost and cost.memory_mib,
             "simulated_s": round(float(run.time_s[-1]), 3),
             "friction_tolerance": run.metadata.get("settings", {}).get("friction_tolerance"),
             **run.metadata.get("solver", {}),

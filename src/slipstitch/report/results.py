@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from slipstitch.sample.images import read_frames
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.runs import Failure, Run, failures, read_runs
+from slipstitch.status.state import read_benchmark
 
 STAGES = (
     "calibrate",
@@ -72,7 +74,7 @@ class SimulationSummary:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Total cost of the jobs of one stage, from Snakemake's benchmark files.
+    """Total cost of the jobs of one stage, by their benchmark files and logs.
 
     Attributes
     ----------
@@ -308,21 +310,12 @@ class Results:
             classes,
             key=lambda name: (STAGES.index(stages[name]) if stages[name] in STAGES else 99, name),
         ):
-            rows = [
-                row
-                for path in classes[name]
-                for row in csv.DictReader(
-                    io.StringIO(path.read_text(encoding="utf-8", errors="replace")), delimiter="\t"
-                )
-            ]
-            # Snakemake writes "-" or NA for a job that was over before it could look.
-            wall, cpu, memory = (
-                [value for row in rows if isinstance(value := _number(row.get(key)), float)]
-                for key in ("s", "cpu_time", "max_rss")
-            )
-            if not wall:
+            jobs = [cost for path in classes[name] if (cost := read_benchmark(path))]
+            if not jobs:
                 continue
-            cpu = cpu or [float("nan")]
+            wall = [job.wall_s for job in jobs]
+            cpu = [job.cpu_s for job in jobs if not math.isnan(job.cpu_s)] or [math.nan]
+            memory = [job.memory_mib for job in jobs if not math.isnan(job.memory_mib)]
             found.append(
                 Benchmark(
                     stage=name,

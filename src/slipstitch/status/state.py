@@ -3,6 +3,7 @@
 import csv
 import math
 import os
+import re
 import time
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -22,6 +23,9 @@ KIND = {
     "render_verification": "verify",
     "preview_one": "preview",
 }
+
+
+SAID_CPU_TIME = re.compile(r"(?:^CPU time: |[,:] )(\d+\.\d+) (?:CPU )?s$", re.M)
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,11 @@ class Status:
 
 
 def read_benchmark(path: str | os.PathLike) -> Measured | None:
-    """A benchmark file of Snakemake; None if it is missing or empty."""
+    """Cost of a job by its benchmark file; None if it is missing or empty.
+
+    Snakemake looks at a process every 30 s and misses what it uses after the last look; the CPU
+    time is the one that the verb says at the end of the log of the same name, if it does.
+    """
     try:
         with open(path, encoding="utf-8", errors="replace") as stream:
             rows = list(csv.DictReader(stream, delimiter="\t"))
@@ -99,7 +107,20 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
     wall = _number(rows[-1].get("s"))
     if math.isnan(wall):
         return None
-    return Measured(wall, _number(rows[-1].get("cpu_time")), _number(rows[-1].get("max_rss")))
+    cpu_s = _said_cpu_s(Path(path)) or _number(rows[-1].get("cpu_time"))
+    return Measured(wall, cpu_s, _number(rows[-1].get("max_rss")))
+
+
+def _said_cpu_s(benchmark: Path) -> float | None:
+    """CPU seconds in the log beside a benchmark file: logs/STAGE/JOB.log."""
+    log = benchmark.parents[2] / "logs" / benchmark.parent.name / f"{benchmark.stem}.log"
+    try:
+        with open(log, "rb") as stream:
+            stream.seek(max(0, os.path.getsize(log) - 200))
+            said = SAID_CPU_TIME.findall(stream.read().decode(errors="replace"))
+    except OSError:
+        return None
+    return float(said[-1]) if said else None
 
 
 def _number(text: Any) -> float:
