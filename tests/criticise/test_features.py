@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from support.departures.campaign import draw_plan, write
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
@@ -60,6 +61,31 @@ def test_z_scores_have_standard_deviation_one(z_scores):
 def test_z_scores_have_mean_zero(z_scores):
     # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.3.
     assert (z_scores.mean().abs() < 0.6).all(), z_scores.mean().round(2).to_dict()
+
+
+@pytest.mark.parametrize("fault", [("force_cell", "force_mN", "delay", 0.12, "s"), None])
+def test_a_late_force_cell_moves_the_start_and_spoils_nothing_else(fault, tmp_path):
+    plan = draw_plan(2, "single", False)
+    for seed in range(3, 300):
+        if "drag" in plan.protocols:
+            break
+        plan = draw_plan(seed, "single", False)
+    plan.effects, size = {}, 0.0
+    if fault is not None:
+        names = ("sensor", "quantity", "kind", "size", "unit")
+        plan.faults = [{"protocol": "drag", **dict(zip(names, fault, strict=True))}]
+        size = plan.faults[0]["size"]
+    write(plan, tmp_path)
+    m = assemble(read_case(tmp_path))
+    values = {"mu_face": np.log(plan.mu_face), "mu_edge": np.log(plan.mu_edge)}
+    expected = m.predict(values, (), {"force_delay_s": size})
+    z = (m.y - expected) / (m.u * plan.understated)
+    for quantity in ("relaxed_mN", "stiffness"):
+        own = z[(m.rows["quantity"] == quantity) & (m.protocol == "drag")]
+        assert len(own) >= 5
+        assert np.abs(own).max() < 4.5, quantity
+        assert abs(own.mean()) < 0.7, quantity
+        assert own.std() < 1.35, quantity
 
 
 def test_remembered_predictions_are_those_that_would_be_made_anew(tmp_path):

@@ -124,20 +124,40 @@ def off_ramps(out: pd.DataFrame, back: pd.DataFrame) -> np.ndarray:
     return np.concatenate([np.zeros(0), *found])
 
 
-def _late_ramp(x, force, level, threshold, spring_mN_mm) -> np.ndarray | None:
-    """Indices of the ramp if the force stayed flat before it; None if it rose at once.
+@dataclass(frozen=True)
+class _Ramp:
+    """Readings that lie on the loading spring's line; with none, where it must have passed.
 
-    None too if no reading lies on the ramp: a reading of the plateau says nothing about the zero.
+    The line is ``offset + spring x`` at the readings' mean; ``doubt_mN`` of it remains.
     """
-    start = force[:2].mean()
-    low = _first_lasting(force > start + threshold)
-    high = _first_lasting(force > start + 0.6 * (level - start))
-    if low is None or high is None or low < 2 or high <= low:
-        return None
-    ramp = np.arange(low, high)
-    offset = np.mean(force[ramp] - spring_mN_mm * x[ramp])
-    before = force[: low - 1] - offset - spring_mN_mm * x[: low - 1]
-    return ramp if before.mean() > threshold else None
+
+    readings: np.ndarray
+    offset_mN: float
+    doubt_mN: float = 0.0
+
+
+def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
+    """The ramp of a run's first stroke.
+
+    A reading that has not risen tells the cell's zero, not where the ramp starts: a stage or a
+    cell that is late leaves it flat.
+    """
+    low = _first_lasting(force > force[0] + threshold)
+    high = _first_lasting(force > force[0] + 0.6 * (level - force[0]))
+    if low is None or high is None or not low or (force[:low] > 0.6 * level).any():
+        readings = np.flatnonzero(x < 0.6 * max(level, 2 * threshold) / spring_mN_mm)
+        readings = readings[readings < max(2 * len(readings), 2)]
+        return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
+    if high > low:
+        readings = np.arange(low, high)
+        return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
+    before = low - 1
+    left = max(spring_mN_mm * (x[low] - x[before]) - (force[low] - force[before]), 0.0)
+    offset = float(force[before] - spring_mN_mm * x[before])
+    # Between two readings, anywhere; but a start that is not late is where it should be.
+    if before:
+        return _Ramp(np.array([before]), offset - 0.5 * left, left / np.sqrt(12))
+    return _Ramp(np.array([before]), offset, left / np.sqrt(3))
 
 
 def trace_features(
@@ -158,21 +178,20 @@ def trace_features(
     step = float(np.median(np.abs(np.diff(x)))) or 1e-6
     threshold = DEPARTURE_NOISES * u
     level = float(np.median(force[len(force) // 2 :]))
-    slope, offset = spring_mN_mm, 0.0
-    ramp = x < 0.6 * max(level, 2 * threshold) / spring_mN_mm
-    ramp &= np.arange(len(x)) < max(2 * ramp.sum(), 2)
-    late = _late_ramp(x, force, level, threshold, spring_mN_mm)
-    ramp = ramp if late is None else np.isin(np.arange(len(x)), late)
-    excess = force[ramp] - spring_mN_mm * x[ramp]
-    centre = x[ramp].mean()
-    spread = float(((x[ramp] - centre) ** 2).sum())
-    offset = float(excess.mean())
+    ramp = _ramp(x, force, level, threshold, spring_mN_mm)
+    on = ramp.readings
+    excess = force[on] - spring_mN_mm * x[on]
+    centre = x[on].mean()
+    spread = float(((x[on] - centre) ** 2).sum())
+    slope, offset = spring_mN_mm, float(excess.mean())
     # At the middle of the ramp the offset is independent of the slope.
     features["relaxed_mN"] = Feature(
-        offset, u / np.sqrt(len(excess)), ramp_mN=spring_mN_mm * centre
+        ramp.offset_mN,
+        float(np.hypot(u / np.sqrt(len(excess)), ramp.doubt_mN)),
+        ramp_mN=spring_mN_mm * centre,
     )
     if len(excess) >= 4:
-        gain = float(((x[ramp] - centre) * excess).sum() / spread)
+        gain = float(((x[on] - centre) * excess).sum() / spread)
         if gain > -0.8 * spring_mN_mm:
             error = np.hypot(u / np.sqrt(spread) / spring_mN_mm, 1e-3)
             features["stiffness"] = Feature(1 + gain / spring_mN_mm, float(error))
