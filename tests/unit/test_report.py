@@ -324,6 +324,10 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
         "settings": {
             "convergence": {"window_s": 38, "mean_distance_m": 1e-3, "vertices_per_side": [41, 61]},
             "time_step_s": 0.02,
+            "simulation": {
+                **SimulationSettings().model_dump(mode="json"),
+                "bending_stiffness_at": "start",
+            },
         },
         "summary": [{"material": "royal-target", "friction": 0.5, "time_step": distance,
                      "mesh": None, "verdict": "not converged"}],
@@ -342,6 +346,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
     )
     assert "not converged" in text
     assert "Not run, so not compared: m09_f0300_n61_h0" in text
+    assert "made with other settings (time_step_s, bending_stiffness_at)" in text
 
 
 def test_checks_show_measured_theory_and_demand(page):

@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from slipstitch.calibrate.choice import describe
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.wording import quantity, yes_or_no
 from slipstitch.report import physics_pictures
 from slipstitch.report.results import Results
+from slipstitch.simulate.convergence import studied_settings_that_differ
 
 _OPTION_NAMES = {
     "friction": "µ",
@@ -49,7 +51,11 @@ def physics(results: Results) -> dict[str, Any] | None:
     return {
         "checks": checks,
         "met": sum(check["met"] for check in checks),
-        "settings": calibration.get("settings", {}),
+        "settings": {
+            name: value
+            for name, value in calibration.get("settings", {}).items()
+            if value is not None
+        },
         "figure": svg_uri(physics_pictures.calibration(calibration))
         if calibration.get("experiments")
         else None,
@@ -113,7 +119,14 @@ def convergence(results: Results) -> dict[str, Any] | None:
         "settings": study["settings"],
         "demand": quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),
         "missing": study.get("missing", []),
+        "other_settings": studied_settings_that_differ(study["settings"], _simulated_with(results)),
     }
+
+
+def _simulated_with(results: Results) -> SimulationSettings:
+    """The configured settings, with those that the calibration chose."""
+    chosen = (results.calibration() or {}).get("settings", {})
+    return results.config.simulation.model_copy(update=chosen)
 
 
 def _old_verdict(found: Mapping[str, Any], study: Mapping[str, Any]) -> str:
