@@ -20,11 +20,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cv2
 import numpy as np
 from support import analytic_stage as stage
+from support.untrained import untrained_instrument
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import save_instrument
 from slipstitch.render.camera import pose
 
 REST_S = 4.0

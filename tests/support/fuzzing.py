@@ -39,7 +39,7 @@ from slipstitch.config.load import calibrated_settings, read_mapping, resolve_co
 from slipstitch.criticise.case import read_case
 from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
-from slipstitch.instrument.measuring import load_instrument, save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import load_instrument, save_instrument
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
@@ -58,6 +58,7 @@ from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoi
 from slipstitch.train.model_file import load_model, save_model
 from slipstitch.train.network import build_network
 from support import analytic_stage, synthetic_chain, synthetic_results
+from support.untrained import untrained_instrument
 
 TIME_LIMIT_S = 10.0
 MEMORY_LIMIT_BYTES = 2 * 2**30

@@ -7,13 +7,14 @@ import pyarrow.parquet as pq
 import pytest
 from support import analytic_stage as stage
 from support import synthetic_videos
+from support.untrained import untrained_instrument
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, distance, subsets
-from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import save_instrument
 from slipstitch.render.camera import pose
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.training import train_network

@@ -10,18 +10,13 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from support.untrained import untrained_instrument
 
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
-from slipstitch.instrument.measuring import (
-    CARD,
-    WEIGHTS,
-    ErrorBars,
-    save_instrument,
-    untrained_instrument,
-)
+from slipstitch.instrument.measuring import CARD, WEIGHTS, ErrorBars, save_instrument
 from slipstitch.instrument.network import shifted_in_time
 from slipstitch.train.model_file import write_weights
 

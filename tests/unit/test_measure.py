@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 from support import analytic_stage as stage
+from support.untrained import untrained_instrument
 
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import save_instrument
 from slipstitch.render.camera import pose
 
 START_S = 3.1

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from support import analytic_stage as stage
+from support.untrained import untrained_instrument
 
 from slipstitch.catalogue import Viewpoint
 from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import save_instrument, untrained_instrument
+from slipstitch.instrument.measuring import save_instrument
 from slipstitch.instrument.poses import outside, pose_range, poses_of
 from slipstitch.render.camera import pose
 

@@ -16,7 +16,7 @@ from slipstitch.errors import BadInput
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
 from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probabilities
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.instrument import load_instrument
+from slipstitch.instrument.measuring import WEIGHTS, load_instrument
 from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     provenance_record,
@@ -28,8 +28,6 @@ from slipstitch.provenance import (
 from slipstitch.sample.manifest import MANIFEST
 from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.torch_setup import set_up_torch
-
-INSTRUMENT_WEIGHTS = "instrument.safetensors"
 
 
 def predict_captures(
@@ -110,7 +108,7 @@ def _materials(models, key, videos: Videos, settings) -> dict[str, Any]:
 
 def _instruments(dataset, folder) -> list[Predictions]:
     found = []
-    for path in sorted(Path(folder).glob(f"*/seed*/{INSTRUMENT_WEIGHTS}")):
+    for path in sorted(Path(folder).glob(f"*/seed*/{WEIGHTS}")):
         instrument = load_instrument(path.parent)
         videos = read_videos(dataset)
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])

@@ -1,6 +1,6 @@
 """The page of the captures: tables and cumulative error, compared with the paper's real videos."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,19 +60,20 @@ def captures_page(
                 "label": f"{predictions.label}, seed {predictions.seed}",
                 "rows": pair_medians(known, predictions, whole, step),
             }
-            for predictions in _one_seed(found)
+            for predictions in _first_by(found, lambda one: one.label)
         ],
-        strips=[_strip(dataset, row) for row in _first_of_pairs(known)],
+        strips=[_strip(dataset, row) for row in _first_by(known, lambda row: row["pair"])],
         captures=len(known),
         pairs=len({row["pair"] for row in known}),
         notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
     )
 
 
-def _one_seed(found: Sequence[Predictions]) -> list[Predictions]:
-    first: dict[str, Predictions] = {}
-    for predictions in found:
-        first.setdefault(predictions.label, predictions)
+def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
+    """The first item of every value of a key."""
+    first: dict[str, Any] = {}
+    for item in items:
+        first.setdefault(key(item), item)
     return list(first.values())
 
 
@@ -113,13 +114,6 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
         axes.add_artist(colours)
         axes.legend(handles=lines, fontsize=7.5, frameon=False, loc="center right")
     return figure
-
-
-def _first_of_pairs(known) -> list[Mapping[str, Any]]:
-    first: dict[str, Mapping[str, Any]] = {}
-    for row in known:
-        first.setdefault(row["pair"], row)
-    return list(first.values())
 
 
 def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:

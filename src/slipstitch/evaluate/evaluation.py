@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,12 @@ import pyarrow as pa
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
-from slipstitch.evaluate.instruments import alarm_rates, evaluate_instruments, find_instruments
+from slipstitch.evaluate.instruments import (
+    alarm_rates,
+    evaluate_instruments,
+    find_instruments,
+    prediction_of,
+)
 from slipstitch.evaluate.metrics import (
     chance,
     check_probabilities,
@@ -33,8 +39,9 @@ from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
 from slipstitch.train.classes import labels_of
+from slipstitch.train.loop import simulations
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.train.prediction import check_material_model, predict
+from slipstitch.train.prediction import check_material_model, predict, predicted_materials
 from slipstitch.train.torch_setup import set_up_torch
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
@@ -194,12 +201,7 @@ def predicted_probabilities(
                 f"friction_conditional {split} seed {seed} was trained with a different "
                 "material_baseline"
             )
-        condition = predict(
-            material.network,
-            videos.pixels,
-            bfloat16=material.card["bfloat16"],
-            batch_size=batch_size,
-        ).argmax(1)
+        condition = predicted_materials(material, videos, batch_size)
     return predict(
         model.network,
         videos.pixels,
@@ -341,14 +343,13 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
     card = models[split, network, min(of_seed)].card
     truth = known_labels(part.rows, card)
     viewpoints = np.array([row["viewpoint"] for row in part.rows])
-    simulations = {row["simulation"] for row in part.rows}
     each = {
         seed: _score(settings, card, probabilities, part.rows)
         for seed, probabilities in of_seed.items()
     }
     result: dict[str, Any] = {
         "n": len(part),
-        "simulations": len(simulations),
+        "simulations": len({row["simulation"] for row in part.rows}),
         "trained_on": split,
         "classes": card["classes"],
         "chance": {} if truth is None else chance(truth, len(card["classes"])),
@@ -357,16 +358,14 @@ def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str
         "viewpoints": {
             str(viewpoint): {
                 "n": int((viewpoints == viewpoint).sum()),
-                "simulations": len(
-                    {row["simulation"] for row in _of(part.rows, viewpoints == viewpoint)}
-                ),
+                "simulations": len(simulations(part, viewpoints == viewpoint)),
                 **_over_seeds(
                     [
                         _score(
                             settings,
                             card,
                             probabilities[viewpoints == viewpoint],
-                            _of(part.rows, viewpoints == viewpoint),
+                            list(compress(part.rows, viewpoints == viewpoint)),
                         )
                         for probabilities in of_seed.values()
                     ]
@@ -389,10 +388,6 @@ def _over_seeds(scores: list[dict[str, float]]) -> dict[str, Any]:
     return {"mean": mean_over_seeds(scores), "spread": spread_over_seeds(scores)}
 
 
-def _of(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[dict[str, Any]]:
-    return [row for row, use in zip(rows, chosen, strict=True) if use]
-
-
 def _rows(
     part: Videos, test: EvaluationSet, key, model: TrainedModel, probabilities
 ) -> list[dict[str, Any]]:
@@ -404,14 +399,7 @@ def _rows(
     values = [of_class.get("value", math.nan) for of_class in card["classes"]]
     return [
         {
-            "video": row["video"],
-            "simulation": row["simulation"],
-            "texture": row["texture"],
-            "viewpoint": row["viewpoint"],
-            "split": test.name,
-            "trained_on": test.trained_on,
-            "network": key[1],
-            "seed": key[2],
+            **prediction_of(row, test, key[1], key[2]),
             "true": row[f"{card['target']}_id"],
             "predicted": ids[int(of_classes.argmax())],
             "true_value": row["friction"] if card["target"] == "friction" else math.nan,

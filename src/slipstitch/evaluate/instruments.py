@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -130,8 +131,9 @@ def evaluate_instruments(
         )
         if not seen.any():
             return None, []
-        rows = [row for row, use in zip(videos.rows, seen, strict=True) if use]
-        frames = phased(videos.pixels[seen], instrument.card["frames"], None)
+        chosen = videos.chosen(seen)
+        rows = chosen.rows
+        frames = phased(chosen.pixels, instrument.card["frames"], None)
         measurements = measured(instrument, frames, rows)
         each[str(seed)] = scores(measurements, rows, settings)
         predictions += [
@@ -172,10 +174,7 @@ def alarm_rates(
         if trained_on != split:
             continue
         mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
-        own, others = (
-            [row for row, use in zip(videos.rows, mine, strict=True) if use == which]
-            for which in (True, False)
-        )
+        own, others = (list(compress(videos.rows, which)) for which in (mine, ~mine))
         frames = phased(videos.pixels, instrument.card["frames"], None)
         inputs = {"good": frames[mine], **wrong_inputs(frames[mine])}
         kinds = {kind: (some, own) for kind, some in inputs.items()}
@@ -188,17 +187,17 @@ def alarm_rates(
     return result
 
 
+def prediction_of(row: Row, test, network: str, seed: int) -> Row:
+    """Of a row of predictions.parquet: whose it is."""
+    video = {name: row[name] for name in ("video", "simulation", "texture", "viewpoint")}
+    told = {"split": test.name, "trained_on": test.trained_on, "network": network, "seed": seed}
+    return video | told
+
+
 def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
     probabilities = measurement.material_probabilities
     return {
-        "video": row["video"],
-        "simulation": row["simulation"],
-        "texture": row["texture"],
-        "viewpoint": row["viewpoint"],
-        "split": test.name,
-        "trained_on": test.trained_on,
-        "network": "instrument",
-        "seed": seed,
+        **prediction_of(row, test, "instrument", seed),
         "true": row["friction_id"],
         "predicted": max(probabilities, key=probabilities.__getitem__),
         "true_value": row["friction"],

@@ -10,6 +10,7 @@ from torch import nn
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import SPLITS
 from slipstitch.evaluate.metrics import chance, confusion, constant_error, entry, friction_scores
+from slipstitch.evaluate.wrong_inputs import ever_cloth
 from slipstitch.sample.images import read_frames
 from slipstitch.sample.probes import PIXELS, linear_answers, refuse_leak, standardised
 from slipstitch.sample.videos import Videos, read_videos, takes_part
@@ -27,7 +28,6 @@ WHAT = {
     f"{PREFIX}order": "the place in the order of training",
 }
 NETWORK = "_network"
-_COLOURED = 25  # largest minus least colour of a pixel that must be cloth, of 255
 _HIDDEN, _STEPS, _RATE, _DECAY = 64, 300, 3e-3, 1e-3
 
 
@@ -76,8 +76,7 @@ def probe_features(
     background = first.copy()
     for view in set(views):
         seen = first[views == view]
-        cloth = ((seen.max(-1).astype(np.int16) - seen.min(-1)) > _COLOURED).any(0)
-        background[views == view] = np.where(cloth[..., None], 0, seen)
+        background[views == view] = np.where(ever_cloth(seen)[..., None], 0, seen)
     # Half of the videos that train tells of the other half what their places in an epoch tell.
     training = np.flatnonzero(sides == "train")
     place = np.zeros(len(sides))

@@ -9,7 +9,7 @@ COLOURED = 25  # largest minus least colour of a pixel that must be cloth, of 25
 OBJECT_SHARE = 0.45  # side of the foreign object, in shares of the image
 
 
-def wrong_inputs(videos: np.ndarray, seed: int = 0) -> dict[str, np.ndarray]:
+def wrong_inputs(videos: np.ndarray) -> dict[str, np.ndarray]:
     """Kind -> videos of that kind, as many as given.
 
     reversed     the frames in reverse order
@@ -23,10 +23,8 @@ def wrong_inputs(videos: np.ndarray, seed: int = 0) -> dict[str, np.ndarray]:
     Parameters
     ----------
     videos : ndarray of uint8, shape (n, frames, side, side, 3)
-    seed : int
-        Of the shuffling and the noise.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     count = videos.shape[1]
     empty = _empty(videos, random)
     return {
@@ -40,6 +38,11 @@ def wrong_inputs(videos: np.ndarray, seed: int = 0) -> dict[str, np.ndarray]:
     }
 
 
+def ever_cloth(images: np.ndarray) -> np.ndarray:
+    """Where any of the images (n, side, side, 3) shows cloth: what is coloured."""
+    return ((images.max(-1).astype(np.int16) - images.min(-1)) > COLOURED).any(0)
+
+
 def _empty(videos: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The scene: its pixels' medians, where no cloth ever is, drawn along the rows elsewhere.
 
@@ -47,7 +50,7 @@ def _empty(videos: np.ndarray, random: np.random.Generator) -> np.ndarray:
     noise of one grey level.
     """
     images = videos.reshape(-1, *videos.shape[2:])
-    covered = (images.max(-1).astype(np.int16) - images.min(-1)).max(0) > COLOURED
+    covered = ever_cloth(images)
     scene = np.median(images, axis=0)
     places = np.arange(scene.shape[1])
     for row, cover in zip(scene, covered, strict=True):

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
 
 from slipstitch.instrument.alarm import calibrated_alarm, describe
 from slipstitch.instrument.augmentation import phased
@@ -53,10 +54,8 @@ def fitted_material_temperature(
     weights = _one_each(groups)
 
     def surprise(logarithm: float) -> float:
-        scaled = logits / np.exp(logarithm)
-        largest = scaled.max(1)
-        normaliser = np.log(np.exp(scaled - largest[:, None]).sum(1)) + largest
-        return float((weights * (normaliser - scaled[np.arange(len(truth)), truth])).sum())
+        likelihood = log_softmax(logits / np.exp(logarithm), axis=1)
+        return -float((weights * likelihood[np.arange(len(truth)), truth]).sum())
 
     found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
     return float(np.exp(found.x))

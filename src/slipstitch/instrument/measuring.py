@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.special import softmax
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, first_line
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
 from slipstitch.instrument.conformal import least_groups
@@ -25,6 +25,7 @@ from slipstitch.instrument.distribution import (
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.poses import scaled
 from slipstitch.render.pose import POSE
+from slipstitch.sample.videos import resized
 from slipstitch.train.model_file import read_weights, write_weights
 
 FORMAT = "slipstitch-instrument-2"
@@ -212,8 +213,6 @@ class Instrument:
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars
         logits = answers.material_logits[0] / (bars.material_temperature if bars else 1.0)
-        probabilities = np.exp(logits - logits.max())
-        probabilities /= probabilities.sum()
         reason = NOT_CALIBRATED
         if bars:
             scores = bars.alarm.raw(video, answers.embedding, answers.order)
@@ -223,7 +222,7 @@ class Instrument:
             distribution=(self.grid, distribution[0]),
             interval_90=(float(low), float(high)),
             material_probabilities=dict(
-                zip(self.card["materials"], probabilities.tolist(), strict=True)
+                zip(self.card["materials"], softmax(logits).tolist(), strict=True)
             ),
             alarm=bool(reason),
             alarm_reason=reason,
@@ -239,12 +238,7 @@ class Instrument:
         if count != self.card["frames"] or height != width or colours != 3 or height < 8:
             raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
         side = self.network.pixels
-        if height == side:
-            return frames
-        how = Image.Resampling.BOX if side < height else Image.Resampling.BICUBIC
-        return np.stack(
-            [np.asarray(Image.fromarray(frame).resize((side, side), how)) for frame in frames]
-        )
+        return frames if height == side else resized(frames, side)
 
 
 def stretched(
@@ -275,25 +269,6 @@ def stretch_scores(
     half = np.where(truth < median, median - low, high - median)
     # A half that the grid's end cut off is never too short.
     return np.abs(truth - median) / np.maximum(half, 1e-9)
-
-
-def untrained_instrument(
-    settings: InstrumentSettings, materials: list[str], pixels: int, frames: int = 30, seed: int = 0
-) -> Instrument:
-    """An instrument of random weights: well formed, knows nothing, always raises its alarm."""
-    torch.manual_seed(seed)
-    network = InstrumentNetwork(settings, len(materials), pixels)
-    network.eval()
-    card = {
-        "materials": list(materials),
-        "frames": frames,
-        "pixels": pixels,
-        "bfloat16": False,
-        "settings": settings.model_dump(mode="json"),
-        "dataset_digest": None,
-        "seed": seed,
-    }
-    return Instrument(network, card, None)
 
 
 def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:
@@ -370,8 +345,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
                 Alarm(**arrays, threshold=noted["alarm_threshold"]),
             )
     except (ValidationError, RuntimeError, KeyError, TypeError) as error:
-        first = str(error).splitlines()[0]
-        raise BadInput(f"{weights}: weights do not match the card: {first}") from None
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
     network.eval()
     inside = {key: value for key, value in card.items() if key != "error_bars"}
     return Instrument(network, inside, bars)

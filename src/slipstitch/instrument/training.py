@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import REFLECTIVE, TRAINED_ON, split_of
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput
 from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
@@ -21,11 +22,12 @@ from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_inst
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.poses import pose_range, poses_of, scaled
 from slipstitch.provenance import start_clock
-from slipstitch.sample.videos import Videos, read_videos, takes_part
+from slipstitch.sample.videos import Videos
 from slipstitch.train.checkpoint import Progress
 from slipstitch.train.classes import classes_of, labels_of
 from slipstitch.train.loop import (
     Phase,
+    read_training_videos,
     simulations,
     train_learner,
     training_facts,
@@ -38,7 +40,7 @@ DISORDERED = 4  # for so many videos, one is also shown in disorder
 GRADIENT_NORM_MAX = 1.0
 
 
-def read_training_videos(
+def _training_videos(
     settings: InstrumentSettings,
     dataset: str | os.PathLike,
     split: str,
@@ -55,24 +57,16 @@ def read_training_videos(
     BadInput
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
-    if split not in TRAINED_ON:
-        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
-    column = f"split_{split_of(split)}"
-    videos = read_videos(
+    videos, training = read_training_videos(
         dataset,
-        lambda row: (
-            takes_part(row, split)
-            and row[column] != "test"
-            and row["viewpoint"] in viewpoints
-            and (uses is None or uses(row))
-        ),
+        split,
+        lambda row: row["viewpoint"] in viewpoints and (uses is None or uses(row)),
         settings.pixels,
     )
-    training = np.array([row[column] == "train" for row in videos.rows])
     stored = videos.pixels.shape[1]
     if stored < frames:
         raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
-    trained = [row for row, trains in zip(videos.rows, training, strict=True) if trains]
+    trained = list(compress(videos.rows, training))
     for key, least in (("material", 1), ("friction", 2)):
         found = {row[key] for row in trained}
         if len(found) < least:
@@ -322,7 +316,7 @@ def train_instrument(
     """
     started = start_clock()
     set_up_torch(threads)
-    videos, training = read_training_videos(settings, dataset, split, viewpoints, frames, uses)
+    videos, training = _training_videos(settings, dataset, split, viewpoints, frames, uses)
     materials = classes_of(videos.rows, "material")
     torch.manual_seed(seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
@@ -342,36 +336,27 @@ def train_instrument(
     )
     identity = training_identity(
         "instrument",
-        settings,
+        learner,
         videos,
-        learner.phases,
         network="instrument",
         split=split,
         seed=seed,
         frames=frames,
         threads=threads,
-        bfloat16=learner.bfloat16,
     )
     out = Path(out_dir)
-    history = train_learner(
-        learner, seed, out, identity, settings.checkpoint_interval_s, after_step
-    )
+    history = train_learner(learner, seed, out, identity, after_step)
     card = {
         "materials": [entry["name"] for entry in materials],
         "frames": frames,
         "pixels": network.pixels,
-        "bfloat16": learner.bfloat16,
         "viewpoints": list(viewpoints),
         "pose_range": pose_range(poses_of(videos.rows)),
         "split": split,
         "seed": seed,
-        "settings": settings.model_dump(mode="json"),
-        "dataset_digest": videos.digest,
         "frictions": sorted({row["friction"] for row in videos.rows}),
-        "training_videos": int(training.sum()),
-        "training_simulations": len(simulations(videos, training)),
         "calibration_simulations": len(simulations(videos, ~training)),
-        **training_facts(learner, history),
+        **training_facts(learner, videos, history),
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
         "videos it should raise its alarm, and its intervals are not valid",
     }

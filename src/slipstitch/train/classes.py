@@ -1,10 +1,10 @@
 """The classes of a dataset, materials or friction coefficients, and the labels of its videos."""
 
-import math
 from typing import Any
 
 import numpy as np
-import torch
+from numpy.typing import ArrayLike
+from scipy.special import entr
 
 from slipstitch.errors import BadInput
 
@@ -39,11 +39,9 @@ def labels_of(rows: list[dict[str, Any]], classes: list[dict[str, Any]], target:
         ) from None
 
 
-def chance_loss(labels: list[int]) -> float:
+def chance_loss(labels: ArrayLike) -> float:
     """Cross-entropy of the best guess that ignores the video: the entropy of the labels.
 
     ln K where the K classes are equally frequent.
     """
-    counts = torch.bincount(torch.tensor(labels)).double()
-    frequencies = counts[counts > 0] / counts.sum()
-    return max(0.0, -math.fsum(float(share * share.log()) for share in frequencies))
+    return max(0.0, float(entr(np.bincount(labels) / len(labels)).sum()))

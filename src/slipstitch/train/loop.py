@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,10 +23,11 @@ from pydantic import BaseModel
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from slipstitch.errors import SlipstitchError
+from slipstitch.config.train import TRAINED_ON, split_of
+from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import atomic_path, code_digest, provenance_record, write_sidecar
 from slipstitch.sample.manifest import MANIFEST
-from slipstitch.sample.videos import Videos
+from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.train.curves import curve
 
@@ -56,7 +58,13 @@ class Learner(Protocol):
     ----------
     name : str
         Names the training in messages.
+    settings : pydantic model
+        With ``checkpoint_interval_s``: least time between checkpoints.
     network : nn.Module
+    training : ndarray of bool, shape (n,)
+        Which of the videos train; the others validate.
+    bfloat16 : bool
+        Whether convolutions are derived in bfloat16.
     optimizer : torch.optim.Optimizer
     phases : sequence of Phase
         The schedule.
@@ -76,6 +84,8 @@ class Learner(Protocol):
     """
 
     name: str
+    training: np.ndarray
+    bfloat16: bool
     optimizer: torch.optim.Optimizer
     phases: Sequence[Phase]
     batch_size: int
@@ -90,6 +100,10 @@ class Learner(Protocol):
     @property
     def network(self) -> nn.Module:
         """What learns."""
+
+    @property
+    def settings(self) -> Any:
+        """How."""
 
     def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the videos that train in a phase, and of those that validate it."""
@@ -121,7 +135,6 @@ def train_learner(
     seed: int,
     out: Path,
     identity: dict[str, Any],
-    checkpoint_interval_s: float,
     after_step: Callable[[Progress], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Train from the start, or from the checkpoint of the same training, to the end.
@@ -135,8 +148,6 @@ def train_learner(
         Folder of ``checkpoint.safetensors``, which stays until `write_record`.
     identity : dict
         Which training this is, in JSON's types: see `training_identity`.
-    checkpoint_interval_s : float
-        Least time between checkpoints.
     after_step : callable, optional
         Called after every step with the progress; what it raises stops the training.
 
@@ -188,7 +199,7 @@ def train_learner(
                 nn.utils.clip_grad_norm_(network.parameters(), learner.gradient_norm_max)
             optimizer.step()
             progress.add(sums)
-            if time.monotonic() - saved_at >= checkpoint_interval_s:
+            if time.monotonic() - saved_at >= learner.settings.checkpoint_interval_s:
                 save_checkpoint(checkpoint, identity, progress, network, optimizer)
                 saved_at = time.monotonic()
             if after_step is not None:
@@ -243,24 +254,30 @@ def _check_plateau(learner: Learner, history: list[dict[str, Any]]) -> None:
         )
 
 
-def training_identity(
-    stage: str, settings: BaseModel, videos: Videos, phases: Sequence[Phase], **others
-) -> dict[str, Any]:
+def training_identity(stage: str, learner: Learner, videos: Videos, **others) -> dict[str, Any]:
     """Identity of a training for its checkpoint: data, settings, code, `others`."""
     names = "\n".join(row["video"] for row in videos.rows)
     return {
-        "settings": settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
+        "settings": learner.settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
         "dataset_digest": videos.digest,
         "videos_sha256": hashlib.sha256(names.encode()).hexdigest(),
-        "phases": [[phase.name, *phase.viewpoints, phase.epochs] for phase in phases],
+        "phases": [[phase.name, *phase.viewpoints, phase.epochs] for phase in learner.phases],
+        "bfloat16": learner.bfloat16,
         "code_digest": code_digest(stage),
         **others,
     }
 
 
-def training_facts(learner: Learner, history: list[dict[str, Any]]) -> dict[str, Any]:
+def training_facts(
+    learner: Learner, videos: Videos, history: list[dict[str, Any]]
+) -> dict[str, Any]:
     """Common entries on the training in all model cards."""
     return {
+        "bfloat16": learner.bfloat16,
+        "settings": learner.settings.model_dump(mode="json"),
+        "dataset_digest": videos.digest,
+        "training_videos": int(learner.training.sum()),
+        "training_simulations": len(simulations(videos, learner.training)),
         "epochs": len(history),
         "train_loss": history[-1]["train_loss"],
         "chance_loss": learner.chance_loss,
@@ -269,9 +286,47 @@ def training_facts(learner: Learner, history: list[dict[str, Any]]) -> dict[str,
     }
 
 
+def read_training_videos(
+    dataset: str | os.PathLike,
+    split: str,
+    uses: Callable[[dict[str, Any]], bool] | None,
+    pixels: int | None,
+    frames: int | None = None,
+) -> tuple[Videos, np.ndarray]:
+    """The videos that train or validate, and which of them train.
+
+    Parameters
+    ----------
+    dataset : path
+    split : str
+        One of `slipstitch.config.train.TRAINED_ON`.
+    uses : callable or None
+        Says of a manifest row whether its video may do either; None: all may.
+    pixels, frames
+        As for `slipstitch.sample.videos.read_videos`.
+
+    Raises
+    ------
+    BadInput
+        If there is no such split, or the dataset is damaged or leaks.
+    """
+    if split not in TRAINED_ON:
+        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
+    column = f"split_{split_of(split)}"
+    videos = read_videos(
+        dataset,
+        lambda row: (
+            takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
+        ),
+        pixels,
+        frames,
+    )
+    return videos, np.array([row[column] == "train" for row in videos.rows])
+
+
 def simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
     """Simulations of the videos where `chosen` (bool, shape (n,)) is true."""
-    return {row["simulation"] for row, use in zip(videos.rows, chosen, strict=True) if use}
+    return {row["simulation"] for row in compress(videos.rows, chosen)}
 
 
 def write_record(

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
-from slipstitch.errors import BadInput, Damaged
+from slipstitch.errors import BadInput, Damaged, first_line
 from slipstitch.provenance import atomic_path, file_digest, write_json
 from slipstitch.train.network import build_network
 
@@ -109,16 +109,15 @@ def load_model(folder: str | os.PathLike) -> TrainedModel:
     """
     weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
     tensors, card = read_weights(weights, card_path, FORMAT)
-    if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
-        raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
     try:
+        if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
+            raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
         settings = TrainSettings.model_validate(card["settings"])
         network = build_network(
             settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
         )
         network.load_state_dict(tensors)
     except (ValidationError, RuntimeError, KeyError) as error:
-        first = str(error).splitlines()[0]
-        raise BadInput(f"{weights}: weights do not match the card: {first}") from None
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
     network.eval()
     return TrainedModel(network, card)

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from slipstitch.config.train import NETWORKS, REFLECTIVE, TRAINED_ON, TrainSettings, split_of
+from slipstitch.config.train import NETWORKS, REFLECTIVE, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import start_clock
-from slipstitch.sample.videos import read_videos, takes_part
 from slipstitch.train.checkpoint import Progress
 from slipstitch.train.classes import chance_loss, classes_of, labels_of
 from slipstitch.train.loop import (
     Phase,
-    simulations,
+    read_training_videos,
     train_learner,
     training_facts,
     training_identity,
@@ -115,7 +115,7 @@ class ClassLearner:
         )
         self.batch_size = settings.batch_size
         self.gradient_norm_max = settings.gradient_norm_max
-        self.chance_loss = chance_loss(self.labels[self.training].tolist())
+        self.chance_loss = chance_loss(self.labels[self.training])
         self.plateau_margin = settings.plateau_margin
         self.plateau_window = settings.epochs_per_cycle
         self.plateau_epochs = settings.plateau_epochs
@@ -248,8 +248,6 @@ def train_network(
     started = start_clock()
     if network_name not in NETWORKS:
         raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
-    if split not in TRAINED_ON:
-        raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
     conditional = network_name == "friction_conditional"
     listens = conditional and not true_materials
     if listens != (material_model is not None):
@@ -257,19 +255,10 @@ def train_network(
             f"{network_name} {'requires' if listens else 'does not take'} --material-model"
         )
     set_up_torch(threads)
-    column = f"split_{split_of(split)}"
-    videos = read_videos(
-        dataset,
-        lambda row: (
-            takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
-        ),
-        settings.pixels,
-        frames,
-    )
+    videos, training = read_training_videos(dataset, split, uses, settings.pixels, frames)
     target = network_name.split("_")[0]
     classes = classes_of(videos.rows, target)
     labels = labels_of(videos.rows, classes, target)
-    training = np.array([row[column] == "train" for row in videos.rows])
     _check_dataset(videos, labels, classes, training, view_order, target, expected_classes)
     condition, condition_classes, condition_digest = None, [], None
     if true_materials:
@@ -305,9 +294,8 @@ def train_network(
     )
     identity = training_identity(
         "train",
-        settings,
+        learner,
         videos,
-        learner.phases,
         network=network_name,
         split=split,
         seed=seed,
@@ -315,12 +303,9 @@ def train_network(
         condition_sha256=condition_digest,
         true_materials=true_materials,
         threads=threads,
-        bfloat16=learner.bfloat16,
     )
     out = Path(out_dir)
-    history = train_learner(
-        learner, seed, out, identity, settings.checkpoint_interval_s, after_step
-    )
+    history = train_learner(learner, seed, out, identity, after_step)
     card = save_model(
         network,
         {
@@ -335,12 +320,7 @@ def train_network(
             "pixels": pixels,
             "frames": videos.pixels.shape[1],
             "viewpoints": view_order,
-            "bfloat16": learner.bfloat16,
-            "settings": settings.model_dump(mode="json"),
-            "dataset_digest": videos.digest,
-            "training_videos": int(training.sum()),
-            "training_simulations": len(simulations(videos, training)),
-            **training_facts(learner, history),
+            **training_facts(learner, videos, history),
             "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
             "performance on other videos, real ones included, is unknown",
         },
@@ -386,10 +366,7 @@ def _check_dataset(videos, labels, classes, training, view_order, target, expect
             f"{', '.join(sorted(present))}"
         )
     for name in view_order:
-        if not any(
-            row["viewpoint"] == name and trains
-            for row, trains in zip(videos.rows, training, strict=True)
-        ):
+        if not any(row["viewpoint"] == name for row in compress(videos.rows, training)):
             raise BadInput(f"viewpoint {name!r} has no training video")
 
 

@@ -1,0 +1,26 @@
+"""An instrument for tests of what surrounds it."""
+
+import torch
+
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.instrument.measuring import Instrument
+from slipstitch.instrument.network import InstrumentNetwork
+
+
+def untrained_instrument(
+    settings: InstrumentSettings, materials: list[str], pixels: int, frames: int = 30
+) -> Instrument:
+    """An instrument of random weights: well formed, knows nothing, always raises its alarm."""
+    torch.manual_seed(0)
+    network = InstrumentNetwork(settings, len(materials), pixels)
+    network.eval()
+    card = {
+        "materials": list(materials),
+        "frames": frames,
+        "pixels": pixels,
+        "bfloat16": False,
+        "settings": settings.model_dump(mode="json"),
+        "dataset_digest": None,
+        "seed": 0,
+    }
+    return Instrument(network, card, None)
