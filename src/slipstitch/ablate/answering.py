@@ -309,7 +309,6 @@ class _Runs:
             found = {key: card[key] for key in ("train_loss", "chance_loss")} | {"failure": None}
         except DivergedError as failure:
             found = {"failure": str(failure)}
-        folder.mkdir(parents=True, exist_ok=True)
         write_json(marker, {**found, "identity": identity}, indent=None, allow_nan=True)
         return found
 
@@ -372,7 +371,6 @@ def write_answer(
     started = start_clock()
     out = Path(out)
     found = answer(config, dataset, question, seed, out.with_suffix(""), threads)
-    out.parent.mkdir(parents=True, exist_ok=True)
     record = provenance_record(
         "ablate",
         inputs=[Path(dataset) / MANIFEST],

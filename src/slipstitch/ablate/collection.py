@@ -1,6 +1,5 @@
 """Reading the results of all questions and seeds, writing their summary and its page."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from slipstitch.ablate.ablations_page import ablations_page
 from slipstitch.ablate.summary import summarise
 from slipstitch.config import Config
 from slipstitch.errors import BadInput
-from slipstitch.provenance import provenance_record, read_json, start_clock, write_text
+from slipstitch.provenance import provenance_record, read_json, start_clock, write_json, write_text
 
 KEYS = {"question", "seed", "asks", "left_out", "dataset_digest", "variants", "predictions"}
 
@@ -40,17 +39,14 @@ def write_summary(
         config=config.model_dump(mode="json", include={"ablate", "evaluate"}),
         started=started,
     )
-    texts = {Path(out): json.dumps(summary, indent=1, allow_nan=False) + "\n"}
+    write_json(out, summary, record)
     if page is not None:
-        texts[Path(page)] = ablations_page(summary)
-    for path, text in texts.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text, record)
+        write_text(page, ablations_page(summary), record)
     return summary
 
 
 def _answer(path: Path) -> dict[str, Any]:
-    """One answer; BadInput if it is does not match its path."""
+    """One answer; BadInput if it does not match its path."""
     content = read_json(path)
     if not isinstance(content, dict) or not set(content) >= KEYS:
         raise BadInput(f"{path}: not a result of `slipstitch ablate`")

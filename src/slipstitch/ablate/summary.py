@@ -19,13 +19,14 @@ from slipstitch.evaluate.metrics import (
     mean_over_seeds,
     spread_over_seeds,
 )
+from slipstitch.page.wording import counted
 
 LEVEL = 0.9
 Row = dict[str, Any]
 
 
-def interval(differences: np.ndarray, level: float = LEVEL) -> tuple[float, float, float]:
-    """Mean of differences that share seeds and simulations, and an interval for it.
+def interval(differences: np.ndarray) -> tuple[float, float, float]:
+    """Mean of differences that share seeds and simulations, and its interval at `LEVEL`.
 
     Both are random effects, crossed: with mean squares of rows, columns and remainder, the variance
     of the mean is (MS_seeds + MS_simulations - MS_rest) / (S N), its degrees of freedom those of
@@ -37,7 +38,6 @@ def interval(differences: np.ndarray, level: float = LEVEL) -> tuple[float, floa
     ----------
     differences : ndarray, shape (S, N)
         Seeds by simulations. With one seed the interval counts simulations only.
-    level : float
 
     Returns
     -------
@@ -67,7 +67,7 @@ def interval(differences: np.ndarray, level: float = LEVEL) -> tuple[float, floa
     if variance == 0:
         return mean, mean, mean
     freedom = sum(each) ** 2 / sum(part**2 / free for part, free in parts)
-    half = float(stats.t.ppf((1 + level) / 2, freedom)) * math.sqrt(variance)
+    half = float(stats.t.ppf((1 + LEVEL) / 2, freedom)) * math.sqrt(variance)
     return mean, mean - half, mean + half
 
 
@@ -272,7 +272,7 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
         sign = -1 if found["verdict"] == "better" else 1
         ends = sorted((sign * found["low"], sign * found["high"]))
         amount = f"{sign * found['difference']:.3f} ({ends[0]:.3f} ... {ends[1]:.3f})"
-    many = f"{found['simulations']} simulations and {_count(found['seeds'], 'seed')}"
+    many = f"{found['simulations']} simulations and {counted(found['seeds'], 'seed')}"
     if found["verdict"] == "not compared":
         conclusion = f"{new} cannot be compared with {old}: " + (
             "one test simulation does not generalise to others"
@@ -303,7 +303,3 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
     if found["seeds"] == 1:
         notes.append("the interval does not cover other seeds")
     return start + "; ".join([conclusion, *notes]) + "."
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
