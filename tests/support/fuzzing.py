@@ -45,7 +45,7 @@ from slipstitch.provenance import read_provenance
 from slipstitch.release.assembly import write_release
 from slipstitch.release.records import read_artefact
 from slipstitch.render.camera import pose
-from slipstitch.render.camera_file import _DISTORTION, FORMAT, read_camera_file
+from slipstitch.render.camera_file import DISTORTION, FORMAT, read_camera_file
 from slipstitch.render.preview import decode_image, read_images
 from slipstitch.render.textures import _read as read_texture
 from slipstitch.report.results import Results
@@ -265,7 +265,7 @@ def _pictures(add, folder: Path) -> None:
     whole = {
         "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
         "principal_point_px": [320.0, 240.0], "rotation": np.eye(3).tolist(),
-        "translation_m": [0.0, 0.0, 1.0], "distortion": dict.fromkeys(_DISTORTION, 0.0),
+        "translation_m": [0.0, 0.0, 1.0], "distortion": dict.fromkeys(DISTORTION, 0.0),
     }  # fmt: skip
     camera.write_text(json.dumps(whole))
     read_camera_file(camera)
