@@ -24,6 +24,7 @@ from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import provenance_record, write_sidecar
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import floors_in_words, training_floors
+from slipstitch.report.learning import share_interval
 from slipstitch.report.learning_pictures import confusion_counts
 from slipstitch.report.page import (
     closest_frictions,
@@ -411,6 +412,16 @@ def test_centre_line_runs_from_the_clamps_to_the_lower_edge(whole):
     assert np.abs(trajectory.centre_m[:, 0, 0]).max() < 0.02
 
 
+def test_the_interval_of_the_share_counts_by_the_step_of_the_scores():
+    predictions = [
+        {"split": "s", "network": "n", "seed": 0, "simulation": f"{k}",
+         "true_value": 0.2, "predicted_value": 0.2 + 0.02 * k}
+        for k in range(4)
+    ]  # fmt: skip
+    assert share_interval(predictions, "s", "n", 0.2) == (1.0, 1.0)
+    assert share_interval(predictions, "s", "n", 0.1)[0] < 1.0
+
+
 def test_confusion_counts_have_true_rows_and_predicted_columns():
     predictions = [
         {"split": "s", "network": "n", "true_value": 0.1, "predicted_value": 0.3},
@@ -454,6 +465,12 @@ def test_the_time_can_be_set_from_outside_and_the_page_has_its_record(monkeypatc
     write_report(CONFIG, tmp_path, tmp_path / "index.html")
     assert "14 November 2023" in (tmp_path / "index.html").read_text()
     assert (tmp_path / "index.html.provenance.json").exists()
+
+
+def test_a_time_that_is_none_is_one_clear_line(monkeypatch, tmp_path):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(BadInput, match="SOURCE_DATE_EPOCH=yesterday: must be a number of seconds"):
+        write_report(CONFIG, tmp_path, tmp_path / "index.html")
 
 
 @pytest.mark.parametrize(

@@ -190,8 +190,8 @@ def short_texts(batch: Any, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def limited_memory(more: int = MEMORY_BYTES) -> Iterator[None]:
-    """Let this process take `more` bytes than it has, not the machine's whole memory.
+def limited_memory() -> Iterator[None]:
+    """Let this process take `MEMORY_BYTES` more than it has, not the machine's whole memory.
 
     What a file's headers claim falsely ends in a MemoryError then.
 
@@ -207,13 +207,15 @@ def limited_memory(more: int = MEMORY_BYTES) -> Iterator[None]:
     except (OSError, ValueError, IndexError):
         yield  # not Linux
         return
-    limit = now + more
+    limit = now + MEMORY_BYTES
     if soft != resource.RLIM_INFINITY:
         limit = min(limit, soft)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     try:
         yield
     except MemoryError:
-        raise BadInput(f"reading it takes more than {more // 2**20} MiB; not a release") from None
+        raise BadInput(
+            f"reading it takes more than {MEMORY_BYTES // 2**20} MiB; not a release"
+        ) from None
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))

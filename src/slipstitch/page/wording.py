@@ -1,7 +1,11 @@
 """Formatting of numbers, times and sizes on the pages."""
 
+import os
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
+
+from slipstitch.errors import BadInput
 
 NONE = "–"  # where there is no number
 
@@ -95,6 +99,23 @@ def seeds_in_words(count: int) -> str:
 def yes_or_no(value: float | None) -> str:
     """A truth value that came as a number."""
     return NONE if value is None else ("yes" if value else "no")
+
+
+def time_of_making() -> datetime:
+    """Now (UTC), or ``SOURCE_DATE_EPOCH``, as reproducible builds set it.
+
+    Raises
+    ------
+    BadInput
+        If that is no number of seconds.
+    """
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if not epoch:
+        return datetime.now(UTC)
+    try:
+        return datetime.fromtimestamp(int(epoch), UTC)
+    except (ValueError, OverflowError, OSError):
+        raise BadInput(f"SOURCE_DATE_EPOCH={epoch}: must be a number of seconds") from None
 
 
 def shortened(text: str, most: int) -> str:

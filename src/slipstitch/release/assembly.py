@@ -1,6 +1,5 @@
 """Assembling a release in a temporary folder that is renamed at the very end."""
 
-import datetime
 import os
 import shutil
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from typing import Any
 
 from slipstitch.config import Config
 from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.page.wording import time_of_making
 from slipstitch.progress import progress
 from slipstitch.provenance import (
     atomic_path,
@@ -34,6 +34,8 @@ from slipstitch.release.manifest import MANIFEST, released_rows, write_manifest
 from slipstitch.release.previews import write_previews
 from slipstitch.release.records import (
     CONFIG,
+    CRATE,
+    CROISSANT,
     GRID,
     RELEASE_RECORD,
     VERIFICATION,
@@ -61,17 +63,6 @@ class Released:
     files: int
     size_bytes: int
     sums_sha256: str
-
-
-def release_date() -> str:
-    """Today (UTC), or the day of ``SOURCE_DATE_EPOCH``, as reproducible builds set it."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    if epoch is None:
-        return datetime.datetime.now(datetime.UTC).date().isoformat()
-    try:
-        return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).date().isoformat()
-    except ValueError:
-        raise BadInput(f"SOURCE_DATE_EPOCH={epoch}: must be a number of seconds") from None
 
 
 def check_current(
@@ -213,15 +204,15 @@ def _fill(
     write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
     pictures = write_previews(folder, rows)
     copy_code(project, folder)
-    facts = facts_of(config, project, release_date())
+    facts = facts_of(config, project, time_of_making().date().isoformat())
     _write_records(folder, config, results, artefacts)
     card = card_of(folder, facts, config, rows, artefacts, pictures)
     (folder / CARD).write_text(card, encoding="utf-8")
     # rdflib and rocrate take a second to import.
-    from slipstitch.release.crate import write_crate
-    from slipstitch.release.croissant import write_croissant
+    from slipstitch.release.crate import crate_text
+    from slipstitch.release.croissant import croissant_text
 
-    write_croissant(folder, facts)
+    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
     record = provenance_record(
         "release",
         inputs=[results / "sample" / MANIFEST],
@@ -231,7 +222,7 @@ def _fill(
     )
     # As the other records call it, whatever the working folder.
     record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
-    write_crate(folder, facts, artefacts, record)
+    (folder / CRATE).write_text(crate_text(folder, facts, artefacts, record), encoding="utf-8")
     content = {name: file_digest(folder / name) for name in files_below(folder)}
     write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
     digest = write_sums(folder)

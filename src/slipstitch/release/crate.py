@@ -40,12 +40,6 @@ def _media_type(name: str) -> str:
     return _TYPES.get(suffix) or mimetypes.guess_type(name)[0] or "text/plain"
 
 
-def write_crate(folder: Path, facts, artefacts, record: Mapping[str, Any]) -> None:
-    """Write ``ro-crate-metadata.json``; see `crate_text`."""
-    text = crate_text(folder, facts, artefacts, record)
-    (folder / CRATE).write_text(text, encoding="utf-8")
-
-
 def crate_text(
     folder: Path,
     facts: Mapping[str, Any],

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 from slipstitch.errors import SlipstitchError
 from slipstitch.provenance import file_digest
 from slipstitch.release.manifest import MANIFEST, described
-from slipstitch.release.records import CROISSANT
 from slipstitch.release.shards import FOLDER
 
 VIDEOS, FRAMES = "videos", "frames"
@@ -127,8 +126,3 @@ def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
     except mlc.ValidationError as error:
         raise SlipstitchError(f"Croissant metadata is not valid: {error}") from None
     return json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n"
-
-
-def write_croissant(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``croissant.json``; see `croissant_text`."""
-    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 from slipstitch.config.train import REFLECTIVE, split_of
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.capture_scores import subsets, what_they_are
+from slipstitch.evaluate.evaluation import MODELS
 from slipstitch.evaluate.metrics import (
     BY_NAME,
     CAPTURES,
@@ -19,7 +20,7 @@ from slipstitch.evaluate.metrics import (
 )
 from slipstitch.page.figures import svg_uri
 from slipstitch.report import learning_pictures
-from slipstitch.report.learning import MODEL_TITLES, NETWORKS, SPLIT_TITLES, seeds_of
+from slipstitch.report.learning import MODEL_TITLES, SPLIT_TITLES, seeds_of
 from slipstitch.report.results import Results
 from slipstitch.sample.videos import takes_part
 
@@ -162,7 +163,7 @@ def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
 
 def _simulated_errors(predictions, model: str, split: str) -> dict[int, np.ndarray]:
     """Seed -> errors on the split's own test set."""
-    network = NETWORKS.get(model, model)
+    network = MODELS.get(model, model)
     found: dict[int, list[float]] = {}
     for row in predictions or ():
         if (row["split"], row["network"]) == (split, network):
@@ -175,7 +176,7 @@ def _simulated_row(metrics, details, model, split, errors) -> list[dict[str, Any
     entry = (metrics or {}).get(split, {}).get(model)
     if not entry:
         return []
-    detail = details.get(split, {}).get(NETWORKS.get(model, model), {})
+    detail = details.get(split, {}).get(MODELS.get(model, model), {})
     metric = BY_NAME["within_0.1"]
     within = [
         {metric.name: metric.compute(PredictionsAndTruth(np.nan, off, np.zeros_like(off)))}

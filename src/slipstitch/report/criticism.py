@@ -1,6 +1,5 @@
 """What measured data say of the friction law, and what an audit says of the released dataset."""
 
-from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
@@ -33,8 +32,6 @@ def criticism_section(results: Results) -> list[dict[str, Any]]:
 def release_section(results: Results) -> dict[str, Any] | None:
     """What `slipstitch audit` wrote of the release; None without one."""
     audit = results.audit()
-    return None if audit is None else {**audit, "found": _counts(audit)}
-
-
-def _counts(audit: Mapping[str, Any]) -> dict[str, int]:
-    return {kind: count for kind, count in audit["counts"].items() if count}
+    if audit is None:
+        return None
+    return {**audit, "found": {kind: count for kind, count in audit["counts"].items() if count}}

@@ -9,7 +9,8 @@ import numpy as np
 from slipstitch.ablate.summary import interval
 from slipstitch.config import Config
 from slipstitch.evaluate import paper, probes
-from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of
+from slipstitch.evaluate.evaluation import MODELS
+from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of, steps_off
 from slipstitch.page.wording import percent, seeds_in_words
 
 SPLIT_TITLES = {
@@ -26,13 +27,11 @@ MODEL_TITLES = {
     "lrcn_conditional": "network given the material",
     "instrument": "instrument",
 }
-NETWORKS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
 # Which entry of metrics.json holds a network's scores.
 ENTRIES = {
     "material_baseline": "lrcn_baseline",
-    "friction_baseline": "lrcn_baseline",
-    "friction_conditional": "lrcn_conditional",
     "instrument": "instrument",
+    **{network: model for model, network in MODELS.items()},
 }
 # What the paper's tables count of each network, and what tells its rows apart.
 COUNTED = {
@@ -95,7 +94,7 @@ def headline(config: Config, metrics, details, predictions) -> list[dict[str, An
         if not scored:
             continue
         best = max(scored, key=lambda name: scored[name]["friction_lt_0.1"])
-        network = NETWORKS.get(best, best)
+        network = MODELS.get(best, best)
         detail = details.get(split, {}).get(network, {})
         chance = detail.get("chance", {})
         found.append(
@@ -103,7 +102,9 @@ def headline(config: Config, metrics, details, predictions) -> list[dict[str, An
                 "split": SPLIT_TITLES[split],
                 "model": MODEL_TITLES.get(best, best),
                 "share": scored[best]["friction_lt_0.1"],
-                "interval": share_interval(predictions or (), split, network),
+                "interval": share_interval(
+                    predictions or (), split, network, config.evaluate.friction_step
+                ),
                 "seeds": len(scored[best].get("seeds") or ()),
                 "probe": rows.get(probes.MIDDLE_FRAME, {}).get("friction_lt_0.1"),
                 "error": scored[best].get("mean_absolute_error"),
@@ -119,14 +120,14 @@ def headline(config: Config, metrics, details, predictions) -> list[dict[str, An
 
 
 def share_interval(
-    predictions: Iterable[Mapping[str, Any]], split: str, network: str
+    predictions: Iterable[Mapping[str, Any]], split: str, network: str, step: float
 ) -> tuple[float, float] | None:
     """90 % interval of the share below half a step, over simulations and seeds; None of one."""
     right: dict[tuple[int, str], list[bool]] = defaultdict(list)
     for row in predictions:
         if (row["split"], row["network"]) == (split, network):
-            off = abs(row["predicted_value"] - row["true_value"])
-            right[row["seed"], row["simulation"]].append(off < 0.05 - 1e-9)
+            off = steps_off(row["predicted_value"], row["true_value"], step)
+            right[row["seed"], row["simulation"]].append(off == 0)
     seeds = sorted({seed for seed, _ in right})
     names = sorted({name for _, name in right})
     if len(names) < 2:
@@ -159,7 +160,7 @@ def beside_paper(
                     default=0,
                 ),
                 "seeds": seeds_of(
-                    {key: metrics[name][key] for key in NETWORKS if key in metrics[name]}
+                    {key: metrics[name][key] for key in MODELS if key in metrics[name]}
                 ),
             }
             for name in shown
@@ -172,7 +173,7 @@ def beside_paper(
                     percent(*score(metrics, details, name, network, metric.name)) for name in shown
                 ],
             }
-            for network in ("material_baseline", *NETWORKS.values())
+            for network in ("material_baseline", *MODELS.values())
             for metric in counted_metrics(network)
         ],
     }
@@ -221,7 +222,7 @@ def test_sets(metrics, details) -> list[dict[str, Any]]:
                 if trained_on and trained_on != split
                 else None,
                 "rows": [
-                    _test_row(model, row, of_split.get(NETWORKS.get(model, model), {}), of_split)
+                    _test_row(model, row, of_split.get(MODELS.get(model, model), {}), of_split)
                     for model, row in models.items()
                 ],
             }

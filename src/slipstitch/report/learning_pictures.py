@@ -26,10 +26,10 @@ SPLIT_NAMES = {
 }
 
 
-def _fine_tuning(epochs: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """Changes of the schedule: (last epoch before, name of the next phase)."""
+def _phase_changes(epochs: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Where the schedule goes over to another phase, between two epochs."""
     return [
-        (0.5 * (before["epoch"] + after["epoch"]), str(after["stage"]))
+        0.5 * (before["epoch"] + after["epoch"])
         for before, after in pairwise(epochs)
         if before.get("stage") != after.get("stage")
     ]
@@ -65,7 +65,7 @@ def training(histories: Sequence[History]) -> Figure | None:
         chance = history.epochs[0].get("chance_loss")
         if isinstance(chance, float):
             lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
-        for where, _ in _fine_tuning(history.epochs):
+        for where in _phase_changes(history.epochs):
             axes.axvline(where, color=LINE, lw=0.8, zorder=0)
     for axes, network in zip(panels[0], networks, strict=True):
         axes.set_title(NETWORK_NAMES[network])

@@ -15,7 +15,7 @@ from slipstitch.evaluate import paper
 from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.templates import render
-from slipstitch.page.wording import counted
+from slipstitch.page.wording import counted, time_of_making
 from slipstitch.provenance import provenance_record, start_clock, write_text
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import captures_section
@@ -202,11 +202,8 @@ def write_report(
         If there is no such folder, or a file in it cannot be read.
     """
     started = start_clock()
-    # Reproducible builds set the time from outside.
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    now = datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC)
     found = Results(results, config)
-    context = page_context(found, now)
+    context = page_context(found, time_of_making())
     page = render_page(context)
     inputs = [
         path

@@ -1,7 +1,7 @@
 """Figures of physics and simulations, or None without data."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -22,29 +22,10 @@ def friction_colour(friction: float, frictions: Sequence[float]):
     return matplotlib.colormaps["viridis"](0.88 * share)
 
 
-@styled
-def calibration(data: Mapping[str, Any]) -> Figure:
-    """Measured against theory, one panel per experiment."""
-    return calibration_figure(data)
-
-
-@styled
-def strip(data: Mapping[str, Any]) -> Figure:
-    """Slip strain and shapes of the pushed strip, over theory."""
-    return strip_figure(data)
-
-
-@styled
-def settings(data: Mapping[str, Any]) -> Figure:
-    """The pushed strip with one numerical setting changed at a time."""
-    return settings_figure(data)
-
-
-@styled
-def convergence(study: Mapping[str, Any]) -> Figure:
-    """Distance from the finest runs over time."""
-    return convergence_figure(study)
-
+calibration = styled(calibration_figure)
+strip = styled(strip_figure)
+settings = styled(settings_figure)
+convergence = styled(convergence_figure)
 
 # What the profiles show: the paper's protocol (Sec. 4.1) lowers for 7 s, each stroke takes 31 s.
 MOMENTS = (

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_json, read_provenance, read_sidecar, reading
+from slipstitch.provenance import read_json, read_parquet, read_provenance, read_sidecar
 from slipstitch.sample.images import read_frames
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
@@ -111,14 +110,6 @@ def _json_if_there(path: Path) -> Any | None:
     return read_json(path) if path.exists() else None
 
 
-def _table(path: Path, columns: list[str]):
-    with reading(path, "Parquet file"):
-        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
-        table.validate(full=True)
-        _ = table.column_names  # raises where one is no text
-        return table
-
-
 class Results:
     """A results folder. Everything is read when asked for; what is not there is None or empty.
 
@@ -170,7 +161,7 @@ class Results:
     def _trajectory(self, simulation: Simulation) -> SimulationSummary:
         path = self.simulation_path(simulation)
         run = read_trajectory(path)
-        solver = _table(path, ["residual", "newton_iterations"])
+        solver = read_parquet(path, ["residual", "newton_iterations"])
         # The vertices nearest the middle, ordered from the upper edge (v = 0) to the lower one.
         across = np.abs(run.uv[:, 0] - 0.5)
         line = np.flatnonzero(across <= across.min() + 1e-9)
@@ -244,9 +235,8 @@ class Results:
         path = self.folder / "evaluate" / "predictions.parquet"
         if not path.exists():
             return None
-        columns = ["simulation", "split", "network", "seed", "true", "true_value"]
-        columns += ["predicted_value", "predicted"]
-        return _table(path, columns).to_pylist()
+        columns = ["simulation", "split", "network", "seed", "true_value", "predicted_value"]
+        return read_parquet(path, columns).to_pylist()
 
     def capture_metrics(self) -> Mapping[str, Any] | None:
         """Scores on captures, by subset and model."""
@@ -259,7 +249,7 @@ class Results:
             return None
         columns = ["video", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
         columns += ["model", "trained_on", "seed", "friction"]
-        return _table(path, columns).to_pylist()
+        return read_parquet(path, columns).to_pylist()
 
     def captures_of_other_networks(self) -> bool:
         """Whether the captures' scores are of a network that the test sets' are not of."""

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from slipstitch.evaluate import paper
+from slipstitch.evaluate.evaluation import MODELS
 from slipstitch.evaluate.metrics import Metric
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.wording import percent
@@ -11,7 +12,6 @@ from slipstitch.report import learning_pictures
 from slipstitch.report.learning import (
     COUNTED,
     MODEL_TITLES,
-    NETWORKS,
     TURNED,
     Score,
     counted_metrics,
@@ -92,7 +92,7 @@ def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
 
 def _headings(columns) -> list[tuple[str, int]]:
     """Name of each network, and how many columns it has."""
-    titles = {network: MODEL_TITLES[model] for model, network in NETWORKS.items()}
+    titles = {network: MODEL_TITLES[model] for model, network in MODELS.items()}
     titles |= {"material_baseline": "material network", "instrument": MODEL_TITLES["instrument"]}
     networks = [network for network, _ in columns]
     return [(titles[network], networks.count(network)) for network in dict.fromkeys(networks)]

@@ -12,6 +12,7 @@ from slipstitch.status.journal import EVENTS, PLAN, boot_identity, process_birth
 
 LOG_LINES = 12
 LOG_BYTES = 64 * 1024
+MOST_FAILURES = 3
 
 
 @dataclass(frozen=True)
@@ -220,17 +221,17 @@ def failure_lines(
     return lines
 
 
-def last_failures(folder: str | os.PathLike, most: int = 3) -> str:
+def last_failures(folder: str | os.PathLike) -> str:
     """The failures of the last run, to be printed at the end of a failed run."""
     runs = read_runs(folder)
     # For a retried job, the last attempt.
     failed = {event["job"]: event for event in (runs[-1].failures if runs else [])}
     standing = [event for job, event in failed.items() if runs[-1].state[job] == "failed"]
     lines = []
-    for event in standing[:most]:
+    for event in standing[:MOST_FAILURES]:
         lines += ["", *failure_lines(folder, event)]
-    if len(standing) > most:
-        lines += ["", f"and {len(standing) - most} more: slipstitch status"]
+    if len(standing) > MOST_FAILURES:
+        lines += ["", f"and {len(standing) - MOST_FAILURES} more: slipstitch status"]
     if standing:
         lines += ["", "Finished work is kept: fix the cause and repeat the command."]
     return "\n".join(lines)

@@ -5,11 +5,10 @@ from functools import partial
 from pathlib import Path
 
 from slipstitch.page.wording import aligned, duration, size
-from slipstitch.status.runs import Failure, Run, failure_lines, last_lines
+from slipstitch.status.runs import MOST_FAILURES, Failure, Run, failure_lines, last_lines
 from slipstitch.status.state import Running, StageProgress, Status
 
 MOST_RUNNING = 8
-MOST_FAILURES = 3
 
 
 _about = partial(duration, digits=0, unknown="?")
