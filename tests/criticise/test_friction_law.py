@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slipstitch.errors import BadInput
-from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, FrictionLaw
+from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
 
 CONTACT = Contact(
     normal_force_N=0.2,
@@ -90,3 +90,41 @@ def test_a_law_survives_being_written_down():
 def test_unknown_mechanisms_and_parameters_are_refused(mechanisms, word):
     with pytest.raises(BadInput, match=word):
         FrictionLaw(MU, mechanisms)
+
+
+def test_a_curve_is_linear_in_logarithms_between_its_knots_and_constant_beyond():
+    law = FrictionLaw(MU, {}, Curve("speed_m_s", (0.001, 0.01, 0.1), (0.8, 1.2, 1.0)))
+    speeds = np.array([1e-4, 1e-3, math.sqrt(1e-5), 0.03, 1.0, np.nan])
+    contact = Contact(normal_force_N=0.2, speed_m_s=speeds)
+    middle = 1.2 ** (1 - math.log10(3)) * 1.0 ** math.log10(3)
+    expected = [0.8, 0.8, math.sqrt(0.8 * 1.2), middle, 1.0, 1.0]
+    assert law.force_limit(contact, False) == pytest.approx(COULOMB_N * np.array(expected))
+    assert law.force_limit(contact, True) == pytest.approx(COULOMB_N)  # in motion only
+    assert law.differs_at_rest
+
+
+def test_a_curve_acts_beside_mechanisms_and_by_place_at_rest_as_well():
+    law = FrictionLaw(
+        MU, {"adhesion": {"adhesion": 3.0}}, Curve("place_m", (-0.1, 0.1), (1.0, 4.0))
+    )
+    contact = Contact(normal_force_N=0.2, area_m2=0.008, place_m=0.0)
+    for static in (True, False):
+        assert law.force_limit(contact, static) == pytest.approx(COULOMB_N * 2.0 + 3.0 * 0.008)
+    assert not law.differs_at_rest
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("colour", (1, 2), (1, 1)), "unknown quantity 'colour'"),
+        (("place_m", (1,), (1,)), "1 knots; must be 2 to 16"),
+        (("place_m", (1, 2), (1,)), "2 knots and 1 factors"),
+        (("place_m", (2, 1), (1, 1)), "knots must increase"),
+        (("place_m", (1, 2), (1, 0.0)), "above 0"),
+        (("place_m", (1, math.nan), (1, 1)), "finite"),
+        (("speed_m_s", (0, 1), (1, 1)), "knots of speed_m_s must be above 0"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(arguments, words):
+    with pytest.raises(BadInput, match=words):
+        Curve(*arguments)

@@ -10,7 +10,7 @@ import warp as wp
 from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
 from slipstitch.cloth.friction import QUANTITIES, force_limit
-from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, FrictionLaw
+from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
 from slipstitch.material import isotropic_tables
 
 AREAL_DENSITY_KG_M2 = 0.2
@@ -31,6 +31,11 @@ PLAIN = {
     "wear": {"wear": 0.3, "wear_r0": 2.0},
     "humidity": {"humidity": 0.1},
 }
+CURVES = [
+    Curve("speed_m_s", (0.001, 0.004, 0.03), (0.8, 1.3, 1.1)),
+    Curve("load_ratio", (0.5, 5.0, 40.0, 900.0), (1.2, 1.0, 0.7, 0.9)),
+    Curve("place_m", tuple(np.linspace(-0.1, 0.2, 16)), tuple(1 + 0.2 * np.sin(np.arange(16)))),
+]
 LAWS = [*[{name: PLAIN[name]} for name in CONTACT_MECHANISMS], PLAIN]
 
 LIMIT = force_limit()
@@ -55,16 +60,23 @@ def _limits(
         states[i, 4],
         states[i, 5],
         states[i, 6],
+        states[i, 7],
     )
 
 
 @pytest.mark.parametrize("static", [True, False])
-@pytest.mark.parametrize("mechanisms", LAWS, ids=lambda law: "+".join(law))
-def test_warp_and_numpy_evaluate_the_same_law(mechanisms, static):
+@pytest.mark.parametrize(
+    "law",
+    [FrictionLaw(MU, mechanisms) for mechanisms in LAWS]
+    + [FrictionLaw(MU, {}, curve) for curve in CURVES]
+    + [FrictionLaw(MU, PLAIN, CURVES[0])],
+    ids=lambda law: "+".join([*law.mechanisms, law.curve.quantity if law.curve else "plain"]),
+)
+def test_warp_and_numpy_evaluate_the_same_law(law, static):
     random = np.random.default_rng(7)
-    low, high = np.array([[1e-6, 1e-5, -7, 0, 0, 0, 20], [1.0, 1e-2, 7, 1e3, 0.1, 30, 80]])
-    states = low + (high - low) * random.random((500, 7))
-    law = FrictionLaw(MU, mechanisms)
+    low = np.array([1e-6, 1e-5, -7, 0, 0, 0, 20, -0.2])
+    high = np.array([1.0, 1e-2, 7, 1e3, 0.1, 30, 80, 0.3])
+    states = low + (high - low) * random.random((500, 8))
     limits = wp.zeros(500, dtype=wp.float64, device="cpu")
     values = wp.array(law.parameter_values(), dtype=wp.float64, device="cpu")
     inputs = [values, static, wp.array(states, dtype=wp.float64, device="cpu"), limits]
@@ -160,6 +172,35 @@ def test_friction_that_grows_with_speed_gives_the_closed_form_s_terminal_speed()
     travelled(solver, 2.0)
     # tan(slope) = mu (1 + b log10(v / 10 mm/s))
     assert solver.velocities_m_s[:, 0].mean() == pytest.approx(0.010 * 10 ** (0.1 / 0.2), rel=1e-3)
+
+
+def test_a_curve_over_the_speed_gives_its_terminal_speed():
+    """tan(slope) = mu f(v), f linear in ln v from 0.9 at 2 mm/s to 1.3 at 50 mm/s."""
+    law = FrictionLaw(MU, {}, Curve("speed_m_s", (0.002, 0.05), (0.9, 1.3)))
+    share = math.log(1.1 / 0.9) / math.log(1.3 / 0.9)
+    solver = slope_solver(law, math.atan(1.1 * MU), speed_m_s=0.02)
+    travelled(solver, 2.0)
+    expected = 0.002 * 25.0**share
+    assert solver.velocities_m_s[:, 0].mean() == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_curve_over_the_place_stops_a_slide_where_friction_has_grown():
+    """Energy: it slides, stiff as it is, until gravity has done the work of friction."""
+    law = FrictionLaw(MU, {}, Curve("place_m", (0.0, 0.1), (1.0, 2.0)))
+    slope = math.atan(1.2 * MU)
+    solver = slope_solver(law, 0.0)
+    solver.set_gravity((GRAVITY_M_S2 * math.sin(slope), 0.0, -GRAVITY_M_S2 * math.cos(slope)))
+    start_m = solver.positions_m[:, 0].mean()
+    for _ in range(400):  # of a quarter of the usual step, which takes 6 % of the energy
+        solver.advance(STEP_S / 4)
+    moved = solver.positions_m[:, 0].mean() - start_m
+    assert abs(solver.velocities_m_s[:, 0]).max() < 1e-6
+    shares = solver.mass_kg / solver.mass_kg.sum()
+    path = np.linspace(0.0, 0.1, 2001)
+    reached = np.clip(path[:, None] - solver.mesh.rest_uv_m[:, 1], 0.0, 0.1)
+    pull = 1.2 - 2.0 ** (reached / 0.1) @ shares
+    work = np.cumsum(0.5 * (pull[1:] + pull[:-1]))
+    assert moved == pytest.approx(path[1 + np.flatnonzero(work < 0)[0]], rel=0.02)
 
 
 def test_rest_and_slides_are_counted():

@@ -5,16 +5,24 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sin, sqrt
 from typing import Any
 
 from slipstitch.errors import BadInput
-from slipstitch.friction_law import FrictionLaw
+from slipstitch.friction_law import Curve, FrictionLaw
 from slipstitch.provenance import read_yaml
 
 # Departures of the bench that change how the cloth moves; the others change readings only.
 ACTING = ("mass_error", "bending_error", "tilt_along_rad", "tilt_across_rad")
+# Covariate of a discrepancy -> quantity of the contact and factor to SI. Nothing simulated has a
+# time in the session: a factor along it is left out.
+CURVES: Mapping[str, tuple[str, float] | None] = {
+    "speed_mm_s": ("speed_m_s", 1e-3),
+    "load_ratio": ("load_ratio", 1.0),
+    "pos_x_mm": ("place_m", 1e-3),
+    "clock_min": None,
+}
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class ExtendedModel:
     readings: Mapping[str, float] = field(default_factory=dict)  # departures of the instruments
 
     def law_at(self, friction: float) -> FrictionLaw:
-        """The law's mechanisms on another friction coefficient."""
-        return FrictionLaw(friction, self.law.mechanisms)
+        """The law's mechanisms and curve on another friction coefficient."""
+        return replace(self.law, coefficient=friction)
 
     def gravity_m_s2(self, standard_m_s2: float) -> tuple[float, float, float]:
         """Gravity as the floor sees it, the stage's +x at lab azimuth 0."""
@@ -77,6 +85,8 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     given = data.get("bench") or {}
     try:
         law = FrictionLaw.from_dict(laws["face"])
+        if data.get("discrepancy") is not None:
+            law = replace(law, curve=_curve(data["discrepancy"], source))
         bench = {str(name): float(value) for name, value in given.items()}
         numbers = [law.coefficient, *law.parameter_values(), *bench.values()]
         if not all(math.isfinite(number) for number in numbers) or law.coefficient < 0:
@@ -89,3 +99,21 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     acting = {name: value for name, value in bench.items() if name in ACTING}
     readings = {name: value for name, value in bench.items() if name not in ACTING}
     return ExtendedModel(law, **acting, readings=readings)
+
+
+def _curve(table: Any, source: str) -> Curve | None:
+    """The table of a smooth factor on the coefficient, in SI units."""
+    if not isinstance(table, dict) or not {"covariate", "knots", "factors"} <= set(table):
+        raise BadInput(f"{source}: discrepancy: must have covariate, knots and factors")
+    name = table["covariate"]
+    if name not in CURVES:
+        raise BadInput(f"{source}: discrepancy.covariate: '{name}' is none of {', '.join(CURVES)}")
+    quantity, to_si = CURVES[name] or ("place_m", 1.0)
+    try:
+        knots = tuple(to_si * float(knot) for knot in table["knots"])
+        curve = Curve(quantity, knots, tuple(float(factor) for factor in table["factors"]))
+    except (TypeError, ValueError):
+        raise BadInput(f"{source}: discrepancy: knots and factors must be numbers") from None
+    except BadInput as error:
+        raise BadInput(f"{source}: discrepancy: {str(error).removeprefix('curve: ')}") from None
+    return curve if CURVES[name] else None

@@ -189,6 +189,7 @@ def _law_limit() -> wp.Function:
             moved * wp.sqrt(nodes.inverse_step_squared[member]),
             law.repeats[node],
             law.relative_humidity_pct[member],
+            touch.point.place[0],
         )
 
     return law_limit

@@ -86,7 +86,7 @@ class FloorFriction:
         law = friction if isinstance(friction, FrictionLaw) else None
         coefficient = law.coefficient if law else np.asarray(friction, float)
         self.coefficient = np.broadcast_to(coefficient, mesh.vertex_count).copy()
-        self.extended = bool(law and law.mechanisms)
+        self.extended = bool(law and (law.mechanisms or law.curve))
         self._mesh, self._conditions = mesh, conditions
         V = mesh.vertex_count
         own = slice(member * V, (member + 1) * V)

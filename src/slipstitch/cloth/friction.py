@@ -17,7 +17,9 @@ import warp as wp
 
 from slipstitch.friction_law import CONTACT_MECHANISMS
 from slipstitch.friction_law.contact import REFERENCE_PRESSURE_PA
+from slipstitch.friction_law.curve import CURVE_QUANTITIES, MOST_KNOTS
 from slipstitch.friction_law.mechanism import Formula, arguments_of
+from slipstitch.friction_law.mechanisms import LEAST_RATIO, SLOWEST_M_S
 
 WARP_NAMES = {"maximum": "max", "minimum": "min"}  # the others are called the same
 QUANTITIES = (
@@ -28,6 +30,7 @@ QUANTITIES = (
     "speed_m_s",
     "repeats",
     "relative_humidity_pct",
+    "place_m",
 )
 
 
@@ -88,6 +91,10 @@ def _law_source() -> tuple[dict[str, str], str]:
                 body += [f"    if {condition}:", f"        force = force * {call(mechanism, kind)}"]
         if mechanism.added_force:
             body.append(f"    added = added + {call(mechanism, 'added_force')}")
+    body.append(
+        f"    force = force * curve_factor(values, {len(place)}, at_rest, speed_m_s, load_ratio,"
+        " place_m)"
+    )
     arguments = ", ".join(f"{one}: wp.float64" for one in QUANTITIES)
     head = [
         "def force_limit(coefficient: wp.float64, values: wp.array(dtype=wp.float64),"
@@ -98,6 +105,40 @@ def _law_source() -> tuple[dict[str, str], str]:
     ]
     tail = ["    return wp.max(force + added, wp.float64(0.0))", ""]
     return formulas, "\n".join(head + body + tail)
+
+
+SPEED, LOAD, _ = (wp.constant(k + 1) for k in range(len(CURVE_QUANTITIES)))
+KNOTS = wp.constant(MOST_KNOTS)
+SLOWEST, LEAST = wp.constant(wp.float64(SLOWEST_M_S)), wp.constant(wp.float64(LEAST_RATIO))
+
+
+@wp.func
+def curve_factor(
+    values: wp.array(dtype=wp.float64),
+    first: int,
+    at_rest: bool,
+    speed_m_s: wp.float64,
+    load_ratio: wp.float64,
+    place_m: wp.float64,
+) -> wp.float64:
+    """:meth:`slipstitch.friction_law.Curve.factor`; its values stand from ``first``."""
+    quantity = int(values[first])
+    if quantity == 0 or (quantity == SPEED and at_rest):
+        return wp.float64(1.0)
+    x = place_m
+    if quantity == SPEED:
+        x = wp.log(wp.max(speed_m_s, SLOWEST))
+    if quantity == LOAD:
+        x = wp.log(wp.max(load_ratio, LEAST))
+    logs = first + 1 + KNOTS
+    result = values[logs]
+    for k in range(KNOTS - 1):
+        low = values[first + 1 + k]
+        width = values[first + 2 + k] - low
+        if width > wp.float64(0.0) and x > low:
+            share = wp.min((x - low) / width, wp.float64(1.0))
+            result = values[logs + k] + share * (values[logs + k + 1] - values[logs + k])
+    return wp.exp(result)
 
 
 def _compiled(name: str, source: str, namespace: dict) -> wp.Function:
@@ -116,7 +157,7 @@ def force_limit() -> wp.Function:
     (:meth:`FrictionLaw.parameter_values`), whether the contact is at rest, then ``QUANTITIES``.
     """
     formulas, law = _law_source()
-    namespace = {"wp": wp, "__name__": __name__}
+    namespace = {"wp": wp, "__name__": __name__, "curve_factor": curve_factor}
     for name, source in formulas.items():
         namespace[name] = _compiled(name, source, namespace)
     return _compiled("force_limit", law, namespace)

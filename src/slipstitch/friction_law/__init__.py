@@ -4,6 +4,7 @@ Depends on numpy alone. A further mechanism is one entry of the table in ``mecha
 """
 
 from slipstitch.friction_law.contact import Contact
+from slipstitch.friction_law.curve import Curve
 from slipstitch.friction_law.law import FrictionLaw
 from slipstitch.friction_law.mechanism import ContactMechanism, Mechanism, Parameter
 from slipstitch.friction_law.mechanisms import CONTACT_MECHANISMS
@@ -12,6 +13,7 @@ __all__ = [
     "CONTACT_MECHANISMS",
     "Contact",
     "ContactMechanism",
+    "Curve",
     "FrictionLaw",
     "Mechanism",
     "Parameter",

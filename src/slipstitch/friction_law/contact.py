@@ -35,6 +35,8 @@ class Contact:
         Slides that this place has made before, from 0.
     relative_humidity_pct
         Relative humidity of the air.
+    place_m
+        Place on the substrate, along the track.
     edge
         The contact is the edge of a sheet (strip), not its face.
     """
@@ -46,6 +48,7 @@ class Contact:
     speed_m_s: ArrayLike = np.nan
     repeats: ArrayLike = 0.0
     relative_humidity_pct: ArrayLike = np.nan
+    place_m: ArrayLike = np.nan
     edge: bool = False
 
     def with_load(self, normal_force_N: ArrayLike, area_m2: ArrayLike | None = None) -> Contact:

@@ -9,6 +9,7 @@ import numpy as np
 
 from slipstitch.errors import BadInput
 from slipstitch.friction_law.contact import Contact
+from slipstitch.friction_law.curve import MOST_KNOTS, Curve
 from slipstitch.friction_law.mechanisms import CONTACT_MECHANISMS
 
 
@@ -16,7 +17,8 @@ from slipstitch.friction_law.mechanisms import CONTACT_MECHANISMS
 class FrictionLaw:
     """Largest friction force of a contact.
 
-    ``F = N mu (product of factors) + (sum of added forces)``; with no mechanism, Coulomb's law.
+    ``F = N mu (product of factors) + (sum of added forces)``; with no mechanism and no curve,
+    Coulomb's law.
 
     Parameters
     ----------
@@ -24,6 +26,8 @@ class FrictionLaw:
         Friction coefficient mu of the null law.
     mechanisms
         Mechanism identifier -> its parameter values by name.
+    curve
+        A tabulated factor beside them.
 
     Raises
     ------
@@ -33,6 +37,7 @@ class FrictionLaw:
 
     coefficient: float
     mechanisms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    curve: Curve | None = None
 
     def __post_init__(self) -> None:
         for identifier, values in self.mechanisms.items():
@@ -48,7 +53,9 @@ class FrictionLaw:
 
     @property
     def differs_at_rest(self) -> bool:
-        """Does any mechanism tell friction at rest from friction in motion?"""
+        """Does any mechanism, or the curve, tell friction at rest from friction in motion?"""
+        if self.curve and not self.curve.acts_at_rest:
+            return True
         return any(
             CONTACT_MECHANISMS[name].factors(True) != CONTACT_MECHANISMS[name].factors(False)
             for name in self.mechanisms
@@ -71,6 +78,8 @@ class FrictionLaw:
                 force = force * mechanism.value(factor, values, contact)
             if mechanism.added_force is not None:
                 added = added + mechanism.value(mechanism.added_force, values, contact)
+        if self.curve:
+            force = force * self.curve.factor(contact, static)
         return np.maximum(force + added, 0.0)
 
     def parameter_values(self) -> np.ndarray:
@@ -79,15 +88,15 @@ class FrictionLaw:
         Returns
         -------
         numpy.ndarray
-            In the order of ``CONTACT_MECHANISMS`` and of their parameters.
+            In the order of ``CONTACT_MECHANISMS`` and of their parameters, then
+            :meth:`Curve.values`, zeros without a curve.
         """
-        return np.array(
-            [
-                self.mechanisms.get(identifier, {}).get(parameter.name, parameter.null)
-                for identifier, mechanism in CONTACT_MECHANISMS.items()
-                for parameter in mechanism.parameters
-            ]
-        )
+        own = [
+            self.mechanisms.get(identifier, {}).get(parameter.name, parameter.null)
+            for identifier, mechanism in CONTACT_MECHANISMS.items()
+            for parameter in mechanism.parameters
+        ]
+        return np.array(own + (self.curve.values() if self.curve else [0.0] * (1 + 2 * MOST_KNOTS)))
 
     def to_dict(self) -> dict:
         """Plain data from which :meth:`from_dict` makes the same law."""
