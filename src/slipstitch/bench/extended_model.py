@@ -86,7 +86,7 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     try:
         law = FrictionLaw.from_dict(laws["face"])
         if data.get("discrepancy") is not None:
-            law = replace(law, curve=_curve(data["discrepancy"], source))
+            law = replace(law, curve=curve_of(data["discrepancy"], source))
         bench = {str(name): float(value) for name, value in given.items()}
         numbers = [law.coefficient, *law.parameter_values(), *bench.values()]
         if not all(math.isfinite(number) for number in numbers) or law.coefficient < 0:
@@ -101,8 +101,14 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     return ExtendedModel(law, **acting, readings=readings)
 
 
-def _curve(table: Any, source: str) -> Curve | None:
-    """The table of a smooth factor on the coefficient, in SI units."""
+def curve_of(table: Any, source: str) -> Curve | None:
+    """The table of a smooth factor on the coefficient, in SI units; None if by time.
+
+    Raises
+    ------
+    BadInput
+        If it is no such table; ``source`` is named.
+    """
     if not isinstance(table, dict) or not {"covariate", "knots", "factors"} <= set(table):
         raise BadInput(f"{source}: discrepancy: must have covariate, knots and factors")
     name = table["covariate"]

@@ -17,10 +17,16 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
     :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``. A side whose
-    coefficient the data do not tell is left out.
+    coefficient the data do not tell is left out. Where no mechanism explains the data,
+    ``discrepancy`` has the smooth factor on the coefficients.
     """
     model = verdict["models"][which]
     values = dict(zip(model["parameters"], model["values"], strict=True))
+    found = verdict.get("discrepancy") if which == "extended" else None
+    table = {}
+    if found and found["covariate"]:
+        table = {"discrepancy": {key: found[key] for key in ("covariate", "knots", "factors")}}
+        values |= {name: np.log(value) for name, value in found["coefficients"].items()}
     mechanisms: dict[str, dict[str, float]] = {}
     bench: dict[str, float] = {}
     for cause in model["causes"]:
@@ -40,6 +46,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
         "causes": model["causes"],
         "friction_law": laws,
         "bench": bench,
+        **table,
         "nominal": verdict["nominal"],
     }
 

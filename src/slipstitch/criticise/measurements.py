@@ -15,7 +15,7 @@ from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block
 from slipstitch.criticise.sensors import ZEROS, Zero
 from slipstitch.errors import BadInput
-from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw, Parameter
+from slipstitch.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
 
 REMEMBERED = 64  # predictions of a block
 # The friction coefficients of the null, of the cloth's face and of a strip's edge.
@@ -109,11 +109,12 @@ class Measurements:
         values: dict[str, float],
         causes: tuple[str, ...],
         zeros: dict[str, float] | None = None,
+        curve: Curve | None = None,
     ) -> np.ndarray:
         """What the instruments would read, (n,).
 
         ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters,
-        ``zeros`` fields of the bench that are off by a sensor's zero.
+        ``zeros`` fields of the bench that are off by a sensor's zero, ``curve`` a tabulated factor.
         """
         mechanisms: dict[str, dict[str, float]] = {}
         changes: dict[str, float] = dict(zeros or {})
@@ -127,7 +128,7 @@ class Measurements:
         bench = Bench(**changes)
         laws = {
             p.name: FrictionLaw(
-                float(np.exp(values.get(p.name, UNKNOWN_LOG_COEFFICIENT))), mechanisms
+                float(np.exp(values.get(p.name, UNKNOWN_LOG_COEFFICIENT))), mechanisms, curve
             )
             for p in COEFFICIENTS
         }
@@ -138,7 +139,8 @@ class Measurements:
         block = self.blocks[i]
         law = laws[block.COEFFICIENT]
         mechanisms = tuple((name, *values.values()) for name, values in law.mechanisms.items())
-        key = (i, law.coefficient, mechanisms, *(getattr(bench, name) for name in block.READS))
+        read = (getattr(bench, name) for name in block.READS)
+        key = (i, law.coefficient, mechanisms, law.curve, *read)
         if key not in self.remembered:
             if len(self.remembered) >= REMEMBERED:
                 self.remembered.pop(next(iter(self.remembered)))

@@ -12,10 +12,11 @@ from slipstitch.bench.extended_model import ExtendedModel, model_of
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import extended_model
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.inference.discrepancy import along
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import verdict_of
 from slipstitch.errors import BadInput
-from slipstitch.friction_law import CONTACT_MECHANISMS
+from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
 from slipstitch.protocol.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 
 MODELS = ("null", "extended")
@@ -66,7 +67,8 @@ def resimulate(
     measured = case.tables["drop_drag"]
     measured = measured[measured["phase"] == "fwd"]
     measured = measured[measured["run_id"].isin(runs["run_id"])]
-    models = {name: model_of(extended_model(verdict, name)) for name in MODELS}
+    plain = {name: extended_model(verdict, name) for name in MODELS}
+    models = {name: model_of(data) for name, data in plain.items()}
     parts = []
     done: dict[str, dict] = {name: {} for name in MODELS}
     for _, run in runs.iterrows():
@@ -77,11 +79,12 @@ def resimulate(
         frames["u_pos_mm"] = run["u_pos_mm"]
         for name, model in models.items():
             key = _run_of(run, model, float(measured["x_stage_mm"].max()))
-            if key not in done[name]:
-                done[name][key] = drag_tracked(
-                    model.law, _sheet(case.nominal, model), key, rows, step_s, frame_rate_hz=5.0
+            law = law_of_run(run, model, plain[name].get("discrepancy"))
+            if (key, law.coefficient) not in done[name]:
+                done[name][key, law.coefficient] = drag_tracked(
+                    law, _sheet(case.nominal, model), key, rows, step_s, frame_rate_hz=5.0
                 )
-            _read_off(frames, done[name][key], model, run["speed_mm_s"], name)
+            _read_off(frames, done[name][key, law.coefficient], model, run["speed_mm_s"], name)
         parts.append(frames)
     frames = pd.concat(parts, ignore_index=True)
     summary = {
@@ -154,9 +157,19 @@ def _sheet(nominal: dict, model: ExtendedModel) -> Sheet:
     )
 
 
+def law_of_run(run: pd.Series, model: ExtendedModel, table: dict | None) -> FrictionLaw:
+    """The model's law; a factor by place or time is that of the whole run."""
+    if table is None or table["covariate"] not in ("pos_x_mm", "clock_min"):
+        return model.law
+    at = run[table["covariate"]]
+    factor = float(along(table, at)) if np.isfinite(at) else 1.0
+    return FrictionLaw(factor * model.law.coefficient, model.law.mechanisms)
+
+
 def _run_of(run: pd.Series, model: ExtendedModel, furthest_mm: float) -> DragRun:
     """The run as far as a model asks for it; what it does not ask for has its default."""
     asked = {need for name in model.law.mechanisms for need in CONTACT_MECHANISMS[name].needs}
+    asked |= {model.law.curve.quantity} if model.law.curve else set()
     known = {}
     for column, field, quantity, factor in CONDITIONS:
         if quantity in asked and np.isfinite(run[column]):

@@ -10,6 +10,7 @@ from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import SIGNIFICANCE, Analysis
 from slipstitch.criticise.inference.certificate import POWER, Detectable
+from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
 from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
@@ -52,6 +53,11 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
         ],
         "reason": analysis.reason,
+        "discrepancy": embedded_discrepancy(
+            analysis.measurements, analysis.null, analysis.null_state, seed
+        ).as_dict()
+        if analysis.verdict == "unknown"
+        else None,
         "parameters": parameters,
         "null": {
             "log_score_per_row": round(gain.null_score, 5),
@@ -300,7 +306,7 @@ def second_sentence(verdict: dict) -> str:
     if verdict["verdict"] in ("cause", "confounded"):
         return gain_words(verdict["gain"])
     if verdict["verdict"] == "unknown":
-        return verdict["reason"].capitalize() + "."
+        return f"{verdict['reason'].capitalize()}. {discrepancy_words(verdict['discrepancy'])}"
     p = verdict["null"]["global_p"]
     return f"Family-wise p of the plain model over all tests: {p:.3g}."
 

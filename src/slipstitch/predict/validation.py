@@ -22,7 +22,9 @@ MODELS = (("null", "null"), ("extended", "ext"))
 
 def _digest(verdict: dict) -> str:
     """Of the models alone: what predictions follow from."""
-    text = json.dumps(verdict["models"], sort_keys=True)
+    factor = verdict.get("discrepancy")
+    models = verdict["models"] | ({"discrepancy": factor} if factor else {})
+    text = json.dumps(models, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

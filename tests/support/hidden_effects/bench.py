@@ -136,6 +136,12 @@ class World:
             force = force * (1 + e["size"] * np.exp(-0.5 * z**2))
         if "operator" in self.effects:
             force = force * np.where(row["operator"] == "B", 1 + self.get("operator", "size"), 1)
+        if "smooth" in self.effects:  # planted only: any law along one covariate
+            e = self.effects["smooth"]
+            along = {"pos_x_mm": row["pos_x_mm"], "clock_min": row["clock_min"]}
+            along |= {"load_ratio": ratio, "speed_mm_s": 1.0 if static else speed}
+            if not (static and e["along"] == "speed_mm_s"):
+                force = force * e["law"](along[e["along"]])
         return force * row["scatter"] + self.get("adhesion") * area
 
     def downhill(self, azimuth_deg):

@@ -8,6 +8,7 @@ from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.covariate_panels import covariate_picture
+from slipstitch.criticise.report.discrepancy_panel import discrepancy_picture
 from slipstitch.criticise.report.resimulation import before_and_after
 from slipstitch.criticise.report.verdict_pictures import (
     prediction_picture,
@@ -29,6 +30,7 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
     """The page as HTML; it needs no other file. ``again`` adds before and after."""
     extended = _extended(verdict, analysis)
     everything = covariate_picture(analysis)
+    found = verdict["discrepancy"]
     return render(
         _TEMPLATE,
         verdict=verdict,
@@ -38,6 +40,9 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
         within=words(verdict["within_runs"]),
         named=verdict["verdict"] in ("cause", "confounded"),
         extended=extended is not None,
+        discrepancy=svg_element(discrepancy_picture(found, analysis), "The factor and its band")
+        if found and found["covariate"]
+        else None,
         residuals=svg_element(
             residual_picture(analysis, extended),
             "Residuals of plain Coulomb and of the extended model",

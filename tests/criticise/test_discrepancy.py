@@ -1,0 +1,202 @@
+"""Where no mechanism explains the data, the smooth factor that they ask for is found."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from support.hidden_effects.bench import make_case
+
+from slipstitch.bench.extended_model import model_of, read_extended_model
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.criticism_files import criticise_to_files
+from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
+from slipstitch.criticise.inference.gain import plain_scatters
+from slipstitch.criticise.inference.outliers import fit_without_outliers
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.resimulation import law_of_run
+from slipstitch.errors import BadInput
+from slipstitch.friction_law import Contact
+from slipstitch.predict.predictive import is_discrepancy, predict_model, read_verdict
+
+SEED = 101
+
+
+def bump(centre, width, size, scale=lambda c: c):
+    return lambda c: 1 + size * np.exp(-0.5 * ((scale(c) - centre) / width) ** 2)
+
+
+# Covariate, law along it, protocols.
+PLANTED = {
+    "a patch": ("pos_x_mm", bump(100.0, 18.0, 0.3), ["incline", "strip"]),
+    "a slow wave": (
+        "clock_min",
+        lambda c: 1 + 0.15 * np.sin(2 * np.pi * c / 70),
+        ["incline", "strip"],
+    ),
+    "a dip at one speed": ("speed_mm_s", bump(1.1, 0.7, -0.25, np.log), ["drag"]),
+    "a bump in the load": ("load_ratio", bump(-0.2, 0.35, 0.25, np.log10), ["incline", "drag"]),
+}
+STRIBECK = PLANTED["a dip at one speed"]
+
+
+def measured(folder, seed, planted):
+    effects = {"smooth": {"along": planted[0], "law": planted[1]}} if planted[0] else {}
+    make_case(seed, "outside", folder, plant=(effects, planted[2]))
+    return read_case(folder)
+
+
+def discrepancy(folder, seed, planted):
+    m = assemble(measured(folder, seed, planted))
+    null, state, _ = fit_without_outliers(m, (), None)
+    return m, state, embedded_discrepancy(m, null, state)
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_law_outside_the_library_is_found_with_its_curve_in_its_band(name, tmp_path):
+    covariate, law, _ = PLANTED[name]
+    m, state, found = discrepancy(tmp_path, SEED, PLANTED[name])
+    assert found.covariate == covariate
+    assert found.tried[covariate] < 0.01
+    assert found.share > 0.3
+    at = m.rows[covariate].to_numpy(float)
+    mean = np.log(law(at[np.isfinite(at) & state.keep])).mean()
+    true = np.log(law(np.array(found.knots))) - mean
+    low, high = np.log(found.low), np.log(found.high)
+    inside = (low <= true) & (true <= high)
+    assert inside.mean() > 0.85  # of pointwise 95 % bands
+    slack = 0.25 * (high - low)
+    assert ((low - slack <= true) & (true <= high + slack)).all()
+    assert np.ptp(true) > 2 * np.median(high - low)  # and a band that says something
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_where_nothing_is_hidden_no_factor_is_found(seed, tmp_path):
+    _, _, found = discrepancy(tmp_path, seed, (None, None, ["incline", "drag"]))
+    assert found.covariate is None
+    assert set(found.tried) == {"pos_x_mm", "clock_min", "speed_mm_s", "load_ratio"}
+    words = discrepancy_words(found.as_dict())
+    assert words.startswith("No smooth factor on the coefficient along position")
+
+
+def test_an_effect_of_no_covariate_is_no_factor(tmp_path):
+    make_case(7, "outside", tmp_path, plant=({"operator": {"size": 0.3}}, ["incline"]))
+    m = assemble(read_case(tmp_path))
+    null, state, _ = fit_without_outliers(m, (), None)
+    assert embedded_discrepancy(m, null, state).covariate is None
+
+
+@pytest.mark.parametrize(
+    "shape, covariate, law, protocols, true",
+    [
+        ("line", "pos_x_mm", lambda c: 1 + 0.004 * (c - 100), ["incline"], 0.004),
+        ("step", "clock_min", lambda c: np.where(c > 60, 1.3, 1.0), ["incline"], 1.3),
+        ("power law", "speed_mm_s", lambda c: (c / 10) ** -0.4, ["drag"], -0.4),
+    ],
+)
+def test_a_short_formula_is_proposed_where_it_fits_as_well(
+    shape, covariate, law, protocols, true, tmp_path
+):
+    _, _, found = discrepancy(tmp_path, SEED, (covariate, law, protocols))
+    assert found.formula.shape == shape
+    low, high = found.formula.interval
+    slack = 0.25 * (high - low)
+    assert low - slack < true < high + slack
+    assert found.formula.text in discrepancy_words(found.as_dict())
+
+
+def test_no_formula_is_proposed_for_a_patch(tmp_path):
+    _, _, found = discrepancy(tmp_path, SEED, PLANTED["a patch"])
+    assert found.formula is None
+    assert "no short formula fits as well" in discrepancy_words(found.as_dict())
+
+
+def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_path):
+    paths = {name: str(tmp_path / name) for name in ("v.json", "p.html", "m.yaml")}
+    words = criticise_to_files(
+        measured(tmp_path / "case", SEED, STRIBECK),
+        1,
+        200,
+        verdict_path=paths["v.json"],
+        page_path=paths["p.html"],
+        picture_path=None,
+        model_path=paths["m.yaml"],
+        resimulation_path=None,
+    )
+    assert "no known mechanism explains" in words
+    verdict = json.loads((tmp_path / "v.json").read_text())
+    assert verdict["verdict"] == "unknown"
+    found = verdict["discrepancy"]
+    page = (tmp_path / "p.html").read_text()
+    assert "takes away" in page and "The factor and its band" in page
+    written = yaml.safe_load((tmp_path / "m.yaml").read_text())
+    assert written["discrepancy"]["factors"] == found["factors"]
+    law = read_extended_model(tmp_path / "m.yaml").law
+    for speed_mm_s, factor in zip(found["knots"], found["factors"], strict=True):
+        contact = Contact(normal_force_N=1.0, speed_m_s=1e-3 * speed_mm_s)
+        expected = found["coefficients"]["mu_face"]
+        assert law.force_limit(contact, static=True) == pytest.approx(expected)
+        assert law.force_limit(contact, static=False) == pytest.approx(expected * factor)
+
+
+@pytest.mark.parametrize("name", ["a dip at one speed", "a patch"])
+def test_a_fresh_campaign_is_predicted_better_with_the_factor(name, tmp_path):
+    planted = PLANTED[name]
+    m = assemble(measured(tmp_path / "first", SEED, planted))
+    null, state, _ = fit_without_outliers(m, (), None)
+    found = embedded_discrepancy(m, null, state)
+    analysis = SimpleNamespace(measurements=m, state=state)
+    model = {
+        "causes": [],
+        "parameters": [p.name for p in null.parameters],
+        "values": list(null.values),
+        "covariance": null.covariance,
+        "scatter": {
+            protocol: [s.specimen, s.run, s.kappa]
+            for protocol, s in plain_scatters(analysis, null).items()
+        },
+    }
+    effects = {"smooth": {"along": planted[0], "law": planted[1]}}
+    scores, within = {None: [], "factor": []}, []
+    for draw in (1, 2, 3):
+        folder = tmp_path / str(draw)
+        make_case(SEED, "outside", folder, plant=(effects, planted[2]), draw=draw)
+        fresh = assemble(read_case(folder))
+        for key, table in ((None, None), ("factor", found.as_dict())):
+            mean, sd = (x[~fresh.lower_bound] for x in predict_model(model, fresh, table))
+            z = (fresh.y[~fresh.lower_bound] - mean) / sd
+            scores[key] += list(-0.5 * z**2 - np.log(sd))
+            within += list(np.abs(z) < 1.96) if table else []
+    assert np.mean(scores["factor"]) > np.mean(scores[None]) + 0.2
+    assert np.mean(within) > 0.87  # of 95 % intervals, by the scatter of a dozen specimens
+
+
+def test_a_factor_by_place_is_that_of_the_whole_run_when_it_is_simulated_again():
+    table = {"covariate": "pos_x_mm", "knots": [0.0, 100.0], "factors": [0.8, 1.25]}
+    plain = {"face": {"coefficient": 0.4, "mechanisms": {}}}
+    model = model_of({"friction_law": plain, "discrepancy": table})
+    for place_mm, expected in ((0.0, 0.32), (50.0, 0.4), (400.0, 0.5), (np.nan, 0.4)):
+        law = law_of_run(pd.Series({"pos_x_mm": place_mm}), model, table)
+        assert law.curve is None
+        assert law.coefficient == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "change", [{"knots": [1.0]}, {"covariate": "smell"}, {"ci95": 3}, {"scatter": {"drag": [1]}}]
+)
+def test_a_damaged_factor_in_a_verdict_is_one_line(change, tmp_path):
+    found = {
+        "covariate": "speed_mm_s",
+        "knots": [1.0, 10.0],
+        "factors": [0.8, 1.2],
+        "ci95": [[0.7, 0.9], [1.1, 1.3]],
+        "coefficients": {"mu_face": 0.3},
+        "scatter": {"drag": [0.03, 0.02, 1.1]},
+    }
+    assert is_discrepancy(found)
+    path = tmp_path / "verdict.json"
+    path.write_text(json.dumps({"models": {}, "discrepancy": found | change}))
+    with pytest.raises(BadInput, match=r"verdict\.json: discrepancy: must contain covariate"):
+        read_verdict(path)
