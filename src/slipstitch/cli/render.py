@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> None:
     ignored = {*runs, *others} - {chosen, *needed, *taken}
     refuse(arguments, sorted(ignored), mode)
     require(arguments, needed, mode)
-    runs.get(chosen, _render)(arguments)
+    (runs[chosen] if chosen else _render)(arguments)
 
 
 def _preview(arguments: argparse.Namespace) -> None:
