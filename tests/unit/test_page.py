@@ -6,7 +6,7 @@ import pytest
 
 from slipstitch.evaluate.metrics import METRICS
 from slipstitch.page import palette
-from slipstitch.page.figures import new_figure, styled, svg, svg_element, svg_uri
+from slipstitch.page.figures import a_few, new_figure, styled, svg, svg_element, svg_uri
 from slipstitch.page.templates import render
 from slipstitch.page.wording import breaking, percent, size, span, with_interval
 
@@ -61,3 +61,9 @@ def test_every_metric_is_listed_once():
     names = [metric.name for metric in METRICS]
     assert len(set(names)) == len(names)
     assert {metric.unit for metric in METRICS} == {"%", "µ"}
+
+
+def test_a_legend_names_few_entries_of_an_ordered_scale_and_both_ends():
+    assert a_few([0.1, 0.3]) == [0.1, 0.3]
+    shown = a_few([f"{value / 10:g}" for value in range(16)])
+    assert shown == ["0", "0.3", "0.6", "0.9", "1.2", "1.5"]

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from slipstitch.config.calibrate import BASE, KEYS
+from slipstitch.page.figures import a_few
 from slipstitch.page.palette import BLUE, FAINT, MEASURED, THEORY
 from slipstitch.theory import strip_state, strip_state_at_foot_angle
 
@@ -178,8 +179,9 @@ def _slip_strains(axes: Axes, key: str, tried, base) -> None:
     for shade, trial in zip(shades, tried, strict=True):
         value = trial["settings"][key]
         note = " (configured)" if trial is base else ""
-        label = f"{value:g} {unit}".strip() + note
-        axes.plot([], [], "o", color=shade, ms=4, label=label)
+        if trial is base or trial in a_few(tried, 5):
+            label = f"{value:g} {unit}".strip() + note
+            axes.plot([], [], "o", color=shade, ms=4, label=label)
         for run in trial["runs"]:
             right = run["regime"] == run["theory_regime"]
             strain = run["slip_strain"] if run["slip_strain"] is not None else run["flat_strain"]

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from slipstitch.page.figures import a_few
 from slipstitch.page.palette import FAINT, SOFT
 
 LEAST_MM = 1e-3
@@ -50,18 +51,21 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
     for row, kind in zip(panels, kinds, strict=True):
         row[0].set_ylabel(f"{kind}\nmean distance, mm", fontsize=8)
     figure.supxlabel("time, s", fontsize=8)
-    handles = [
+    coefficients = [
         Line2D([], [], color=colour, label=f"µ = {friction:g}")
         for colour, friction in zip(colours, frictions, strict=True)
     ]
+    styles = []
     for style, width, name in (
         ("-", 1.6, "chosen settings"),
         ("-", 0.7, "one refinement"),
         ("--", 0.9, "chosen, time shift allowed"),
         (":", 0.8, "counts as converged"),
     ):
-        handles.append(Line2D([], [], color=SOFT, ls=style, lw=width, label=name))
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7.5)
+        styles.append(Line2D([], [], color=SOFT, ls=style, lw=width, label=name))
+    look = {"ncols": 2, "frameon": False, "fontsize": 7.5}
+    figure.legend(handles=a_few(coefficients), loc="outside upper left", **look)
+    figure.legend(handles=styles, loc="outside upper right", **look)
     return figure
 
 

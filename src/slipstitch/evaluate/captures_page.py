@@ -57,7 +57,7 @@ def captures_page(
         plot=svg_uri(_cumulative(known, found)),
         models=[
             {
-                "label": f"{predictions.label}, seed {predictions.seed}",
+                "label": f"{predictions.label}, seed {predictions.seed}".replace("_", " "),
                 "rows": pair_medians(known, predictions, whole, step),
             }
             for predictions in _first_by(found, lambda one: one.label)
@@ -101,7 +101,7 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
                 largest,
                 color=colour,
                 linestyle=_DASHES[kind],
-                label=label if kind == "all" else None,
+                label=label.replace("_", " ") if kind == "all" else None,
                 linewidth=1.8 if kind == "all" else 1.1,
             )
     axes.set(xlim=(0, largest), ylim=(0, 1.02))

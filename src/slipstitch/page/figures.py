@@ -6,9 +6,11 @@ import html
 import io
 import os
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
+import numpy as np
 
 matplotlib.use("Agg")
 
@@ -48,6 +50,12 @@ def styled(function):
             return function(*arguments, **options)
 
     return draw
+
+
+def a_few(entries: Sequence[Any], most: int = 6) -> list[Any]:
+    """Entries of an ordered scale for a legend: all, or evenly spread ones with both ends."""
+    places = np.linspace(0, len(entries) - 1, min(most, len(entries))).round().astype(int)
+    return [entries[place] for place in places]
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from slipstitch.calibrate.calibration_figure import calibration_figure
 from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
 from slipstitch.convergence.distance_figure import convergence_figure
-from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.figures import a_few, new_figure, styled
 from slipstitch.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, THEORY
 from slipstitch.report.results import SimulationSummary
 
@@ -127,9 +127,9 @@ def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
         axes.set_title(material)
     figure.supxlabel("time, s", fontsize=9)
     figure.supylabel("lower edge ahead of the clamps, mm", fontsize=9)
-    order = sorted(lines, key=lambda name: float(name.split("=")[1]))
+    order = a_few(sorted(lines, key=lambda name: float(name.split("=")[1])))
     figure.legend(
         [lines[name] for name in order], order, loc="outside upper center",
-        ncols=min(8, len(order)), frameon=False, fontsize=8,
+        ncols=len(order), frameon=False, fontsize=8,
     )  # fmt: skip
     return figure
