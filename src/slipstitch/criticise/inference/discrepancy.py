@@ -371,6 +371,9 @@ def _shapes(track: _Track, edge: float) -> list[_Shape]:
     over = symbol if name == "load_ratio" else f"{symbol}/({at:g}{unit})"
     apart = f"({symbol} - {at:g}{unit})"
 
+    def over_length(length):
+        return f"({length:.3g}{unit})" if unit else f"{length:.3g}"
+
     def signed(a):
         return f"{'-' if a < 0 else '+'} {abs(a):.3g}"
 
@@ -387,7 +390,7 @@ def _shapes(track: _Track, edge: float) -> list[_Shape]:
         _Shape(
             "exponential",
             lambda c, a: a * (c - at) / span,
-            lambda a: f"mu exp({'-' if a < 0 else ''}{apart}/({span / abs(a):.3g}{unit}))",
+            lambda a: f"mu exp({'-' if a < 0 else ''}{apart}/{over_length(span / abs(a))})",
             lambda a: a / span,
         ),
     ]
