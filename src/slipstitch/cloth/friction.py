@@ -114,7 +114,7 @@ SLOWEST, LEAST = wp.constant(wp.float64(SLOWEST_M_S)), wp.constant(wp.float64(LE
 
 @wp.func
 def curve_factor(
-    values: wp.array(dtype=wp.float64),
+    values: wp.array(dtype=wp.float64),  # type: ignore[valid-type]
     first: int,
     at_rest: bool,
     speed_m_s: wp.float64,

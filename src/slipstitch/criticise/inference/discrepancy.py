@@ -390,7 +390,9 @@ def _shapes(track: _Track, edge: float) -> list[_Shape]:
         _Shape(
             "exponential",
             lambda c, a: a * (c - at) / span,
-            lambda a: f"mu exp({'-' if a < 0 else ''}{apart}/{over_length(span / abs(a))})",
+            lambda a: (
+                f"mu exp({'-' if a < 0 else ''}{apart}/{over_length(span / max(abs(a), 1e-9))})"
+            ),
             lambda a: a / span,
         ),
     ]
@@ -626,14 +628,16 @@ def embedded_discrepancy(
     return Discrepancy(
         tried,
         track.covariate.name,
-        _rounded(track.plain_knots),
-        *(_rounded(np.exp(log_factors + sign * half)) for sign in (0, -1, 1)),
-        dict(zip(names, _rounded(np.exp(curve.level + mean)), strict=True)),
-        everything.fit(whole.smooth()).scatters,
-        float(errors[0]),
-        float(errors[1]),
-        float(share),
-        _formula(problem, track, curve, names, _reach(measurements, state)),
+        knots=_rounded(track.plain_knots),
+        factors=_rounded(np.exp(log_factors)),
+        low=_rounded(np.exp(log_factors - half)),
+        high=_rounded(np.exp(log_factors + half)),
+        coefficients=dict(zip(names, _rounded(np.exp(curve.level + mean)), strict=True)),
+        scatters=everything.fit(whole.smooth()).scatters,
+        rmse_null=float(errors[0]),
+        rmse=float(errors[1]),
+        share=float(share),
+        formula=_formula(problem, track, curve, names, _reach(measurements, state)),
     )
 
 
@@ -714,13 +718,14 @@ def _formula(
     if best is None or best[0] > limit + AS_WELL_BIC:
         return None
     bic, shape, found = best
-    value, half = found.values[0], reach * np.sqrt(found.covariance[-1, -1])
-    low, high = sorted(shape.parameter(end) for end in (value - half, value + half))
+    value, half = float(found.values[0]), float(reach * np.sqrt(found.covariance[-1, -1]))
+    ends = np.array([shape.parameter(value + step) for step in (-half, 0.0, half)])
+    low, estimate, high = _rounded(np.sort(ends))
     return Formula(
         shape.name,
         shape.text(value),
-        *_rounded(np.array([shape.parameter(value)])),
-        (_rounded(np.array([low, high]))),
+        estimate,
+        (low, high),
         dict(zip(names, _rounded(np.exp(found.level)), strict=True)),
         float(bic - limit),
     )

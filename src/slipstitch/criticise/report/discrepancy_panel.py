@@ -20,7 +20,8 @@ def discrepancy_picture(found: dict, analysis: Analysis) -> Figure:
     figure = new_figure(6.4, 3.4)
     axes = figure.add_subplot()
     covariate = COVARIATES[found["covariate"]]
-    fine = np.linspace(*covariate.searched(np.array(found["knots"])[[0, -1]]), 201)
+    first, last = covariate.searched(np.array(found["knots"])[[0, -1]])
+    fine = np.linspace(float(first), float(last), 201)
     plain = 10**fine if covariate.logarithmic else fine
     low, high = np.array(found["ci95"]).T
     axes.fill_between(
