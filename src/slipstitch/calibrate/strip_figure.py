@@ -179,7 +179,7 @@ def _slip_strains(axes: Axes, key: str, tried, base) -> None:
     for shade, trial in zip(shades, tried, strict=True):
         value = trial["settings"][key]
         note = " (configured)" if trial is base else ""
-        if trial is base or trial in a_few(tried, 5):
+        if trial is base or any(trial is shown for shown in a_few(tried, 5)):
             label = f"{value:g} {unit}".strip() + note
             axes.plot([], [], "o", color=shade, ms=4, label=label)
         for run in trial["runs"]:
