@@ -291,6 +291,7 @@ def write_criticise(config: Config, folder: Path) -> None:
             "verdict": "unknown",
             "reason": "two shapes are left over",
             "gain": {},
+            "discrepancy": None,
             "residual_tests": [{"shape": "a step", "name": "place on the substrate"}],
         }
         write_json(out / "verdict.json", verdict)

@@ -31,9 +31,11 @@ _REACH_M, _REACH_RATE = 0.012, 0.08
 _RATES = np.arange(0.93, 1.0701, 0.0005)
 # The template is taken where the stage rests between drop and drag, give or take this.
 _REST_S = 0.35
-# A place counts if the cloth is recognised there, and is near the best path.
-_LEAST_LIKENESS = 0.5
+# A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans and
+# is little like its edge at rest: that the places follow a path says more than how like they are.
+_LEAST_LIKENESS = 0.2
 _NEAR_M = 0.012
+_MOST_SCATTER_M = 0.003
 _SCALE_M = 0.0015
 # The start is known to this from the drop.
 _START_SD_S = 0.03
@@ -164,7 +166,9 @@ class StageFollower:
         good = best > _LEAST_LIKENESS
         if good.sum() < max(_FEWEST_PLACES, 0.3 * len(good)):
             return None
-        return _fit(time_s[good], place_m[good], rate, self._path)
+        found = _fit(time_s[good], place_m[good], rate, self._path)
+        scatter_m = 1.4826 * float(np.median(np.abs(found.offset_m)))
+        return found if scatter_m < _MOST_SCATTER_M else None
 
     def _at(self, likeness: np.ndarray, time_s: np.ndarray) -> np.ndarray:
         """The likeness (frames,) at the places where a clock has the stage."""
