@@ -142,9 +142,12 @@ def features(tables, nominal, measured) -> DragBlock | None:
             if len(force):
                 plateaus.append((force, u, float(np.median(force))))
                 steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
+        # Where readings come at odd times, the first one is not always that of the start.
+        starts = [out["x_stage_mm"].iloc[0] for out, _ in pairs if len(out)]
+        start = min(starts, default=None)
         texture = pooled_texture(plateaus, float(np.median(steps)) if steps else 1.0)
         for i, (out, back) in enumerate(pairs):
-            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture)
+            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture, start)
             lines += [(i, quantity, feature) for quantity, feature in own.items()]
     if not lines:
         return None

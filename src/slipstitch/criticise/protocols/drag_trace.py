@@ -147,6 +147,9 @@ def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
     if low is None or high is None or not low or (force[:low] > 0.6 * level).any():
         readings = np.flatnonzero(x < 0.6 * max(level, 2 * threshold) / spring_mN_mm)
         readings = readings[readings < max(2 * len(readings), 2)]
+        if not len(readings):  # the first reading slides already
+            passed = spring_mN_mm * x[0]
+            return _Ramp(np.array([0]), float(force[0] - 0.5 * passed), passed / np.sqrt(12))
         return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
     if high > low:
         readings = np.arange(low, high)
@@ -161,7 +164,12 @@ def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
 
 
 def trace_features(
-    out: pd.DataFrame, back: pd.DataFrame, spring_mN_mm: float, u: float, texture: Texture
+    out: pd.DataFrame,
+    back: pd.DataFrame,
+    spring_mN_mm: float,
+    u: float,
+    texture: Texture,
+    start_mm: float | None = None,
 ) -> dict[str, Feature]:
     """Features of one run by quantity.
 
@@ -169,13 +177,17 @@ def trace_features(
     ----------
     out, back
         Strokes 0 and 1, in order of time: x_stage_mm, force_mN.
+    start_mm
+        Where the stage of all runs starts; a run that was first read further off than a sample
+        started at its own first reading.
     """
     features: dict[str, Feature] = {}
     x, force = out["x_stage_mm"].to_numpy(), out["force_mN"].to_numpy()
     if len(x) < 8:
         return features
-    x = np.abs(x - x[0])
     step = float(np.median(np.abs(np.diff(x)))) or 1e-6
+    late = start_mm is not None and abs(x[0] - start_mm) < step
+    x = np.abs(x - (start_mm if late else x[0]))
     threshold = DEPARTURE_NOISES * u
     level = float(np.median(force[len(force) // 2 :]))
     ramp = _ramp(x, force, level, threshold, spring_mN_mm)
