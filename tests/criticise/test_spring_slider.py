@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from support import departures
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
@@ -100,6 +101,15 @@ def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
 def test_drops_that_inertia_makes_are_no_effect(tmp_path):
     make_case(2, "null", tmp_path, plant=({}, ["spring_slider"]))
     assert analyse(assemble(read_case(tmp_path))).verdict == "none"
+
+
+@pytest.mark.parametrize("seed", [9037, 9077])
+def test_drops_of_an_uneven_track_are_no_static_friction(seed, tmp_path):
+    truth = departures.make_case(seed, tmp_path)
+    assert truth["uneven_track"] == ["spring_slider"] and not truth["effects"]
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    blamed = {cause for causes in analysis.alternatives for cause in causes}
+    assert not blamed & {"static_kinetic", "ageing"}
 
 
 def test_the_verbs_take_the_protocol(case, tmp_path):

@@ -55,6 +55,7 @@ class Measurements:
     y, u : (n,) measured values and instrument uncertainties.
     run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
     sound_sensors : no sensor's zero is allowed for.
+    further_zeros : (protocol, zero) that are allowed for in this case besides the usual ones.
     implausible : readings or sizes that must be of another unit, a line each.
     """
 
@@ -67,6 +68,7 @@ class Measurements:
     protocol: np.ndarray
     lower_bound: np.ndarray
     sound_sensors: bool = False
+    further_zeros: tuple[tuple[str, Zero], ...] = ()
     implausible: tuple[str, ...] = ()
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
@@ -79,14 +81,13 @@ class Measurements:
     @cached_property
     def zeros(self) -> list[tuple[str, Zero]]:
         """(protocol, zero of a sensor) of every column of :attr:`zero_columns`."""
-        if self.sound_sensors:
-            return []
-        return [
+        usual = [
             (block.protocol, ZEROS[name])
             for block in self.blocks
             for name in block.READS
-            if name in ZEROS
+            if name in ZEROS and not (self.sound_sensors and ZEROS[name].of_sensor)
         ]
+        return [*usual, *self.further_zeros]
 
     @cached_property
     def zero_columns(self) -> np.ndarray:

@@ -58,6 +58,7 @@ class SpringSliderBlock(Block):
         "force_offset_N",
         "force_gain",
         "force_drift_N_h",
+        "track_drop",
     )
 
     at_rest: Contact
@@ -66,6 +67,7 @@ class SpringSliderBlock(Block):
     added_mass_kg: np.ndarray
     spring_N_m: np.ndarray
     speed_m_s: np.ndarray
+    track_drop_mN: np.ndarray
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
@@ -79,6 +81,7 @@ class SpringSliderBlock(Block):
         level = cycle.level_N - load * np.sin(tilt)
         gain = 1e3 * (1 + bench.force_gain)
         result = np.where(quantity == SWING, gain * cycle.swing_N, gain * cycle.first_swing_N)
+        result = result + bench.track_drop * self.track_drop_mN
         offset = 1e3 * (bench.force_offset_N + bench.force_drift_N_h * self.hours())
         return np.where(quantity == LEVEL, gain * level + offset, result)
 
@@ -197,8 +200,10 @@ def _pooled(series: list[np.ndarray], otherwise: float) -> float:
 
 def _features(
     readings: list[_Reading | None], u_mN: np.ndarray, inertial_mN: np.ndarray
-) -> list[tuple]:
+) -> tuple[list[tuple], np.ndarray]:
     """(run, quantity, value, uncertainty) of every run; uncertainties are pooled over runs.
+
+    And by run the half drops (mN) that a track as uneven as the slips' middles makes.
 
     The less a slider sticks between its slips, the more damping changes its swing.
     """
@@ -211,14 +216,14 @@ def _features(
     half_sd = _pooled(list(halves.values()), USUAL_BLOCK)
     uneven = _pooled([r.slips.middle_mN for r in slipping], USUAL_BLOCK)
     single_sd = _pooled([r.slips.half_mN for r in slipping], USUAL_SINGLE)
-    lines = []
+    lines, of_tracks = [], np.zeros(len(readings))
     for i, reading in enumerate(readings):
         if reading is None:
             continue
         u, blocks = u_mN[i], middles[id(reading)]
         level = float(blocks.mean())
         # A track as uneven as the slips' middles makes drops of its own, at no excess at rest.
-        of_track = uneven * level
+        of_track = of_tracks[i] = uneven * level
         inertial = INERTIAL_ERROR * inertial_mN[i]
         doubt = np.hypot(inertial, of_track)
         error = np.hypot(level * level_sd, u) / np.sqrt(len(blocks))
@@ -245,7 +250,7 @@ def _features(
             lines.append((i, FIRST_SWING, float(first), float(error)))
         elif reading.first_unseen:
             lines.append((i, FIRST_SWING, *unseen))
-    return lines
+    return lines, of_tracks
 
 
 def features(tables, nominal, measured) -> SpringSliderBlock | None:
@@ -264,6 +269,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
     noises: tuple[TraceNoise, ...] = ()
+    of_tracks = np.zeros(len(runs))
     if traces is None:
         lines = [(i, q, np.nan, u[i]) for i in range(len(runs)) for q in DESIGN_QUANTITIES]
     else:
@@ -281,7 +287,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
             _read(parts[run], Slider(mass[i], spring[i], speed[i]), u[i])
             for i, run in enumerate(runs["run_id"])
         ]
-        lines = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
+        lines, of_tracks = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
     if not lines:
         return None
     index, rows = feature_rows(common, lines)
@@ -309,6 +315,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         added[index],
         spring[index],
         speed[index],
+        np.where(static, of_tracks[index], 0.0),
     )
     block.trace_noises = noises
     return block
