@@ -2,6 +2,8 @@
 
 import numpy as np
 import pandas as pd
+import pytest
+from support import departures
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
@@ -22,6 +24,22 @@ def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
     table.to_csv(tmp_path / "incline.csv", index=False)
     analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
     assert analysis.verdict in ("confounded", "unknown"), analysis.causes
+
+
+@pytest.mark.parametrize("seed", [9027, 9029])
+def test_faulty_sensors_do_not_tell_what_the_design_cannot(seed, tmp_path):
+    # Noise 2 and 2.7 times what is stated, far readings: one rival is ahead by chance.
+    truth = departures.make_case(seed, tmp_path)
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    assert analysis.verdict == "confounded"
+    assert {(name,) for name in truth["tie"]} <= set(analysis.alternatives)
+
+
+def test_two_mechanisms_along_one_covariate_do_not_stand_for_another_law(tmp_path):
+    truth = departures.make_case(9031, tmp_path)
+    assert set(truth["effects"]) == {"load_step"}
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    assert analysis.verdict == "unknown", analysis.causes
 
 
 def test_a_coefficient_at_a_bound_or_hardly_known_is_not_exported():

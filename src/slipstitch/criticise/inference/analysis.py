@@ -15,24 +15,24 @@ from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
 from slipstitch.criticise.inference.rivals import TITLES, ZEROS_OFF, taken_by_rivals
 from slipstitch.criticise.inference.selection import (
+    TIE_BIC,
     Candidate,
     Judge,
     explains,
     fitted_pairs,
     number_of_runs,
     second_is_significant,
+    tied_with,
 )
 from slipstitch.criticise.inference.state import State, refit, state_at, test_at
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.criticise.sensors import DataFinding
+from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
 from slipstitch.friction_law import CONTACT_MECHANISMS
 
 SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.01
-TIE_BIC = 6.0
-MODERATE = 60.0
 # Simulated data sets at most, in units of those asked for, where a p is near its limit.
 MOST_ROUNDS = 3
 # Mechanisms whose ratio beside the null is far below the best one's are not fitted in full.
@@ -45,6 +45,9 @@ ZEROS_NEEDED = 4.0
 # Stated uncertainties may be 1.5 times too small; readings of one run that disagree by more than
 # this hold an effect that differs within runs.
 LARGEST_INSTRUMENT_FACTOR = 1.8
+# A sensor whose noise is a finding may have heavy tails as well: the standard deviation of
+# Student's t of 3 degrees is 1.5 times the one that its median tells.
+HEAVY_TAILS = 1.5
 # Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
 SMALLEST_RUNS, SMALLEST_SPECIMENS, LEAST_RUNS = 8, 3, 5
 
@@ -85,6 +88,10 @@ def analyse(
     replicates : simulated data sets behind every family-wise p.
     """
     found = _analyse(measurements, seed, replicates, report)
+    tares = _unsure_tares(found)
+    if tares:
+        measurements = replace(measurements, further_zeros=tares)
+        found = _analyse(measurements, seed, replicates, report)
     if found.verdict != "none" or not measurements.zeros:
         return found
     # Zeros may have taken a cause's place: does one explain the data as well without them?
@@ -108,6 +115,35 @@ def analyse(
         other.alternatives.append((ZEROS_OFF,))
         other.reason = "zeros of sensors that are off would explain it as well"
     return other
+
+
+def _unsure_tares(found: Analysis) -> tuple[tuple[str, Zero], ...]:
+    """Zeros of cells that drift, where an offset is blamed.
+
+    A drift is counted from the middle of the session; when the cell read right is not known, so
+    that it is off there by up to what it drifts in half the session.
+    """
+    blamed = {cause for causes in found.alternatives for cause in causes}
+    blamed |= set(found.chosen.causes if found.chosen else ())
+    if "force_offset" not in blamed:
+        return ()
+    drift = ZEROS["force_drift_N_h"]
+    hours = {b.protocol: np.abs(b.hours()).max(initial=0.0) for b in found.measurements.blocks}
+    return tuple(
+        (
+            finding.protocol,
+            Zero(
+                "force_offset_N",
+                finding.sensor,
+                "zero of the drifting force",
+                "mN",
+                1e-3,
+                float(abs(finding.size) * hours[finding.protocol]),
+            ),
+        )
+        for finding in found.data_findings
+        if finding.quantity == drift.quantity
+    )
 
 
 def _analyse(
@@ -217,8 +253,10 @@ def _analyse(
     if chosen_p < LEFTOVER_SIGNIFICANCE:
         why = "structure is left that no one or two mechanisms remove"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    noisy = {p: s.kappa for p, s in left_state.scatters.items()}
-    noisy = {p: kappa for p, kappa in noisy.items() if kappa > LARGEST_INSTRUMENT_FACTOR}
+    largest = dict.fromkeys(left_state.scatters, LARGEST_INSTRUMENT_FACTOR)
+    for finding in noise_findings(measurements):
+        largest[finding.protocol] = LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS
+    noisy = {p: s.kappa for p, s in left_state.scatters.items() if s.kappa > largest[p]}
     if noisy:
         protocol = max(noisy, key=noisy.get)
         why = (
@@ -232,13 +270,12 @@ def _analyse(
         cause, alias = aliases[0]
         why = f"{cause} would explain it, but what would drive {alias} instead was not recorded"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    if chosen.credit < MODERATE and not explains(outcome, chosen, measurements, keep):
+    if not explains(outcome, chosen, measurements, keep):
         why = "a shape outside the library describes the data better than any mechanism"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
-    rivals = [c for c in singles if c.bic - chosen.bic < TIE_BIC and c.bic < 0]
-    if len(chosen.causes) == 2:
-        rivals += [c for c in accepted if c.bic - chosen.bic < TIE_BIC]
-    ties = [chosen.causes] + [c.causes for c in rivals if c.causes != chosen.causes]
+    others = singles + accepted if len(chosen.causes) == 2 else singles
+    rivals = tied_with(chosen, others, judge, left_state)
+    ties = [chosen.causes] + [c.causes for c in rivals]
     taken = taken_by_rivals(measurements, chosen.fitted, null_state, left_state)
     if taken:
         others = dict.fromkeys(name for names in taken.values() for name in names)

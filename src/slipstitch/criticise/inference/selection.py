@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -17,8 +18,14 @@ from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 
+# Candidates within so many units of BIC of the best are not told apart.
+TIE_BIC = 6.0
 PAIR_SIGNIFICANCE = 0.01
 CHANCE_GAIN = 20.0
+# Credit below which a shape that is linear is worth comparing with a mechanism.
+MODERATE = 60.0
+# A rival by design explains at least this share of what the chosen model does.
+EQUAL_SHARE = 0.5
 
 
 @dataclass
@@ -118,16 +125,53 @@ def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, 
 def explains(outcome: Outcome, chosen: Candidate, measurements, keep) -> bool:
     """Does the chosen model beat the best generic shape (its place or period counted)?
 
-    For moderate effects only: the score test of a shape says little far from the null, and a
-    shape that beats a strong cause leaves structure behind.
+    For single moderate effects only: a shape is linear, which says little far from the null, and
+    one that beats a strong cause leaves structure behind. Two mechanisms along one covariate are
+    but a curve in it unless they are clearly better than every free one.
     """
     runs = np.log(max(number_of_runs(measurements, keep), 2))
-    best = np.inf
+    covariates = Counter(MECHANISMS[cause].covariate for cause in chosen.causes)
+    shared = {name for name, number in covariates.items() if name is not None and number > 1}
     for i, test in enumerate(outcome.tests):
         if test.family != "generic" or not np.isfinite(outcome.log_p[i]):
             continue
-        best = min(best, (outcome.degrees[i] + test.scanned) * runs - outcome.statistic[i])
-    return chosen.bic <= best + 2.0
+        bic = (outcome.degrees[i] + test.scanned) * runs - outcome.statistic[i]
+        if test.covariate in shared and chosen.bic > bic - TIE_BIC:
+            return False
+        if chosen.credit < MODERATE and chosen.bic > bic + 2.0:
+            return False
+    return True
+
+
+def tied_with(
+    chosen: Candidate, others: list[Candidate], judge: Judge, state: State
+) -> list[Candidate]:
+    """Those that the data do not tell from the chosen one, or the design could not.
+
+    The evidence against a rival counts for no more than the design would give on average if the
+    chosen model were exact: what exceeds it comes of noise, of sensors or of the laws' own errors.
+    """
+    tied = []
+    for other in others:
+        if other.causes == chosen.causes or other.bic >= 0:
+            continue
+        gap = other.bic - chosen.bic
+        evidence = chosen.credit - other.credit
+        if gap >= TIE_BIC and other.credit > EQUAL_SHARE * chosen.credit:
+            expected = _expected_evidence(chosen, other, judge, state)
+            gap -= max(evidence - expected, 0.0)
+        if gap < TIE_BIC:
+            tied.append(other)
+    return tied
+
+
+def _expected_evidence(chosen: Candidate, other: Candidate, judge: Judge, state: State) -> float:
+    """By how much twice the log-likelihood of another model falls short of an exact one."""
+    exact = replace(judge.measurements, y=chosen.fitted.prediction)
+    weights = judge.weights_of(other.causes, state)
+    left = weights.residual(exact, exact.y)
+    best = fit(exact, weights, other.causes, other.fitted.as_dict())
+    return max(best.chi2 - float(left @ left), 0.0)
 
 
 def second_is_significant(pair: Candidate, singles: list[Candidate]) -> bool:
