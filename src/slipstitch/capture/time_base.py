@@ -31,8 +31,8 @@ _REACH_M, _REACH_RATE = 0.012, 0.08
 _RATES = np.arange(0.93, 1.0701, 0.0005)
 # The template is taken where the stage rests between drop and drag, give or take this.
 _REST_S = 0.35
-# A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans and
-# is little like its edge at rest: that the places follow a path says more than how like they are.
+# A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans
+# and is little like its edge at rest: that the places follow a path says more than likeness.
 _LEAST_LIKENESS = 0.2
 _NEAR_M = 0.012
 _MOST_SCATTER_M = 0.003
