@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 ARGUS_STEP_S, ARGUS_STEPS_PER_S = (0.098, 0.122), 2000
 ARGUS_TARGET, ARGUS_TARGET_EACH, DESCENT_TARGET = 400, 200, 20
 RUN_TARGET_S = 40
+GRID = 160  # ten fabrics at sixteen friction coefficients
 COUNTS = ("newton_iterations", "factorisations", "halvings", "memory_mib")
 
 
@@ -81,7 +82,8 @@ def _grid(grid):
     counted = grid[["steps", *COUNTS]].median()
     dearest = grid.groupby("material")["cpu_s"].median().max()
     lines = [
-        f"## The paper's grid: {len(grid)} simulations of {grid['simulated_s'].median():.0f} s, "
+        f"## The paper's grid: {len(grid)} of {GRID} simulations of "
+        f"{grid['simulated_s'].median():.0f} s, "
         "41 × 41 vertices",
         "",
         *_paragraph(

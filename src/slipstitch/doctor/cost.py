@@ -37,9 +37,9 @@ COSTS = {
         "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
     ),
     "self_contact_step_s": Cost(
-        0.034,
+        0.040,
         "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
-        "the paper's grid, 300 frames, 1488 steps, two at a time: mean 51 CPU s",
+        "the paper's grid, 300 frames, 1488 steps, two at a time: mean 60 CPU s",
     ),
     # Sparse Cholesky alone, of the order of V^1.5 operations for V vertices, would make it 3.
     "simulate_size": Cost(
