@@ -75,7 +75,7 @@ def test_the_rules_name_their_stages():
             "    more: int = 1\n    frame_rate_hz: float = Field(2.4",
         ),
         ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
-        ("must lie between 0 and {FRICTION_MAX:g}", "must be from 0 to {FRICTION_MAX:g}"),
+        ("{run.friction:g}: must lie between 0", "{run.friction:g}: must be between 0"),
         ("\n# The cloth hangs still for this long", "\n# For so long the cloth hangs still"),
         ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),

@@ -201,6 +201,7 @@ def test_the_linter_says_nothing_that_is_not_answered(workflow):
                 "Specify a conda environment or container for each rule",
                 "Mixed rules and functions in same snakefile",
                 'Environment variable PATH"]',
+                "Environment variable SLIPSTITCH_CPU_TIME used",
             )
         )
     }

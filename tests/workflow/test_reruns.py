@@ -17,7 +17,7 @@ def fabrics_file(chain) -> str:
     [
         ("vertices per side of the 20 cm square", "vertices along one side"),
         ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
-        ("must lie between 0 and {FRICTION_MAX:g}", "must be from 0 to {FRICTION_MAX:g}"),
+        ("{run.friction:g}: must lie between 0", "{run.friction:g}: must be between 0"),
         ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
     ],
