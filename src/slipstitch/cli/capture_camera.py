@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture, output_path, refuse, require
+from slipstitch.cli.options import check_picture, flag, output_path, refuse, require
 
 SUMMARY = "calibrate a camera from images or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> None:
     check_picture(arguments.picture)
     for name in ("place_mm", "angle_deg", "thickness_mm"):
         if getattr(arguments, name) is not None:
-            require(arguments, ["stage_view"], f"--{name.replace('_', '-')}")
+            require(arguments, ["stage_view"], flag(name))
     if arguments.board == "checkerboard":
         refuse(arguments, ("dictionary",), "--board checkerboard")
     board = Board.named(

@@ -7,6 +7,7 @@ from slipstitch.cli.options import (
     add_instrument,
     add_threads,
     check_at_least,
+    flag,
     output_json,
     output_page,
     output_table,
@@ -88,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
             least = "at least 0" if lowest == 0 else "greater than 0"
-            raise BadInput(f"--{name.replace('_', '-')} {value:g}: must be {least}")
+            raise BadInput(f"{flag(name)} {value:g}: must be {least}")
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s cannot be combined with several videos")
     bench = measuring_bench(

@@ -126,21 +126,21 @@ def check_at_least(arguments: argparse.Namespace, **smallest: int) -> None:
     for name, least in smallest.items():
         value = getattr(arguments, name)
         if value is not None and value < least:
-            raise BadInput(f"--{name.replace('_', '-')} must be at least {least}")
+            raise BadInput(f"{flag(name)} must be at least {least}")
 
 
 def refuse(arguments: argparse.Namespace, names: Iterable[str], mode: str) -> None:
     """Refuse options, by their names in `arguments`, that were given and `mode` would ignore."""
     for name in names:
         if _given(arguments, name):
-            raise BadInput(f"{_flag(name)} cannot be combined with {mode}")
+            raise BadInput(f"{flag(name)} cannot be combined with {mode}")
 
 
 def require(arguments: argparse.Namespace, names: Iterable[str], mode: str) -> None:
     """Refuse `mode` without all of these options, by their names in `arguments`."""
     for name in names:
         if not _given(arguments, name):
-            raise BadInput(f"{mode} requires {_flag(name)}")
+            raise BadInput(f"{mode} requires {flag(name)}")
 
 
 def _given(arguments: argparse.Namespace, name: str) -> bool:
@@ -148,7 +148,7 @@ def _given(arguments: argparse.Namespace, name: str) -> bool:
     return value is not None and value is not False and value != []
 
 
-def _flag(name: str) -> str:
+def flag(name: str) -> str:
     """An option as on the command line; the shards have none."""
     return "image shards" if name == "shards" else f"--{name.replace('_', '-')}"
 

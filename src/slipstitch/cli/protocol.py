@@ -4,7 +4,7 @@ import argparse
 import re
 import sys
 
-from slipstitch.cli.options import output_json
+from slipstitch.cli.options import flag, output_json
 
 SUMMARY = "run a known-answer experiment in the simulator and compare it with theory"
 EXAMPLE = "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json"
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _with_flags(message: str) -> str:
     """A message with the options called as on the command line."""
-    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: f"--{m[0].replace('_', '-')}", message)
+    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: flag(m[0]), message)
 
 
 def _line(key: str, demand: dict) -> str:

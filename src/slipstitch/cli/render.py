@@ -5,7 +5,14 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_folder_path, output_path, refuse, require
+from slipstitch.cli.options import (
+    add_config,
+    flag,
+    output_folder_path,
+    output_path,
+    refuse,
+    require,
+)
 
 SUMMARY = "render a simulation from one viewpoint with every texture; verify images; write previews"
 EXAMPLE = (
@@ -88,7 +95,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Preview, verify, compose or render; print one line on each result."""
     runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _render}
     chosen = next((name for name in runs if getattr(arguments, name)), None)
-    mode = "rendering" if chosen is None else f"--{chosen.replace('_', '-')}"
+    mode = "rendering" if chosen is None else flag(chosen)
     needed, taken = MODES[mode]
     others = [name for names in MODES.values() for group in names for name in group]
     ignored = {*runs, *others} - {chosen, *needed, *taken}

@@ -142,6 +142,10 @@ def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
     A reading that has not risen tells the cell's zero, not where the ramp starts: a stage or a
     cell that is late leaves it flat.
     """
+
+    def on_line(readings: np.ndarray) -> _Ramp:
+        return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
+
     low = _first_lasting(force > force[0] + threshold)
     high = _first_lasting(force > force[0] + 0.6 * (level - force[0]))
     if low is None or high is None or not low or (force[:low] > 0.6 * level).any():
@@ -150,10 +154,9 @@ def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
         if not len(readings):  # the first reading slides already
             passed = spring_mN_mm * x[0]
             return _Ramp(np.array([0]), float(force[0] - 0.5 * passed), passed / np.sqrt(12))
-        return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
+        return on_line(readings)
     if high > low:
-        readings = np.arange(low, high)
-        return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
+        return on_line(np.arange(low, high))
     before = low - 1
     left = max(spring_mN_mm * (x[low] - x[before]) - (force[low] - force[before]), 0.0)
     offset = float(force[before] - spring_mN_mm * x[before])
