@@ -59,7 +59,8 @@ def command(folder: Path, verb: str, out: Path) -> list[str]:
 def place(checkpoint: Path) -> tuple[int, int]:
     """Finished epochs and steps that a checkpoint holds; (0, 0) where there is none yet."""
     try:
-        with safe_open(checkpoint, "pt") as file:
+        # "pt" would open it twice, and a training replaces it in between.
+        with safe_open(checkpoint, "numpy") as file:
             progress = json.loads(file.metadata()["progress"])
     except (FileNotFoundError, SafetensorError):
         return 0, 0
