@@ -120,7 +120,7 @@ def write_simulate(config: Config, folder: Path) -> None:
         count = len(motion["frame"])
         write_trajectory(
             folder / "simulate" / f"{one.id}.parquet",
-            Trajectory(**motion),
+            Trajectory(**motion, metadata={"settings": config.simulation.model_dump(mode="json")}),
             provenance_record("simulate", seed=one.seed),
             newton_iterations=np.full(count, 9, np.int32),
             residual=np.full(count, 4e-4),

@@ -68,6 +68,20 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     assert "Partial." not in (out / "index.html").read_text()
 
 
+def test_the_table_of_simulations_says_what_the_study_knows_of_each_now(run, tmp_path, monkeypatch):
+    def known(material, friction, settings):
+        assert settings == CONFIG.simulation
+        return {"verdict": f"{material} {friction:g}"} if friction > 0.3 else None
+
+    monkeypatch.setattr("slipstitch.publish.publishing.measured_convergence", known)
+    publish(CONFIG, run, tmp_path / "out")
+    with (tmp_path / "out" / "simulations.csv").open() as file:
+        said = {row["simulation"]: row["convergence"] for row in csv.DictReader(file)}
+    for one in simulations(CONFIG):
+        wanted = f"{one.material} {one.friction:g}" if one.friction > 0.3 else ""
+        assert said[one.id] == wanted
+
+
 def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tmp_path, capsys):
     part = tmp_path / "results"
     shutil.copytree(run, part)

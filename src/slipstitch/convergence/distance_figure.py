@@ -12,10 +12,11 @@ from slipstitch.page.figures import a_few
 from slipstitch.page.palette import FAINT, SOFT
 
 LEAST_MM = 1e-3
+COLUMNS_MAX = 5
 
 
 def convergence_figure(study: Mapping[str, Any]) -> Figure:
-    """Draw a study: one row per kind of refinement, one column per fabric, one colour per friction.
+    """Draw a study: a row per kind of refinement, a panel per fabric, a colour per friction.
 
     Parameters
     ----------
@@ -24,15 +25,22 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
     """
     compared = study["comparisons"]
     materials = list(dict.fromkeys(case["material"] for case in compared))
-    kinds = list(dict.fromkeys(case["kind"] for case in compared))
+    columns = min(len(materials), COLUMNS_MAX)
+    lines = [
+        (kind, materials[first : first + columns])
+        for kind in dict.fromkeys(case["kind"] for case in compared)
+        for first in range(0, len(materials), columns)
+    ]
     frictions = sorted({case["friction"] for case in compared})
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(frictions)))
-    figure = Figure(
-        figsize=(3.1 * len(materials) + 0.6, 2.3 * len(kinds) + 0.9), layout="constrained"
-    )
-    panels = figure.subplots(len(kinds), len(materials), sharex=True, sharey=True, squeeze=False)
-    for row, kind in zip(panels, kinds, strict=True):
-        for axes, material in zip(row, materials, strict=True):
+    figure = Figure(figsize=(3.1 * columns + 0.6, 2.3 * len(lines) + 0.9), layout="constrained")
+    panels = figure.subplots(len(lines), columns, sharex=True, sharey=True, squeeze=False)
+    for row, (kind, there) in zip(panels, lines, strict=True):
+        row[0].set_ylabel(f"{kind}\nmean distance, mm", fontsize=8)
+        for axes in row[len(there) :]:
+            axes.remove()
+        for axes, material in zip(row, there, strict=False):
+            axes.set_title(material)
             shown = [
                 case for case in compared if (case["kind"], case["material"]) == (kind, material)
             ]
@@ -46,10 +54,6 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
             )  # fmt: skip
             if not shown:
                 axes.text(0.5, 0.5, "not run", transform=axes.transAxes, ha="center")
-    for axes, material in zip(panels[0], materials, strict=True):
-        axes.set_title(material)
-    for row, kind in zip(panels, kinds, strict=True):
-        row[0].set_ylabel(f"{kind}\nmean distance, mm", fontsize=8)
     figure.supxlabel("time, s", fontsize=8)
     coefficients = [
         Line2D([], [], color=colour, label=f"µ = {friction:g}")

@@ -12,11 +12,13 @@ from typing import Any
 import pandas
 
 from slipstitch.config import Config
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
 from slipstitch.provenance.record import write_json
 from slipstitch.report.results import Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
+from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import read_benchmark
 
@@ -168,6 +170,9 @@ def _simulations(results: Results) -> Iterator[dict[str, Any]]:
         run = read_trajectory(results.simulation_path(one))
         job = results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv"
         cost = read_benchmark(job)
+        settings = SimulationSettings.model_validate(run.metadata["settings"])
+        # Not the trajectory's own record: a study may be newer than the simulations.
+        known = measured_convergence(one.material, one.friction, settings)
         yield {
             "simulation": one.id,
             "material": one.material,
@@ -176,6 +181,7 @@ def _simulations(results: Results) -> Iterator[dict[str, Any]]:
             "wall_s": cost and cost.wall_s,
             "memory_mib": cost and cost.memory_mib,
             "simulated_s": round(float(run.time_s[-1]), 3),
-            "friction_tolerance": run.metadata.get("settings", {}).get("friction_tolerance"),
+            "friction_tolerance": settings.friction_tolerance,
+            "convergence": known and known["verdict"],
             **run.metadata.get("solver", {}),
         }
