@@ -12,7 +12,7 @@ from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
-from slipstitch.simulate.convergence import BUT_FOR_AN_EVENT, measured_convergence, step_of
+from slipstitch.simulate.convergence import BUT_FOR_ITS_MOMENT, measured_convergence, step_of
 from slipstitch.simulate.trajectory import Trajectory
 
 CONFIG = resolve_config(
@@ -27,8 +27,11 @@ CONFIG = resolve_config(
 )
 
 
-def made_up_run(side=9, late_s=0.0, offset_m=0.0, offset_from_s=0.0):
-    """A flat square carried by the stage that rolls over at 12 s, touches down at 2 s."""
+def made_up_run(side=9, late_s=0.0, offset_m=0.0, offset_from_s=0.0, bump_m=0.0):
+    """A flat square carried by the stage that rolls over at 12 s, touches down at 2 s.
+
+    ``bump_m``: how far it is thrown aside as it rolls over.
+    """
     time_s = np.arange(201) / 10
     u, v = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side))
     uv = np.column_stack([u.ravel(), v.ravel()])
@@ -39,6 +42,7 @@ def made_up_run(side=9, late_s=0.0, offset_m=0.0, offset_from_s=0.0):
     positions = np.zeros((len(time_s), side**2, 3))
     positions[..., 0] = x[:, None] + turned[:, None] * uv[:, 1]
     positions[..., 1] = 0.2 * uv[:, 0] + offset_m * (time_s >= offset_from_s)[:, None]
+    positions[..., 1] += bump_m * np.exp(-(((time_s - 12 - late_s) / 0.3) ** 2))[:, None]
     positions[..., 2] = height_m
     settings = SimulationSettings(vertices_per_side=side)
     return Trajectory(
@@ -113,10 +117,16 @@ def test_between_frames_a_motion_is_compared_with_the_way_from_one_to_the_next()
     [
         ({"late_s": 0.0}, "converged"),
         ({"late_s": 0.5}, "converged but for the moment of an event (± 0.50 s)"),
+        # 0.3 mm may be what a straight line from frame to frame leaves out.
+        ({"bump_m": 3e-3}, "converged but for the course of an event (± 0.00 s, 2.7 mm)"),
+        (
+            {"bump_m": 3e-3, "late_s": 0.5},
+            "converged but for the course of an event (± 0.50 s, 2.7 mm)",
+        ),
         ({"offset_m": 0.002, "offset_from_s": 16.0}, "not converged"),  # at rest in another shape
         ({"late_s": 100.0}, "not converged"),  # it never rolls over
     ],
-    ids=["same", "later", "other shape", "no event"],
+    ids=["same", "later", "thrown aside", "both", "other shape", "no event"],
 )
 def test_what_happens_at_another_time_is_told_from_what_is_something_else(run, verdict):
     finest = {case.id: made_up_run(case.vertices_per_side) for case in cases(CONFIG)}
@@ -140,6 +150,31 @@ def test_every_stroke_has_its_own_events():
     found = events(run)
     assert {"slip", "flip", "slip 2", "flip 2"} < set(found) and "flip 3" not in found
     assert found["flip 2"] is None
+
+
+@pytest.mark.parametrize(
+    "first_m, second_m, shift_s",
+    [
+        (2.1e-3, 1.9e-3, 0.0),  # one is dragged a little farther than where it counts
+        (1.9e-3, 2.1e-3, 0.0),
+        (3.5e-3, 0.5e-3, None),
+        (1.9e-3, 1.8e-3, "no event"),
+    ],
+)
+def test_an_edge_that_stops_a_little_short_has_not_slipped_at_another_time(
+    first_m, second_m, shift_s
+):
+    def dragged(far_m):
+        run = made_up_run()
+        lower = run.uv[:, 1] == 1
+        run.positions_m[:, lower, 0] = far_m * np.clip(run.time_s - 8, 0, 1)[:, None]
+        return run
+
+    found = compare(dragged(first_m), dragged(second_m), (9,))["events"].get("slip")
+    if shift_s == "no event":
+        assert found is None
+    else:
+        assert found["shift_s"] == (shift_s if shift_s is None else pytest.approx(shift_s, abs=0.1))
 
 
 def test_a_run_without_a_roll_over_has_no_flip():
@@ -210,7 +245,7 @@ def _record(tmp_path, material, friction, **settings):
             {"material": name, "friction": mu, "time_step": found, "mesh": None, "verdict": verdict}
             for name, mu, verdict in (
                 ("gray-interlock", 0.1, "converged"),
-                ("gray-interlock", 0.5, BUT_FOR_AN_EVENT.format(0.2)),
+                ("gray-interlock", 0.5, BUT_FOR_ITS_MOMENT.format(0.2)),
                 ("gray-interlock", 1.5, "not converged"),
                 ("royal-target", 0.1, "converged"),
                 ("royal-target", 1.5, None),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -15,7 +15,8 @@ from slipstitch.config import Config
 from slipstitch.convergence.cases import cases
 from slipstitch.errors import BadInput
 from slipstitch.simulate.convergence import (
-    BUT_FOR_AN_EVENT,
+    BUT_FOR_ITS_COURSE,
+    BUT_FOR_ITS_MOMENT,
     CONVERGED,
     NOT_CONVERGED,
     worst_verdict,
@@ -35,6 +36,8 @@ SUMMARISED = (
 SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
 SHIFTED_PLACES = 21  # a side, of the places compared at other times
 CURVE_POINTS_MAX = 120
+SLIP_M = 2e-3  # as far as the lower edge is dragged where it is said to slip
+SLIP_UNSURE_M = 1e-3
 FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
 STEADY_SPEED_M_S = 0.001
 STEADY_S = 1.0
@@ -59,22 +62,13 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
         the stage; the moment when that is fastest. Those of a second stroke are ``slip 2``,
         ``flip 2``, and so on.
     """
-    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
-    edge = run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
     time_s = run.time_s
-    found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - edge[:, 2])}
-    for stroke in range(max(path.strokes, 1)):
-        begin_s = path.drop_duration_s + stroke * path.stroke_duration_s
-        begun, over = np.searchsorted(time_s, [begin_s, begin_s + path.stroke_duration_s])
-        part = slice(begun, over + 1)
-        if stroke and len(time_s[part]) < 2:
-            break
-        number = f" {stroke + 1}" if stroke else ""
+    found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
+    for number, part in _strokes(run, path):
         found[f"slip{number}"], found[f"flip{number}"] = None, None
         if len(time_s[part]) < 2:
             continue
-        moved = np.abs(edge[part, 0] - edge[begun, 0])
-        found[f"slip{number}"] = _first(time_s[part], moved - 2e-3)
+        found[f"slip{number}"] = _first(time_s[part], _dragged_m(run, part) - SLIP_M)
         places = run.positions_m[part].astype(float)
         places[..., 0] -= run.stage_x_m[part, None]
         travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1)
@@ -82,6 +76,53 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
         fastest = int(speed_m_s.argmax())
         if speed_m_s[fastest] >= FLIP_SPEED_M_S:
             found[f"flip{number}"] = float(time_s[part][fastest : fastest + 2].mean())
+    return found
+
+
+def _strokes(run: Trajectory, path: StagePath | None = None) -> Iterator[tuple[str, slice]]:
+    """What names the events of each stroke that was begun, and its frames."""
+    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
+    for stroke in range(max(path.strokes, 1)):
+        begin_s = path.drop_duration_s + stroke * path.stroke_duration_s
+        begun, over = np.searchsorted(run.time_s, [begin_s, begin_s + path.stroke_duration_s])
+        part = slice(begun, over + 1)
+        if stroke and len(run.time_s[part]) < 2:
+            return
+        yield f" {stroke + 1}" if stroke else "", part
+
+
+def _lower_edge_m(run: Trajectory) -> np.ndarray:
+    """Its mean place, shape (T, 3)."""
+    return run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
+
+
+def _dragged_m(run: Trajectory, part: slice) -> np.ndarray:
+    """How far the lower edge is from where it was at the beginning of the frames."""
+    along = _lower_edge_m(run)[part, 0]
+    return np.abs(along - along[0])
+
+
+def _slip_shifts(first: Trajectory, second: Trajectory) -> dict[str, float]:
+    """How much later the lower edge slips in the first run, where either's is dragged so far.
+
+    The moments at which the other's is, to within `SLIP_UNSURE_M`: an edge may come to rest, or the
+    run may end, a little short of the distance.
+    """
+    found = {}
+    for number, part in _strokes(first):
+        time_s = first.time_s[part]
+        if len(time_s) < 2:
+            continue
+        beyond = [_dragged_m(run, part) - SLIP_M for run in (first, second)]
+        slips_s = [_first(time_s, one) for one in beyond]
+        for sign, one, other in ((1.0, 0, 1), (-1.0, 1, 0)):
+            moments_s = [*time_s[np.abs(beyond[other]) <= SLIP_UNSURE_M], slips_s[other]]
+            shifts_s = [
+                slips_s[one] - at_s for at_s in moments_s if None not in (at_s, slips_s[one])
+            ]
+            if shifts_s:
+                found[f"slip{number}"] = float(sign * min(shifts_s, key=abs))
+                break
     return found
 
 
@@ -132,7 +173,7 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
     few, others = _fewer(first, second)
     shifted, shift_s, bend = _least_mean_distance(few, others, run.time_s)
     shifted = np.minimum(shifted, mean)
-    there, reference = events(run), events(finest)
+    there, reference, slips = events(run), events(finest), _slip_shifts(run, finest)
     steady = _is_steady(first, run.time_s) & _is_steady(second, run.time_s)
     every = -(-len(mean) // CURVE_POINTS_MAX)
     curve = {"time_s": run.time_s, "mean_m": mean, "worst_m": worst, "shifted_mean_m": shifted}
@@ -149,7 +190,7 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
             name: {
                 "time_s": time_s,
                 "finest_s": reference.get(name),
-                "shift_s": _shift(time_s, other),
+                "shift_s": slips.get(name, _shift(time_s, other)),
             }
             for name, time_s in there.items()
             if (other := reference.get(name)) is not None or time_s is not None
@@ -300,14 +341,16 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
 
 
 def _verdict(found: Mapping[str, Any], demand_m: float) -> str:
-    """Of one kind of refinement: the same; the same but for when it happens; something else."""
+    """Of one kind of refinement: the same; but for when or how it rolls over; something else."""
     if found["mean_largest_m"] <= demand_m:
         return CONVERGED
-    steady_m = found["steady_largest_m"]
-    same = steady_m is not None and max(steady_m, found["shifted_largest_m"]) <= demand_m
-    if same and not found["events_missing"]:
-        return BUT_FOR_AN_EVENT.format(max(found["event_shift_s"], abs(found["worst_shift_s"])))
-    return NOT_CONVERGED
+    steady_m, shifted_m = found["steady_largest_m"], found["shifted_largest_m"]
+    if steady_m is None or steady_m > demand_m or found["events_missing"]:
+        return NOT_CONVERGED
+    shift_s = max(found["event_shift_s"], abs(found["worst_shift_s"]))
+    if shifted_m <= demand_m:
+        return BUT_FOR_ITS_MOMENT.format(shift_s)
+    return BUT_FOR_ITS_COURSE.format(shift_s, 1e3 * shifted_m)
 
 
 def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:

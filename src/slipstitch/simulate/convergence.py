@@ -13,8 +13,11 @@ from slipstitch.config.simulation import SimulationSettings
 # Written by `slipstitch convergence publish`.
 MEASURED = Path(__file__).with_name("convergence.json")
 CONVERGED = "converged"
-BUT_FOR_AN_EVENT = "converged but for the moment of an event (± {:.2f} s)"
+BUT_FOR_ITS_MOMENT = "converged but for the moment of an event (± {:.2f} s)"
+BUT_FOR_ITS_COURSE = "converged but for the course of an event (± {:.2f} s, {:.1f} mm)"
 NOT_CONVERGED = "not converged"
+# From what says most to what says least.
+VERDICTS = (CONVERGED, BUT_FOR_ITS_MOMENT, BUT_FOR_ITS_COURSE, NOT_CONVERGED)
 # Settings that may be finer than the studied ones; all others must be the same but for these.
 FINER = ("vertices_per_side", "step_error_m", "friction_tolerance")
 DO_NOT_MATTER = {
@@ -33,8 +36,9 @@ DO_NOT_MATTER = {
 def worst_verdict(verdicts: Sequence[str]) -> str | None:
     """The verdict that says least; of events the one farthest apart. None of none."""
 
-    def rank(verdict: str) -> tuple[bool, bool, str]:
-        return verdict == NOT_CONVERGED, verdict != CONVERGED, verdict
+    def rank(verdict: str) -> tuple[int, str]:
+        beginnings = [one.partition("(")[0] for one in VERDICTS]
+        return beginnings.index(verdict.partition("(")[0]), verdict
 
     return max(verdicts, key=rank, default=None)
 
