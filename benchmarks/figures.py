@@ -13,9 +13,14 @@ A result stands in the text in one of four ways:
 """
 
 import argparse
+import ast
+import contextlib
+import importlib
+import io
 import itertools
 import json
 import re
+import shlex
 import statistics
 import sys
 from pathlib import Path
@@ -123,22 +128,53 @@ def unsourced(text):
 
 
 def missing(commands, root):
-    """Files, verbs and targets of the commands that are not there."""
-    from slipstitch.cli.main import VERBS
-
+    """What the commands name and is not there: files, targets, verbs, options."""
     makefile = (root / "Makefile").read_text(encoding="utf-8")
-    for word, after in zip(
-        words := commands.replace("`", " ").replace(",", " ").split(), [*words[1:], ""], strict=True
-    ):
-        if (
-            re.fullmatch(r"[\w./-]+\.(?:py|yaml)|tests/[\w/.-]+", word)
-            and not (root / word).exists()
-        ):
-            yield word
-        if word == "slipstitch" and after not in VERBS:
-            yield f"slipstitch {after}"
-        if word == "make" and not re.search(rf"^{re.escape(after)}:", makefile, re.M):
-            yield f"make {after}"
+    for command in re.findall(r"`([^`]+)`", commands):
+        program, *words = shlex.split(command)
+        for word in words:
+            if re.fullmatch(r"[\w./-]+\.(?:py|yaml)|tests/[\w/.-]+", word):
+                if not (root / word).exists():
+                    yield word
+                elif word.endswith(".py") and program == "python":
+                    yield from unanswered(root / word, words[words.index(word) + 1 :])
+        if program == "make" and not re.search(rf"^{re.escape(words[0])}:", makefile, re.M):
+            yield f"make {words[0]}"
+        if program == "slipstitch":
+            yield from refused(words)
+
+
+def unanswered(script, words):
+    """Options that a script requires and the words lack, or that they give and it does not have."""
+    known, required = set(), []
+    for call in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_argument":
+            name, options = call.args[0].value, {one.arg: one.value for one in call.keywords}
+            known.add(name)
+            if getattr(options.get("required"), "value", False) or not name.startswith("-"):
+                required.append(name)
+    flags = [word for word in words if word.startswith("--")]
+    lacking = [name for name in required if name.startswith("-") and name not in flags]
+    if not words or words[0].startswith("-"):
+        lacking += [name for name in required if not name.startswith("-")]
+    for name in [*lacking, *(flag for flag in flags if flag not in known)]:
+        yield f"{name} of {script.name}"
+
+
+def refused(words):
+    """Why ``slipstitch`` does not take the words; nothing if it does."""
+    from slipstitch.cli.main import VERBS, _parser
+
+    if words[0] not in VERBS:
+        yield f"slipstitch {words[0]}"
+        return
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            verb = importlib.import_module(f"slipstitch.cli.{words[0]}")
+            _parser(words[0], verb).parse_args(words[1:])
+    except SystemExit:
+        yield f"such command: {said.getvalue().strip()}"
 
 
 def pages(root=ROOT):

@@ -106,3 +106,18 @@ def test_a_command_that_is_gone_is_named(figures, tmp_path, command):
     )
     assert len(found[1]) == 1
     assert f"there is no {command if 'py' not in command else command.split()[1]}" in found[1][0]
+
+
+@pytest.mark.parametrize(
+    ("command", "lacking"),
+    [
+        ("python benchmarks/film_speed.py --camera c.json --model m --friction 1", "video of film"),
+        ("python benchmarks/film_speed.py x.mp4 --camera c.json --model m", "--friction of film"),
+        ("python benchmarks/learning.py --pixel 64", "--pixel of learning.py"),
+        ("slipstitch simulate --set time_step_s=0.01", "required: --out"),
+        ("slipstitch doctor --estimates config.yaml", "unrecognized arguments: --estimates"),
+    ],
+)
+def test_a_command_that_would_be_refused_is_named(figures, command, lacking):
+    (found,) = figures.missing(f"`{command}`", ROOT)
+    assert lacking in found
