@@ -47,14 +47,17 @@ def check(bench, name, *words):
 def test_a_camera_inside_the_family_is_told_so(bench, capsys):
     assert check(bench, "inside", "--picture", str(bench / "check.png")) == 0
     said = capsys.readouterr().out
-    assert "rotated about the vertical: +12 degrees (trained on -15 ... +15)" in said
+    assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
     assert "OUTSIDE" not in said
     assert (bench / "check.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("aside", "rotated about the vertical by 25 degrees"), ("far", "farther, logarithm")],
+    [
+        ("aside", "rotation about the vertical +25 degrees (trained on -15 ... +15)"),
+        ("far", "distance 1.71 times that of the calibrated viewpoint (trained on 0.82 ... 1.22)"),
+    ],
 )
 def test_a_camera_outside_is_named_and_not_measured_with(bench, capsys, name, problem):
     assert check(bench, name) == 3

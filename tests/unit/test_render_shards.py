@@ -2,6 +2,7 @@
 
 import json
 
+import av
 import cv2
 import numpy as np
 import pyarrow as pa
@@ -186,6 +187,9 @@ def test_a_preview_is_a_contact_sheet_and_a_video_that_play(work, capsys):
     assert capsys.readouterr().out.splitlines() == [str(sheet), str(video)]
     # Two rows of 4 frames and two of 3 textures, 32 pixels each, with gaps of 2.
     assert cv2.imread(str(sheet)).shape == (4 * 34 - 2, 4 * 34 - 2, 3)
+    with av.open(str(video)) as film:  # what browsers play
+        codec = film.streams.video[0].codec_context
+        assert (codec.name, codec.pix_fmt) == ("h264", "yuv420p")
     capture = cv2.VideoCapture(str(video))
     pictures = []
     while (read := capture.read())[0]:

@@ -21,7 +21,7 @@ MEANING = {
     Kind.MISSING: "a file of the release is missing",
     Kind.UNEXPLAINED: "a file that is not part of the release",
     Kind.BROKEN: "a clip cannot be traced to its origin, or its record is inconsistent",
-    Kind.STALE: "intact, but the current code or configuration would give different results",
+    Kind.STALE: "the current code or configuration would give different results",
 }
 
 

@@ -13,10 +13,10 @@ _SCALE = {"yaw_deg": 10.0, "pitch_deg": 5.0, "roll_deg": 2.0, "log_distance": 0.
 #: Beyond the range of the training by more than this, a pose is refused.
 TOLERANCE = {"yaw_deg": 2.5, "pitch_deg": 2.5, "roll_deg": 2.0, "log_distance": 0.05}
 TITLES = {
-    "yaw_deg": ("rotated about the vertical", "degrees"),
-    "pitch_deg": ("higher", "degrees"),
-    "roll_deg": ("rotated about its axis", "degrees"),
-    "log_distance": ("farther, logarithm of the ratio", ""),
+    "yaw_deg": ("rotation about the vertical", "degrees"),
+    "pitch_deg": ("elevation", "degrees"),
+    "roll_deg": ("roll", "degrees"),
+    "log_distance": ("distance", "times that of the calibrated viewpoint"),
 }
 
 
@@ -38,13 +38,23 @@ def pose_range(poses: np.ndarray) -> dict[str, list[float]]:
     }
 
 
+def shown(name: str, value: float) -> str:
+    """A number of a pose, relative to the calibrated viewpoint, without its unit."""
+    return f"{np.exp(value):.2f}" if name == "log_distance" else f"{round(value, 1) + 0.0:+g}"
+
+
+def in_words(name: str, value: float, limits: Sequence[float]) -> str:
+    """A number of a pose with its training range."""
+    low, high = (shown(name, limit) for limit in limits)
+    trained_on = low if low == high else f"{low} ... {high}"
+    what, unit = TITLES[name]
+    return f"{what} {shown(name, value)} {unit} (trained on {trained_on})"
+
+
 def outside(pose: Mapping[str, float], tested: Mapping[str, Sequence[float]]) -> list[str]:
     """Description of the parts of a pose outside the training range of an instrument."""
-    found = []
-    for name in POSE:
-        low, high = tested[name]
-        if not low - TOLERANCE[name] <= pose[name] <= high + TOLERANCE[name]:
-            what, unit = TITLES[name]
-            limits = f"{low:.3g} ... {high:.3g}" if abs(high - low) > 1e-6 else f"{low:.3g}"
-            found.append(f"{what} by {pose[name]:.3g} {unit}".rstrip() + f", trained on {limits}")
-    return found
+    return [
+        in_words(name, pose[name], (low, high))
+        for name, (low, high) in ((name, tested[name]) for name in POSE)
+        if not low - TOLERANCE[name] <= pose[name] <= high + TOLERANCE[name]
+    ]

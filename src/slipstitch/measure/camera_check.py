@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.instrument import load_instrument
-from slipstitch.instrument.poses import TITLES, outside
+from slipstitch.instrument.poses import in_words, outside
 from slipstitch.measure.measuring import schedule_of
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
@@ -40,12 +40,7 @@ class CameraCheck:
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
-        lines = []
-        for name in POSE:
-            what, unit = TITLES[name]
-            low, high = self.tested[name]
-            lines.append(f"{what}: {self.pose[name]:+.3g} {unit}".rstrip())
-            lines[-1] += f" (trained on {low:+.3g} ... {high:+.3g})"
+        lines = [in_words(name, self.pose[name], self.tested[name]) for name in POSE]
         if not self.outside:
             return [*lines, "within the training range"]
         return lines + [f"OUTSIDE: {problem}" for problem in self.outside]

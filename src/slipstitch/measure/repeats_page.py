@@ -42,6 +42,11 @@ def page(pair: "MeasuredPair") -> str:
     )
 
 
+def _short(name: str, most: int = 28) -> str:
+    """The end of a long name: that is where repeats differ."""
+    return name if len(name) <= most else f"…{name[1 - most :]}"
+
+
 @styled
 def _figure(pair: "MeasuredPair"):
     """Every video's interval, one below the other, and the combined one."""
@@ -55,7 +60,7 @@ def _figure(pair: "MeasuredPair"):
     if pair.together:
         axes.axvspan(*pair.together.interval_90, color=BLUE, alpha=0.18, lw=0)
         axes.axvline(pair.together.friction_coefficient, color=BLUE, lw=1.5)
-    axes.set_yticks(range(len(pair.videos)), [video.name for video in pair.videos])
+    axes.set_yticks(range(len(pair.videos)), [_short(video.name) for video in pair.videos])
     axes.invert_yaxis()
     axes.set_xlabel("friction coefficient")
     return figure

@@ -93,7 +93,11 @@ def save_figure(
     """
     with matplotlib.rc_context(FIXED_IDS):
         figure.savefig(
-            path, format=kind, dpi=dots_per_inch, metadata={"Date": None} if kind == "svg" else None
+            path,
+            format=kind,
+            dpi=dots_per_inch,
+            metadata={"Date": None} if kind == "svg" else None,
+            facecolor="white",  # viewers may be dark, the ink is
         )
 
 

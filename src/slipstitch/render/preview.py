@@ -2,8 +2,10 @@
 
 import os
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
@@ -135,20 +137,17 @@ def _tile(rows: list[list[np.ndarray]]) -> np.ndarray:
 
 
 def _write_video(path: Path, pictures, rate_hz: float) -> None:
-    writer = None
-    try:
+    """H.264, which browsers play; OpenCV writes MPEG-4 Part 2 only, which they do not."""
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        rate = Fraction(rate_hz).limit_denominator(1000)
+        stream = container.add_stream("libx264", rate=rate, options={"threads": "1"})
+        stream.pix_fmt = "yuv420p"
         for picture in pictures:
             scale = max(1, -(-_SMALLEST_VIDEO_PX // picture.shape[0]))
             picture = np.kron(picture, np.ones((scale, scale, 1), np.uint8))
             # The codec needs even sides.
             picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-            if writer is None:
-                size = (picture.shape[1], picture.shape[0])
-                codec = cv2.VideoWriter.fourcc(*"mp4v")
-                writer = cv2.VideoWriter(str(path), codec, rate_hz, size)
-                if not writer.isOpened():
-                    raise RuntimeError("OpenCV cannot write MP4 videos here")
-            writer.write(picture)
-    finally:
-        if writer is not None:
-            writer.release()
+            if not stream.codec_context.is_open:
+                stream.height, stream.width = picture.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="bgr24")))
+        container.mux(stream.encode())

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipstitch.ablate.summary import interval
+from slipstitch.ablate.summary import LEVEL, interval
 from slipstitch.config import Config
 from slipstitch.evaluate import paper, probes
 from slipstitch.evaluate.evaluation import MODELS
@@ -122,7 +122,10 @@ def headline(config: Config, metrics, details, predictions) -> list[dict[str, An
 def share_interval(
     predictions: Iterable[Mapping[str, Any]], split: str, network: str, step: float
 ) -> tuple[float, float] | None:
-    """90 % interval of the share below half a step, over simulations and seeds; None of one."""
+    """90 % interval of the share below half a step, over simulations and seeds; None of one.
+
+    If all are right, or none, it is Clopper and Pearson's (1934), each simulation one case.
+    """
     right: dict[tuple[int, str], list[bool]] = defaultdict(list)
     for row in predictions:
         if (row["split"], row["network"]) == (split, network):
@@ -133,7 +136,10 @@ def share_interval(
     if len(names) < 2:
         return None
     table = [[float(np.mean(right[seed, name])) for name in names] for seed in seeds]
-    _, low, high = interval(np.array(table))
+    mean, low, high = interval(np.array(table))
+    if mean in (0.0, 1.0):
+        bound = ((1 - LEVEL) / 2) ** (1 / len(names))
+        return (bound, 1.0) if mean else (0.0, 1 - bound)
     return max(0.0, low), min(1.0, high)
 
 
@@ -150,21 +156,20 @@ def beside_paper(
         (network, metric) -> the paper's figure.
     """
     shown = [name for name in titles if metrics.get(name)]
+    networks = ("material_baseline", *MODELS.values())
+
+    def column(name: str) -> dict[str, Any]:
+        rows = {key: metrics[name][key] for key in MODELS if key in metrics[name]}
+        of_each = [details.get(name, {}).get(network, {}) for network in networks]
+        return {
+            "title": titles[name],
+            "n": max((row["n"] for row in rows.values()), default=0),
+            "simulations": max(detail.get("simulations") or 0 for detail in of_each),
+            "seeds": seeds_of(rows),
+        }
+
     return {
-        "columns": [
-            {
-                "title": titles[name],
-                "n": max(row["n"] for row in metrics[name].values()),
-                "simulations": max(
-                    (network.get("simulations") or 0 for network in details.get(name, {}).values()),
-                    default=0,
-                ),
-                "seeds": seeds_of(
-                    {key: metrics[name][key] for key in MODELS if key in metrics[name]}
-                ),
-            }
-            for name in shown
-        ],
+        "columns": [column(name) for name in shown],
         "rows": [
             {
                 "title": metric.title + COUNTED[network][1],
@@ -173,7 +178,7 @@ def beside_paper(
                     percent(*score(metrics, details, name, network, metric.name)) for name in shown
                 ],
             }
-            for network in ("material_baseline", *MODELS.values())
+            for network in networks
             for metric in counted_metrics(network)
         ],
     }
