@@ -195,6 +195,10 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
         (["predict", "x.json", "{folder}", "--out", "{file}/a/x.csv"], "{file} is a file"),
         (["protocol", "incline", "--out", "{folder}"], "is a folder; must be a file"),
         (["report", "--config", "x.yaml", "--out", "x.png"], "x.png: must end in .html or .htm"),
+        (["report", "--config", "x.yaml", "--out", "-"], "-: must end in .html or .htm"),
+        (["calibrate", "--config", "x.yaml", "--out", "x.txt"], "x.txt: must end in .json"),
+        (["capture", "reference", "x.csv", "--out", "x.txt"], "x.txt: must end in .csv"),
+        (["ablate", "--config", "x", "--summary", "x", "--out", "x"], "x: must end in .json"),
         (
             ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
             "is a file; must be a folder",
@@ -319,7 +323,7 @@ BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--o
             ["criticise", "case", "--out", "v.json", "--power", "--model", "m.yaml"],
             "--model cannot be combined with --power",
         ),
-        (["criticise", "case", "--out", "-", "--validate", "new"], "--validate: needs --out FILE"),
+        (["criticise", "case", "--out", "-", "--validate", "new"], "-: must end in .json"),
         (
             [
                 "capture",

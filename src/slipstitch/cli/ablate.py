@@ -2,7 +2,14 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file, refuse
+from slipstitch.cli.options import (
+    add_config,
+    add_threads,
+    check_at_least,
+    output_json,
+    output_page,
+    refuse,
+)
 
 SUMMARY = "ablations: change one training choice at a time, at an equal budget"
 EXAMPLE = (
@@ -19,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     add_config(parser)
     parser.add_argument(
-        "--out", type=output_file, required=True, help="the result, or the summary (JSON)"
+        "--out", type=output_json, required=True, help="the result, or the summary (JSON)"
     )
     single = parser.add_argument_group("one question, one seed")
     single.add_argument("--dataset", help="folder written by `slipstitch sample`")
@@ -30,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     every.add_argument(
         "--summary", metavar="FOLDER", help="folder of the results: {question}/seed{seed}.json"
     )
-    every.add_argument("--page", type=output_file, help="conclusions, plots and tables (HTML)")
+    every.add_argument("--page", type=output_page, help="conclusions, plots and tables (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -43,7 +43,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="exit with 0 if only code or configuration has changed since",
     )
     parser.add_argument(
-        "--json", type=output_json, metavar="FILE", help="write the findings as JSON; - for stdout"
+        "--json",
+        type=_json_or_stdout,
+        metavar="FILE",
+        help="write the findings as JSON; - for stdout",
     )
     parser.add_argument(
         "--page", type=output_page, metavar="FILE", help="write the findings as an HTML page"
@@ -54,6 +57,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=min(8, os.cpu_count() or 1),
         help="threads (default: %(default)s)",
     )
+
+
+def _json_or_stdout(text: str) -> str:
+    return text if text == "-" else output_json(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, check_picture, output_file, refuse
+from slipstitch.cli.options import add_config, output_json, output_picture, refuse
 
 SUMMARY = "choose numerical settings with a pushed strip, and check them against theory"
 EXAMPLE = (
@@ -16,7 +16,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_config(parser, required=False)
     parser.add_argument(
         "--out",
-        type=output_file,
+        type=output_json,
         help="JSON file with settings and checks (with --sweep: its runs)",
     )
     parser.add_argument(
@@ -30,13 +30,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--sweeps", nargs="+", help="files written by --sweep; run now if omitted")
     parser.add_argument(
-        "--picture", type=output_file, help="PNG or SVG: the checks, measurements against theory"
+        "--picture", type=output_picture, help="PNG or SVG: the checks, measurements against theory"
     )
     parser.add_argument(
-        "--strip-picture", type=output_file, help="PNG or SVG: slip strain, and shapes of the strip"
+        "--strip-picture",
+        type=output_picture,
+        help="PNG or SVG: slip strain, and shapes of the strip",
     )
     parser.add_argument(
-        "--settings-picture", type=output_file, help="PNG or SVG: errors by numerical setting"
+        "--settings-picture", type=output_picture, help="PNG or SVG: errors by numerical setting"
     )
     parser.add_argument(
         "--only-failures",
@@ -92,8 +94,6 @@ def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
         "strip": arguments.strip_picture,
         "settings": arguments.settings_picture,
     }
-    for path in given.values():
-        check_picture(path)
     return {name: path for name, path in given.items() if path}
 
 

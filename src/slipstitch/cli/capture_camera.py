@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture, flag, output_path, refuse, require
+from slipstitch.cli.options import flag, output_path, refuse, require
 
 SUMMARY = "calibrate a camera from images or a video of a checkerboard or ChArUco board"
 EXAMPLE = (
@@ -53,10 +53,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--thickness-mm", type=float, help="height of the board's face above the floor (default: 0)"
     )
     parser.add_argument(
-        "--out", required=True, type=output_path, metavar="FILE", help="camera file"
+        "--out", required=True, type=output_path(".json"), metavar="FILE", help="camera file"
     )
     parser.add_argument(
-        "--picture", type=output_path, metavar="FILE", help="the residuals (PNG or SVG)"
+        "--picture",
+        type=output_path(".png", ".svg"),
+        metavar="FILE",
+        help="the residuals (PNG or SVG)",
     )
 
 
@@ -66,7 +69,6 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.capture.camera.calibration_files import calibrate_to_file
     from slipstitch.capture.camera.lens_calibration import FloorPlace
 
-    check_picture(arguments.picture)
     for name in ("place_mm", "angle_deg", "thickness_mm"):
         if getattr(arguments, name) is not None:
             require(arguments, ["stage_view"], flag(name))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import add_instrument, check_picture, output_path
+from slipstitch.cli.options import add_instrument, output_path
 
 SUMMARY = "check whether the pose of a camera is in the training range of an instrument"
 EXAMPLE = (
@@ -24,7 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="camera file written by slipstitch capture camera",
     )
     add_instrument(parser)
-    parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
+    parser.add_argument(
+        "--picture", type=output_path(".png", ".svg"), metavar="FILE", help="PNG or SVG"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -32,7 +34,6 @@ def run(arguments: argparse.Namespace) -> int:
     from slipstitch.measure.camera_check import check_camera, check_figure
     from slipstitch.page.figures import save_figure
 
-    check_picture(arguments.picture)
     check = check_camera(arguments.camera, arguments.model, arguments.config)
     if arguments.picture:
         save_figure(check_figure(check), arguments.picture, arguments.picture.suffix[1:])

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from slipstitch.cli.options import check_picture, output_path
+from slipstitch.cli.options import output_path
 
 SUMMARY = "compute the friction of each fabric and substrate from slip angles on an inclined plane"
 EXAMPLE = (
@@ -22,17 +22,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "bench_error_deg (the largest error of the bench's angle)",
     )
     parser.add_argument(
-        "--out", required=True, type=output_path, metavar="FILE", help="CSV, one row per pair"
+        "--out",
+        required=True,
+        type=output_path(".csv"),
+        metavar="FILE",
+        help="CSV, one row per pair",
     )
-    parser.add_argument("--json", type=output_path, metavar="FILE", help="JSON with all details")
-    parser.add_argument("--picture", type=output_path, metavar="FILE", help="PNG or SVG")
+    parser.add_argument(
+        "--json", type=output_path(".json"), metavar="FILE", help="JSON with all details"
+    )
+    parser.add_argument(
+        "--picture", type=output_path(".png", ".svg"), metavar="FILE", help="PNG or SVG"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Estimate, write, print one line per pair."""
     from slipstitch.capture.reference.reference_files import reference_to_files
 
-    check_picture(arguments.picture)
     for pair in reference_to_files(
         arguments.table, arguments.out, arguments.json, arguments.picture
     ):

@@ -2,9 +2,8 @@
 
 import argparse
 from functools import partial
-from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_path
+from slipstitch.cli.options import add_config, output_folder_path, output_path
 
 SUMMARY = "generate surrogate captures: simulated videos, labelled as surrogates"
 EXAMPLE = (
@@ -19,13 +18,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--bench",
-        type=Path,
+        type=output_folder_path,
         metavar="DIR",
         help="folder for camera.json, slip_angles.csv and captures.csv",
     )
     what.add_argument("--film", metavar="ID", help="simulate and render one video: c00_r01 ...")
     parser.add_argument(
-        "--out", type=output_path, metavar="FILE", help="with --film: the video (MP4)"
+        "--out", type=output_path(".mp4"), metavar="FILE", help="with --film: the video (MP4)"
     )
 
 
@@ -47,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.capture.surrogate.film import make_film
     from slipstitch.progress import progress
 
-    if not arguments.out or arguments.out.suffix != ".mp4":
+    if not arguments.out:
         raise BadInput("--film requires --out FILE.mp4")
     film = find_film(config, arguments.film)
     count = make_film(config, film, arguments.out, partial(progress, unit="frame"))

@@ -7,7 +7,14 @@ to the published results, and its summary to the file that simulations read for 
 import argparse
 import sys
 
-from slipstitch.cli.options import add_calibration, add_config, output_file, output_folder
+from slipstitch.cli.options import (
+    add_calibration,
+    add_config,
+    output_folder,
+    output_json,
+    output_named,
+    output_parquet,
+)
 
 SUMMARY = "simulate the cases of the convergence study, compare them, publish the results"
 EXAMPLE = (
@@ -32,11 +39,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     publish.set_defaults(action=_publish)
     run.add_argument("--case", required=True, help="id of the case, e.g. m05_f0300_n41_h2")
     run.add_argument(
-        "--out", type=output_file, required=True, help="Parquet file, one row per frame"
+        "--out", type=output_parquet, required=True, help="Parquet file, one row per frame"
     )
     compare.add_argument("--runs", required=True, help="folder with the files of the cases")
-    compare.add_argument("--out", type=output_file, required=True, help="JSON file")
-    compare.add_argument("--picture", type=output_file, help="PNG file")
+    compare.add_argument("--out", type=output_json, required=True, help="JSON file")
+    compare.add_argument("--picture", type=output_named(".png"), help="PNG file")
 
 
 def run(arguments: argparse.Namespace) -> None:

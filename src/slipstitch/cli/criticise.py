@@ -72,11 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
-    from slipstitch.errors import BadInput
 
     check_at_least(arguments, seed=0, replicates=50)
-    if arguments.validate and arguments.out == "-":
-        raise BadInput("--validate: needs --out FILE, which the prediction is named after")
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
         refuse(arguments, ignored, "--power")

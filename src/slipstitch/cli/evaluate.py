@@ -2,7 +2,15 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, add_threads, check_at_least, output_file, refuse
+from slipstitch.cli.options import (
+    add_config,
+    add_threads,
+    check_at_least,
+    output_json,
+    output_page,
+    output_parquet,
+    refuse,
+)
 
 SUMMARY = "evaluate the trained networks: metrics, confusion, predictions"
 EXAMPLE = (
@@ -18,13 +26,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
     parser.add_argument("--models", help="folder {split}/{network}/seed{seed}/")
     parser.add_argument("--instruments", help="folder {split}/seed{seed}/ of instruments")
-    parser.add_argument("--out", type=output_file, required=True, help="metrics.json")
+    parser.add_argument("--out", type=output_json, required=True, help="metrics.json")
     parser.add_argument(
-        "--predictions", type=output_file, required=True, help="predictions.parquet"
+        "--predictions", type=output_parquet, required=True, help="predictions.parquet"
     )
     parser.add_argument(
         "--details",
-        type=output_file,
+        type=output_json,
         help="chance level, seeds, viewpoints, confusion (default: details.json beside --out)",
     )
     add_threads(parser)
@@ -34,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="the dataset was written by `slipstitch capture ingest`",
     )
-    captures.add_argument("--page", type=output_file, help="tables and plots (HTML)")
+    captures.add_argument("--page", type=output_page, help="tables and plots (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:

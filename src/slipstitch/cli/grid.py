@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_config, output_file
+from slipstitch.cli.options import add_config, output_parquet
 
 SUMMARY = "write the table of ids and seeds"
 EXAMPLE = "slipstitch grid --config results/config.json --out results/grid.parquet"
@@ -11,7 +11,7 @@ EXAMPLE = "slipstitch grid --config results/config.json --out results/grid.parqu
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_config(parser)
-    parser.add_argument("--out", type=output_file, required=True, help="Parquet file")
+    parser.add_argument("--out", type=output_parquet, required=True, help="Parquet file")
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from slipstitch.errors import BadInput
 
-PICTURES = (".png", ".svg")
-
 
 def _refuse_target(text: str, folder: bool) -> None:
     """Refuse an output path that cannot be written, before any work is done."""
@@ -23,19 +21,12 @@ def _refuse_target(text: str, folder: bool) -> None:
         raise argparse.ArgumentTypeError(f"{text}: {above} is a file, not a folder")
 
 
-def output_file(text: str) -> str:
-    """The type of an option that names a file to write; ``-`` means the terminal."""
-    if text != "-":
-        _refuse_target(text, folder=False)
-    return text
-
-
 def output_named(*endings: str) -> Callable[[str], str]:
-    """As `output_file`, of a format: another ending of the name is refused."""
+    """The type of an option that names a file to write, of a format: other endings are refused."""
 
     def check(text: str) -> str:
-        output_file(text)
-        if text != "-" and Path(text).suffix.lower() not in endings:
+        _refuse_target(text, folder=False)
+        if Path(text).suffix.lower() not in endings:
             raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
         return text
 
@@ -45,11 +36,14 @@ def output_named(*endings: str) -> Callable[[str], str]:
 output_page = output_named(".html", ".htm")
 output_json = output_named(".json")
 output_table = output_named(".csv")
+output_parquet = output_named(".parquet")
+output_picture = output_named(".png", ".svg")
 
 
-def output_path(text: str) -> Path:
-    """The type of an option that names a file to write, as a path."""
-    return Path(output_file(text))
+def output_path(*endings: str) -> Callable[[str], Path]:
+    """As `output_named`, as a path."""
+    check = output_named(*endings)
+    return lambda text: Path(check(text))
 
 
 def output_folder(text: str) -> str:
@@ -151,9 +145,3 @@ def _given(arguments: argparse.Namespace, name: str) -> bool:
 def flag(name: str) -> str:
     """An option as on the command line; the shards have none."""
     return "image shards" if name == "shards" else f"--{name.replace('_', '-')}"
-
-
-def check_picture(path: str | Path | None) -> None:
-    """Refuse a picture's name without a known format."""
-    if path and Path(path).suffix not in PICTURES:
-        raise BadInput(f"{path}: the name of a picture must end in {' or '.join(PICTURES)}")

@@ -39,13 +39,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=output_path,
+        type=output_path(".parquet", ".json"),
         metavar="FILE",
         help="image shard to write (Parquet); with --verify: comparisons (JSON)",
     )
     halves = parser.add_argument_group("in two steps: shading in Blender, then textures without it")
     halves.add_argument(
-        "--shading", type=output_path, metavar="FILE", help="write a shading pack instead of images"
+        "--shading",
+        type=output_path(".parquet"),
+        metavar="FILE",
+        help="write a shading pack instead of images",
     )
     halves.add_argument(
         "--from-shading",
@@ -75,9 +78,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     previews = parser.add_argument_group("previews of finished shards, without Blender")
     previews.add_argument("--preview", action="store_true", help="write previews of SHARDS")
     previews.add_argument(
-        "--out-sheet", type=output_path, metavar="FILE", help="contact sheet (PNG)"
+        "--out-sheet", type=output_path(".png"), metavar="FILE", help="contact sheet (PNG)"
     )
-    previews.add_argument("--out-video", type=output_path, metavar="FILE", help="video (MP4)")
+    previews.add_argument(
+        "--out-video", type=output_path(".mp4"), metavar="FILE", help="video (MP4)"
+    )
     previews.add_argument("shards", type=Path, nargs="*", metavar="SHARDS", help="image shards")
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.cli.options import add_calibration, add_config, output_named, refuse
+from slipstitch.cli.options import add_calibration, add_config, output_parquet, refuse
 
 SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
 EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
@@ -12,7 +12,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--out",
-        type=output_named(".parquet"),
+        type=output_parquet,
         required=True,
         nargs="+",
         help="Parquet file, one row per frame; one file per simulation",
@@ -54,28 +54,30 @@ def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; print one line per result."""
     from slipstitch.config.section import FRICTION_MAX
     from slipstitch.errors import BadInput
-    from slipstitch.simulate.drop_and_drag import DropAndDrag
-    from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
 
     by_hand = arguments.material is not None and arguments.friction is not None
     if arguments.simulation is not None:
         refuse(arguments, ("material", "friction", "seed"), "--simulation")
+        if not arguments.config:
+            raise BadInput("--simulation requires --config")
     elif not by_hand:
         raise BadInput("give either --material and --friction, or --simulation with --config")
+    elif not 0 <= arguments.friction <= FRICTION_MAX:
+        raise BadInput(
+            f"--friction {arguments.friction:g}: must lie between 0 and {FRICTION_MAX:g}"
+        )
+    seed = arguments.seed or 0
+    if seed < 0:
+        raise BadInput(f"--seed {seed}: must be at least 0")
     config = _configuration(arguments, by_hand)
+
+    from slipstitch.simulate.drop_and_drag import DropAndDrag
+    from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
+
     if by_hand:
-        seed = arguments.seed or 0
-        if seed < 0:
-            raise BadInput(f"--seed {seed}: must be at least 0")
-        if not 0 <= arguments.friction <= FRICTION_MAX:
-            raise BadInput(
-                f"--friction {arguments.friction:g}: must lie between 0 and {FRICTION_MAX:g}"
-            )
         runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
-    elif arguments.config:
-        runs = runs_of_the_grid(config, arguments.simulation)
     else:
-        raise BadInput("--simulation requires --config")
+        runs = runs_of_the_grid(config, arguments.simulation)
     if len(runs) != len(arguments.out):
         raise BadInput(
             f"{len(arguments.out)} files in --out for {len(runs)} simulations: must be one each"
