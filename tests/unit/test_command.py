@@ -287,7 +287,7 @@ BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--o
             ["render", "--from-shading", "p", "--packs", "d"],
             "--packs cannot be combined with --from",
         ),
-        (["render", "--shading", "p", "--out", "x"], "--out cannot be combined with --shading"),
+        (["render", "--shading", "p.parquet", "--out", "x.json"], "--out cannot be combined with --shading"),
         (
             [
                 "evaluate",
@@ -299,11 +299,11 @@ BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--o
                 "--models",
                 "m",
                 "--out",
-                "o",
+                "o.json",
                 "--predictions",
-                "p",
+                "p.parquet",
                 "--details",
-                "d",
+                "d.json",
             ],
             "--details cannot be combined with --captures",
         ),

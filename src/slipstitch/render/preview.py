@@ -96,8 +96,6 @@ def preview(
 
     record = provenance_record("render", inputs=shards, started=started)
     if sheet is not None:
-        if Path(sheet).suffix != ".png":
-            raise BadInput(f"{sheet}: the name of a contact sheet must end in .png")
         times = [common[k] for k in _evenly(len(common), _SHEET_COLUMNS)]
         middle = common[len(common) // 2]
         rows = [[image(s, all_[0], v, n) for n in times] for (s, v), all_ in textures.items()]
@@ -107,8 +105,6 @@ def preview(
         with recorded_path(sheet, record) as temporary:
             temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
     if video is not None:
-        if Path(video).suffix != ".mp4":
-            raise BadInput(f"{video}: the name of a video must end in .mp4")
         pictures = (
             _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
         )
