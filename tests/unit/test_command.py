@@ -287,7 +287,10 @@ BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--o
             ["render", "--from-shading", "p", "--packs", "d"],
             "--packs cannot be combined with --from",
         ),
-        (["render", "--shading", "p.parquet", "--out", "x.json"], "--out cannot be combined with --shading"),
+        (
+            ["render", "--shading", "p.parquet", "--out", "x.json"],
+            "--out cannot be combined with --shading",
+        ),
         (
             [
                 "evaluate",

@@ -25,10 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the verdict as an HTML page, or as Markdown without pictures",
     )
     parser.add_argument(
-        "--picture",
-        type=output_named(".svg"),
-        metavar="FILE",
-        help="what is left over, drawn, as SVG",
+        "--picture", type=output_named(".svg"), metavar="FILE", help="plot of the residuals, as SVG"
     )
     parser.add_argument(
         "--model",
@@ -47,9 +44,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--validate",
         metavar="NEW_CASE",
-        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest), then "
-        "score it by what was measured (OUT.validation.json); a prediction that was locked "
-        "before is kept, and a case without measured values is only predicted",
+        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest) and "
+        "score it with the measured values (OUT.validation.json); a prediction locked earlier is "
+        "kept, and a case without measured values is only predicted",
     )
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
@@ -57,8 +54,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--power",
         action="store_true",
-        help="say what the design could show, before it is measured: run tables only are read, "
-        "and --out has the smallest detectable effect of every mechanism",
+        help="power analysis of a design before the measurement: only run tables are read; --out "
+        "contains the smallest detectable effect of every mechanism",
     )
     parser.add_argument(
         "--replicates",

@@ -4,7 +4,7 @@ import argparse
 
 from slipstitch.cli.options import add_config, output_folder
 
-SUMMARY = "write scores, curves, page, costs, models and origin of a run to a small folder"
+SUMMARY = "copy scores, curves, page, costs, models and provenance of a run to a small folder"
 EXAMPLE = (
     "slipstitch publish --config results/config.json --results results "
     "--out-dir results/published/demo"
@@ -16,12 +16,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
     parser.add_argument(
-        "--out-dir", type=output_folder, required=True, help="folder; replaced as a whole"
+        "--out-dir", type=output_folder, required=True, help="folder; replaced entirely"
     )
     parser.add_argument(
         "--partial",
         action="store_true",
-        help="publish a run that is not finished, marked so on every page",
+        help="publish an unfinished run; every page is marked as partial",
     )
 
 

@@ -21,21 +21,21 @@ def limits(
         What the page says of them.
     """
     if captures is None:
-        real = "No video of a real cloth was measured: every score is of simulated videos."
+        real = "No video of a real cloth was measured: every score is for simulated videos."
     elif not captures["real"]:
         real = "No video of a real cloth was measured: the captures are surrogates, simulated too."
     else:
         real = (
-            "Real videos are those of one bench; scores of simulated videos do not hold for them."
+            "All real videos are from one bench; scores for simulated videos do not apply to them."
         )
     grid = config.grid
     said = [
         real,
         f"The networks know {counted(len(grid.materials), 'fabric')} and friction from "
-        f"{grid.frictions[0]:g} to {grid.frictions[-1]:g}, in one protocol; nothing outside was "
-        "tried unless a table says so.",
-        "Every simulation obeys Coulomb friction with one coefficient; what measured data say "
-        "against that is in the section on what the simulation gets wrong.",
+        f"{grid.frictions[0]:g} to {grid.frictions[-1]:g}, in one protocol; nothing else was "
+        "tested unless a table says so.",
+        "Every simulation obeys Coulomb friction with one coefficient; the section on what "
+        "the simulation gets wrong shows what measured data say against that.",
     ]
     simulations = (headline or {}).get("simulations")
     if simulations and simulations < FEW_SIMULATIONS:
@@ -45,6 +45,6 @@ def limits(
         )
     if len(config.train.seeds) == 1:
         said.append(
-            "Every network was trained once: how much chance moves the scores is not known."
+            "Every network was trained once: the spread of its scores over seeds is unknown."
         )
     return said
