@@ -211,6 +211,8 @@ def test_a_study_is_described_and_drawn():
 
 def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_convergence():
     runs = {name: made_up_run() for name in ("m09_f0500_n9_h0", "m09_f0500_n9_h2")}
+    late = describe(CONFIG, runs | {"m09_f0500_n9_h0": made_up_run(late_s=0.5)})["summary"][0]
+    assert late["time_step"]["verdict"].startswith("converged but") and late["verdict"] is None
     study = describe(CONFIG, runs)
     assert len(study["missing"]) == len(cases(CONFIG)) - 2
     (row,) = study["summary"]

@@ -335,7 +335,7 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
         row["verdict"] = worst_verdict([found["verdict"] for found in studied])
-        if len(studied) < 2 and row["verdict"] == CONVERGED:
+        if len(studied) < 2 and row["verdict"] != NOT_CONVERGED:
             row["verdict"] = None  # what was not studied may speak against it
     return list(rows.values())
 
