@@ -107,3 +107,61 @@ def test_remembered_predictions_are_those_that_would_be_made_anew(tmp_path):
             changed.add(name)
         remembering.predict({p.name: p.null for p in parameters}, ())
     assert changed == set(MECHANISMS)
+
+
+@pytest.fixture
+def drag_plan():
+    """A campaign of drags without effects."""
+    for seed in range(2, 300):
+        plan = draw_plan(seed, "single", False)
+        if "drag" in plan.protocols:
+            plan.effects = {}
+            return plan
+    raise AssertionError
+
+
+@pytest.mark.parametrize("lost", ["turn", "fall"])
+def test_what_happened_while_no_reading_was_taken_is_not_guessed(lost, drag_plan, tmp_path):
+    write(drag_plan, tmp_path)
+    case = read_case(tmp_path)
+    trace = case.tables["drag"]
+    runs = pd.unique(trace["run_id"])[::3]
+    turn = trace["x_stage_mm"].max()
+    back = (trace["stroke"] == 1) & trace["run_id"].isin(runs)
+    if lost == "turn":
+        near = trace["run_id"].isin(runs) & (trace["x_stage_mm"] > turn - 2.0)
+    else:  # all of the fall
+        off = trace["force_mN"] > trace.groupby("run_id")["force_mN"].transform("min") * 0.8
+        near = back & off & (trace["x_stage_mm"] < turn - 0.2)
+    case.tables["drag"] = trace[~near]
+    m = assemble(case)
+    values = {"mu_face": np.log(drag_plan.mu_face), "mu_edge": np.log(drag_plan.mu_edge)}
+    z = (m.y - m.predict(values, ())) / (m.u * drag_plan.understated)
+    own = z[(m.rows["quantity"] == "lost_motion_mm") & (m.protocol == "drag")]
+    assert len(own) >= 5
+    assert np.abs(own).max() < 4.5
+
+
+def test_a_first_reading_far_off_moves_no_ramp(drag_plan, tmp_path):
+    write(drag_plan, tmp_path)
+    case = read_case(tmp_path)
+    trace = case.tables["drag"]
+    first = ~trace.duplicated("run_id")
+    # A late stage: the force rests before it rises, but for one reading that is far off.
+    noise = float(case.tables["drag_runs"]["u_force_mN"].iloc[0])
+    out = trace["stroke"] == 0
+    trace.loc[out, "x_stage_mm"] += 2.0
+    rest = [
+        trace[first].assign(x_stage_mm=x, force_mN=-9 * noise if x == 0 else 0.0)
+        for x in np.arange(0, 2.0, 0.25)
+    ]
+    case.tables["drag"] = pd.concat([*rest, trace], ignore_index=True).sort_values(
+        ["run_id", "stroke"], kind="stable"
+    )
+    m = assemble(case)
+    values = {"mu_face": np.log(drag_plan.mu_face), "mu_edge": np.log(drag_plan.mu_edge)}
+    expected = m.predict(values, (), {"stage_zero_m": 2e-3})
+    z = (m.y - expected) / (m.u * drag_plan.understated)
+    own = z[(m.rows["quantity"] == "relaxed_mN") & (m.protocol == "drag")]
+    assert len(own) >= 5
+    assert np.abs(own).max() < 4.5

@@ -145,9 +145,17 @@ def features(tables, nominal, measured) -> DragBlock | None:
         # Where readings come at odd times, the first one is not always that of the start.
         starts = [out["x_stage_mm"].iloc[0] for out, _ in pairs if len(out)]
         start = min(starts, default=None)
+        turns = [
+            max(part["x_stage_mm"].max() for part in p if len(part))
+            for p in pairs
+            if any(map(len, p))
+        ]
+        turn = max(turns, default=None)
+        if turn is not None and turn - np.median(turns) > np.median(steps or [0.0]):
+            turn = None
         texture = pooled_texture(plateaus, float(np.median(steps)) if steps else 1.0)
         for i, (out, back) in enumerate(pairs):
-            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture, start)
+            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture, start, turn)
             lines += [(i, quantity, feature) for quantity, feature in own.items()]
     if not lines:
         return None

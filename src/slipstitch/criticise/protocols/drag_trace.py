@@ -16,6 +16,10 @@ TEXTURE_ROUNDS = 4
 FEWEST_OF_FALL = 5
 # Of the way left after the slip, which the force takes to settle.
 SETTLED_SHARE = 0.1
+# Samples further apart, in medians of their distance, hide what happened between them.
+GAP = 2.5
+# Places at which the start of a fall is tried.
+FALL_PLACES = 201
 
 
 @dataclass(frozen=True)
@@ -146,8 +150,10 @@ def _ramp(x, force, level, threshold, spring_mN_mm) -> _Ramp:
     def on_line(readings: np.ndarray) -> _Ramp:
         return _Ramp(readings, float(np.mean(force[readings] - spring_mN_mm * x[readings])))
 
-    low = _first_lasting(force > force[0] + threshold)
-    high = _first_lasting(force > force[0] + 0.6 * (level - force[0]))
+    # One reading alone may be far off.
+    rest = float(np.median(force[: _first_lasting(force > 0.15 * level) or 1]))
+    low = _first_lasting(force > rest + threshold)
+    high = _first_lasting(force > rest + 0.6 * (level - rest))
     if low is None or high is None or not low or (force[:low] > 0.6 * level).any():
         readings = np.flatnonzero(x < 0.6 * max(level, 2 * threshold) / spring_mN_mm)
         readings = readings[readings < max(2 * len(readings), 2)]
@@ -173,6 +179,7 @@ def trace_features(
     u: float,
     texture: Texture,
     start_mm: float | None = None,
+    turn_mm: float | None = None,
 ) -> dict[str, Feature]:
     """Features of one run by quantity.
 
@@ -183,6 +190,8 @@ def trace_features(
     start_mm
         Where the stage of all runs starts; a run that was first read further off than a sample
         started at its own first reading.
+    turn_mm
+        Where it turns, if that is the same in all runs.
     """
     features: dict[str, Feature] = {}
     x, force = out["x_stage_mm"].to_numpy(), out["force_mN"].to_numpy()
@@ -223,18 +232,19 @@ def trace_features(
             return features
     grid = slope * (x[first] - x[first - 1])
     error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * level) ** 2)
-    features["force_first_slip_mN"] = Feature(
-        float(force[first - 1] + 0.5 * grid),
-        float(error),
-        float(grid),
-        float(offset + slope * x[first]),
-    )
+    if x[first] - x[first - 1] < GAP * step:
+        features["force_first_slip_mN"] = Feature(
+            float(force[first - 1] + 0.5 * grid),
+            float(error),
+            float(grid),
+            float(offset + slope * x[first]),
+        )
     reach = x[-1] - x[first]
     settled = x > x[first] + max(2 * texture.length_mm, 3 * step, SETTLED_SHARE * reach)
     if settled.sum() >= 5:
         features["force_plateau_mN"] = _plateau(x[settled], force[settled], u, texture)
     if len(back) >= 8 and "force_plateau_mN" in features:
-        features |= _reversal(out, back, slope, u, texture, level)
+        features |= _reversal(out, back, slope, u, texture, level, turn_mm)
     return features
 
 
@@ -249,12 +259,32 @@ def _first_lasting(flags: np.ndarray) -> int | None:
     return int(np.argmax(lasting)) if lasting.any() else None
 
 
-def _reversal(out, back, slope, u, texture, level) -> dict[str, Feature]:
+def _start_of_fall(travel, force, start, late, slope, u) -> tuple[float, float]:
+    """Where the force begins to fall from ``start`` to ``late``, and its standard deviation.
+
+    Of the two readings on either side of the middle, by their likelihood: one that is not on the
+    fall says only that it has not begun, or has ended.
+    """
+    half = 0.5 * (start - late)
+    fall = 2 * half / slope
+    places = np.linspace(travel[0] - 0.5 * fall, travel[1] - 0.5 * fall, FALL_PLACES)
+    expected = start - np.clip(slope * (travel - places[:, None]), 0.0, 2 * half)
+    badness = 0.5 * (((force - expected) / u) ** 2).sum(axis=1)
+    weights = np.exp(badness.min() - badness)
+    mean = np.average(places, weights=weights)
+    return float(mean), float(np.sqrt(np.average((places - mean) ** 2, weights=weights)))
+
+
+def _reversal(out, back, slope, u, texture, level, turn_mm) -> dict[str, Feature]:
     features: dict[str, Feature] = {}
+    last, first = float(out["x_stage_mm"].iloc[-1]), float(back["x_stage_mm"].iloc[0])
     turn = max(float(out["x_stage_mm"].max()), float(back["x_stage_mm"].max()))
+    step = float(np.median(np.abs(np.diff(back["x_stage_mm"])))) or 1e-6
+    seen = abs(last - first) < GAP * step
+    if turn_mm is not None:
+        turn, seen = turn_mm, turn_mm - turn < GAP * step
     travel = turn - back["x_stage_mm"].to_numpy()
     force = back["force_mN"].to_numpy()
-    step = float(np.median(np.abs(np.diff(travel)))) or 1e-6
     tail = out["force_mN"].to_numpy()[-2:]
     start = float(tail.mean())
     start_error = np.hypot(u, texture.relative_sd * level * np.sqrt(step / texture.length_mm))
@@ -272,26 +302,24 @@ def _reversal(out, back, slope, u, texture, level) -> dict[str, Feature]:
     samples = 2 * half / (slope * step)
     falling = np.abs(force - middle) < 0.75 * half
     falling &= np.abs(np.arange(len(force)) - crossing) <= samples
-    # A fall of few samples says where motion was lost by its level alone.
     few = samples < FEWEST_OF_FALL or falling.sum() < 3
     if few:
-        falling = np.isin(np.arange(len(force)), [crossing - 1, crossing])
-        falling &= (force < start) & (force > late)
-        if not falling.any():
-            return features
+        if crossing and seen:
+            two = slice(crossing - 1, crossing + 1)
+            lost, error = _start_of_fall(travel[two], force[two], start, late, slope, u)
+            error = np.hypot(error, start_error / slope)
+            features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
+        return features
     along, drop = travel[falling], force[falling]
     centre, spread = along.mean(), float(((along - along.mean()) ** 2).sum())
-    own_slope = not few and len(along) >= 5
+    own_slope = len(along) >= 5
     if own_slope:  # the fall's own slope: over its length a small error of it adds up
         slope = -float(((along - centre) * drop).sum() / spread)
     lost = float(centre + (drop.mean() - start) / slope)
     own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if own_slope else 0.0)
     error = np.sqrt(u**2 * own + start_error**2) / slope
-    if few:  # the samples on the fall are on it by chance
-        error = np.hypot(error, step / np.sqrt(12))
-    features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
-    if few:
-        return features
+    if seen:
+        features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
     line = start - slope * (travel - lost)
     away = (force - line > DEPARTURE_NOISES * u) & (np.arange(len(force)) > crossing)
     first = _first_lasting(away)
