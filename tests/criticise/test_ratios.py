@@ -5,10 +5,11 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.inference import structure
 from slipstitch.criticise.inference.clusters import Clusters, log_likelihood
 from slipstitch.criticise.inference.covariance import Group, Scatter
 from slipstitch.criticise.inference.outliers import fit_without_outliers
-from slipstitch.criticise.inference.ratio import run_tests
+from slipstitch.criticise.inference.ratio import Ratios, run_tests
 from slipstitch.criticise.measurements import assemble
 
 
@@ -92,3 +93,20 @@ def test_the_whitening_is_a_root_of_the_inverse_covariance(group):
         for run in group.run
     ]
     assert np.allclose(root.information_of_runs(), wanted, rtol=1e-9)
+
+
+def test_a_mechanism_that_cannot_be_negative_is_no_evidence_the_other_way(group):
+    rng = np.random.default_rng(8)
+    other = Group("strip", 36 + group.index, group.u, group.sensitivity, group.specimen, group.run)
+    column = np.tile(rng.normal(size=(36, 1)), (2, 1))
+    base = np.tile(group.sensitivity, 2)[:, None]
+    scatters = dict.fromkeys(("drag", "strip"), Scatter(0.05, 0.03, 1.2))
+    tests = [structure.Test(column, one_sided=added) for added in (False, True)]
+    with_it, against_it = (
+        Ratios(tests, base, sign * column[:, 0], [group, other], scatters).observed()
+        for sign in (1.0, -1.0)
+    )
+    assert (with_it > 50).all()
+    np.testing.assert_allclose(with_it[:, 1], with_it[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(against_it[:, 0], with_it[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(against_it[:, 1], 0.0, atol=1e-9)

@@ -83,7 +83,12 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
             )
             continue
         nuisance = nuisance_columns(measurements, unrecorded & keep, sensitivity)
-        tests += [Test(columns, nuisance, mechanism=name) for columns in column_values]
+        parameters = mechanism.tested_parameters()
+        one_sided = len(parameters) == 1 and parameters[0].lower == parameters[0].null
+        tests += [
+            Test(columns, nuisance, mechanism=name, one_sided=one_sided)
+            for columns in column_values
+        ]
     usable = keep & (sensitivity != 0) & measurements.of_friction
     for shape in generic_shapes(measurements.rows, usable):
         column = measurements.rows[shape.covariate]

@@ -157,6 +157,7 @@ class Ratios:
         self.size = np.where(size > 0, size, 1.0)
         columns = columns / self.size
         self.tests, self.residual = tests, residual
+        self.one_sided = np.array([test.one_sided for test in tests], bool)
         self.ridge = np.zeros(position)
         self.ridge[self.shrunken] = 1.0
         self.protocols = [
@@ -255,6 +256,7 @@ class Ratios:
                 left = score - beside.carried[g].T @ pulled
                 for tests, own, basis in zip(each.tests, each.own, beside.bases, strict=True):
                     along = basis[g].transpose(0, 2, 1) @ left[own]
+                    along[self.one_sided[tests]] = np.maximum(along[self.one_sided[tests]], 0.0)
                     value = null + 0.5 * (along**2).sum(axis=1)
                     better = value > best[tests]
                     best[tests] = np.where(better, value, best[tests])
@@ -275,7 +277,7 @@ class Ratios:
             grams = [p.rows[:, each.base] for p in self.protocols]
             start = self._null_scatters(found, [f.null_choice[k] for f in found], base, grams)
 
-            def value(choices, own=None, blocks=None, base=base, grams=grams):
+            def value(choices, own=None, blocks=None, added=False, base=base, grams=grams):
                 index = base if own is None else np.r_[base, own]
                 gram, score, bare = 0.0, 0.0, 0.0
                 for p, (choice, f) in enumerate(zip(choices, found, strict=True)):
@@ -287,7 +289,7 @@ class Ratios:
                     gram = gram + whole[choice]
                     score = score + f.scores[choice[:, None], index[None, :], every[:, None]]
                     bare = bare + f.bare[choice, every]
-                return bare + 0.5 * _solved(gram, score, self.ridge[index])
+                return bare + 0.5 * _solved(gram, score, self.ridge[index], added)
 
             null = value(start)
             for j, (tests, columns) in enumerate(zip(each.tests, each.own, strict=True)):
@@ -296,7 +298,10 @@ class Ratios:
                         continue
                     blocks = [p.blocks[k][j][:, t] for p in self.protocols]
                     under = [f.choice[number] for f in found]
-                    best = np.maximum(value(under, own, blocks), value(start, own, blocks))
+                    added = self.one_sided[number]
+                    best = np.maximum(
+                        value(under, own, blocks, added), value(start, own, blocks, added)
+                    )
                     result[number] = 2 * (best - null)
         return result
 
@@ -358,14 +363,22 @@ def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
     return vectors * weight[..., None, :] / size[..., :, None]
 
 
-def _solved(gram, score, ridge):
-    """s' (G + ridge)^-1 s of stacks (b, k, k), (b, k); columns that are not there do not count."""
+def _solved(gram, score, ridge, added=False):
+    """s' (G + ridge)^-1 s of stacks (b, k, k), (b, k); columns that are not there do not count.
+
+    ``added``: the last column may only be added.
+    """
     own = gram + np.diag(ridge)
     size = np.sqrt(np.maximum(np.einsum("bii->bi", own), 1e-300))
     scaled = own / size[:, :, None] / size[:, None, :]
     scaled = scaled + 1e-8 * np.eye(gram.shape[1])
     pulled = score / size
-    return np.einsum("bk,bk->b", pulled, np.linalg.solve(scaled, pulled[:, :, None])[:, :, 0])
+    found = np.linalg.solve(scaled, pulled[:, :, None])[:, :, 0]
+    value = np.einsum("bk,bk->b", pulled, found)
+    if added and (found[:, -1] < 0).any():
+        without = _solved(gram[:, :-1, :-1], score[:, :-1], ridge[:-1])
+        value = np.where(found[:, -1] < 0, without, value)
+    return value
 
 
 def run_tests(

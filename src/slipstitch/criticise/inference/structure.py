@@ -26,6 +26,7 @@ class Test:
     scanned : one of a row of shapes that differ by their place or period.
     spanned : its columns are combinations of other tests' columns.
     protocol : in which it is looked for; None: in all of them together.
+    one_sided : its one column may only be added: a mechanism that cannot be negative.
     """
 
     columns: np.ndarray
@@ -36,6 +37,7 @@ class Test:
     scanned: bool = False
     spanned: bool = False
     protocol: str | None = None
+    one_sided: bool = False
 
     @property
     def family(self) -> str:
@@ -109,7 +111,9 @@ def outcome_of(
     replicates = len(simulated)
     usable = degrees > 0
     safe = np.maximum(degrees, 1)
-    inflation = np.maximum(simulated.mean(axis=0) / safe, SMALLEST_INFLATION)
+    # Half of the data sets pull a column that may only be added the other way.
+    usual = safe * np.where([test.one_sided for test in tests], 0.5, 1.0)
+    inflation = np.maximum(simulated.mean(axis=0) / usual, SMALLEST_INFLATION)
     log_p = _minus_log10(observed / inflation, safe)
     log_null = _minus_log10(simulated / inflation, safe[None, :])
     log_p = np.where(usable, log_p, -np.inf)
