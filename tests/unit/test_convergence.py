@@ -177,6 +177,15 @@ def test_an_edge_that_stops_a_little_short_has_not_slipped_at_another_time(
         assert found["shift_s"] == (shift_s if shift_s is None else pytest.approx(shift_s, abs=0.1))
 
 
+def test_an_edge_that_is_thrown_and_falls_back_has_not_slipped():
+    run = made_up_run()
+    lower = run.uv[:, 1] == 1
+    run.positions_m[:, lower, 0] = 7e-3 * (np.abs(run.time_s - 12) < 0.15)[:, None]
+    assert events(run)["slip"] is None
+    run.positions_m[np.ix_(run.time_s > 14, lower, [0])] = 3e-3
+    assert events(run)["slip"] == pytest.approx(14, abs=0.11)
+
+
 def test_a_run_without_a_roll_over_has_no_flip():
     assert events(made_up_run(late_s=100.0))["flip"] is None
 

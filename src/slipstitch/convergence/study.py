@@ -56,8 +56,8 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
     Returns
     -------
     dict
-        ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: it has been
-        dragged 2 mm along the floor since the stroke began. ``flip``: the cloth rolls over, its
+        ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it
+        is 2 mm or more from where it lay as the stroke began. ``flip``: the cloth rolls over, its
         vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
         the stage; the moment when that is fastest. Those of a second stroke are ``slip 2``,
         ``flip 2``, and so on.
@@ -68,7 +68,7 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
         found[f"slip{number}"], found[f"flip{number}"] = None, None
         if len(time_s[part]) < 2:
             continue
-        found[f"slip{number}"] = _first(time_s[part], _dragged_m(run, part) - SLIP_M)
+        found[f"slip{number}"] = _for_good(time_s[part], _dragged_m(run, part) - SLIP_M)
         places = run.positions_m[part].astype(float)
         places[..., 0] -= run.stage_x_m[part, None]
         travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1)
@@ -114,7 +114,7 @@ def _slip_shifts(first: Trajectory, second: Trajectory) -> dict[str, float]:
         if len(time_s) < 2:
             continue
         beyond = [_dragged_m(run, part) - SLIP_M for run in (first, second)]
-        slips_s = [_first(time_s, one) for one in beyond]
+        slips_s = [_for_good(time_s, one) for one in beyond]
         for sign, one, other in ((1.0, 0, 1), (-1.0, 1, 0)):
             moments_s = [*time_s[np.abs(beyond[other]) <= SLIP_UNSURE_M], slips_s[other]]
             shifts_s = [
@@ -254,6 +254,13 @@ def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
         later_s[here] = (shift + part) * frame_s
         bend[here] = np.maximum(second_difference[there], second_difference[there + 1]) / 8
     return least, later_s, bend
+
+
+def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
+    """Interpolated time from which on a value is positive."""
+    not_yet = np.flatnonzero(value <= 0)
+    begun = int(not_yet[-1]) if len(not_yet) else 0
+    return _first(time_s[begun:], value[begun:])
 
 
 def _shift(time_s: float | None, finest_s: float | None) -> float | None:
