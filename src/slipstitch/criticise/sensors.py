@@ -64,7 +64,8 @@ ZEROS: Mapping[str, Zero] = MappingProxyType({zero.field: zero for zero in _ENTR
 class DataFinding:
     """Something clearly wrong with the data of one sensor.
 
-    ``kind`` is ``zero`` or ``scale`` (``size`` in ``unit``), or ``noise`` (times what was stated).
+    ``kind`` is ``zero`` or ``scale`` (``size`` in ``unit``), or ``noise`` (``size`` times what was
+    stated).
     """
 
     protocol: str
