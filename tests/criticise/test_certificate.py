@@ -32,4 +32,6 @@ def test_a_design_says_before_it_is_measured_what_it_could_show(tmp_path):
     table.write_text("\n".join(lines) + "\n")
     all_ = of_design(assemble(read_case(tmp_path, False), False), SIGNIFICANCE, 1, 100)
     assert all_["nap"].size < few["nap"].size
+    for found in [*few.values(), *all_.values()]:
+        assert np.isinf(found.size) or found.on_friction < np.log(10)
     assert np.isinf(all_["backlash"].size) if "backlash" in all_ else True

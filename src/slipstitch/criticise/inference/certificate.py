@@ -23,6 +23,9 @@ from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 
 POWER = 0.8
+# Logarithm of the largest change of friction for which an effect counts as one that could be seen:
+# none is known to change it tenfold, and tests that are linear in the effect say nothing there.
+LARGEST_CHANGE = np.log(10.0)
 # Of a campaign that is still to be made.
 USUAL_SCATTER = Scatter(0.05, 0.03, 1.2)
 
@@ -66,6 +69,7 @@ def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str
             size = float(steps * parameter.scale)
             relative = np.abs(test.columns[acting]) / np.abs(sensitivity[acting])[:, None]
             change = float(steps * relative.max(initial=0.0))
+            size = size if change < LARGEST_CHANGE else np.inf
         known = found.get(test.mechanism)
         if known is None or size < known.size:
             found[test.mechanism] = Detectable(parameter.name, size, parameter.unit, change)
