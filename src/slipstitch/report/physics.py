@@ -110,7 +110,7 @@ def convergence(results: Results) -> dict[str, Any] | None:
                         "shifted": quantity(found["shifted_mean_m"], 1e3, "mm", 2),
                         "shift": quantity(found["event_shift_s"], 1.0, "s", 2),
                         "missing": ", ".join(found["events_missing"]),
-                        "verdict": found.get("verdict") or _old_verdict(found, study),
+                        "verdict": found["verdict"],
                     }
                 )
     return {
@@ -127,12 +127,6 @@ def _simulated_with(results: Results) -> SimulationSettings:
     """The configured settings, with those that the calibration chose."""
     chosen = (results.calibration() or {}).get("settings", {})
     return results.config.simulation.model_copy(update=chosen)
-
-
-def _old_verdict(found: Mapping[str, Any], study: Mapping[str, Any]) -> str:
-    """Of a study that was published before it had words for events."""
-    demand_m = study["settings"]["convergence"]["mean_distance_m"]
-    return "converged" if found["mean_largest_m"] <= demand_m else "not converged"
 
 
 def _refinement(kind: str, finest: str) -> str:
