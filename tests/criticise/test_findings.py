@@ -31,18 +31,6 @@ def test_a_stage_that_starts_late_and_turns_early_is_said_and_nothing_blamed(tmp
     assert low < 1.2 < high
 
 
-def test_a_contact_camera_of_a_wrong_scale_is_said_and_nothing_blamed(tmp_path):
-    def spoil(frames):
-        frames["contact_len_mm"] *= 1.05
-
-    analysis = judged(tmp_path, spoil)
-    assert analysis.verdict == "none"
-    (found,) = analysis.data_findings
-    assert found.quantity == "scale of the contact length"
-    low, high = found.ci95
-    assert low < 0.05 < high
-
-
 def test_noise_of_one_quantity_is_a_finding(tmp_path):
     def spoil(frames):
         frames["contact_len_mm"] += 2.5 * np.random.default_rng(3).standard_normal(len(frames))

@@ -93,12 +93,9 @@ class Measurements:
     def zero_columns(self) -> np.ndarray:
         """(n, z) what each zero does to the features when it is one usual size off.
 
-        Sensors add their zeros to what they read, or a share of it: the columns do not depend on
-        the model.
+        Sensors add their zeros to what they read: the columns do not depend on the model.
         """
         values = {p.name: p.null for p in self.null_parameters}
-        plain = self.predict(values, ())
-        read = np.where(np.isfinite(self.y), self.y, plain)
         columns = np.zeros((len(self.y), len(self.zeros)))
         for k, (protocol, zero) in enumerate(self.zeros):
             ends = [
@@ -106,9 +103,6 @@ class Measurements:
                 for sign in (1.0, -1.0)
             ]
             columns[:, k] = np.where(self.protocol == protocol, ends[0] - ends[1], 0.0)
-            if zero.relative:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    columns[:, k] *= read / plain
         return np.nan_to_num(columns)
 
     def predict(

@@ -29,8 +29,8 @@ class Bench:
     The zeros are of sensors alone and no mechanisms (:mod:`slipstitch.criticise.sensors`): the
     stage starts ``stage_zero_m`` late and turns ``turn_early_m`` early; a delay is that of a
     reading behind its stage, a drift is counted from the middle of the session; readings are too
-    large by the others, a gain's share of them. ``track_drop`` are the drops that an uneven track
-    makes where nothing sticks, in units of those that its unevenness would allow.
+    large by the others. ``track_drop`` are the drops that an uneven track makes where nothing
+    sticks, in units of those that its unevenness would allow.
     """
 
     mass_error: float = 0.0
@@ -49,7 +49,6 @@ class Bench:
     edge_zero_m: float = 0.0
     contact_zero_m: float = 0.0
     contact_delay_s: float = 0.0
-    contact_gain: float = 0.0
     force_delay_s: float = 0.0
     force_drift_N_h: float = 0.0
     track_drop: float = 0.0

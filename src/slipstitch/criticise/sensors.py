@@ -21,7 +21,6 @@ class Zero:
     sensor, quantity : as they are said.
     unit, to_si : of the size that is said, and its worth in the unit of the field.
     sd : how large it usually is, in ``unit``.
-    relative : the error is a share of what is read.
     of_sensor : not so for what is no sensor's fault but acts like one, and is always allowed for.
     """
 
@@ -31,7 +30,6 @@ class Zero:
     unit: str
     to_si: float
     sd: float
-    relative: bool = False
     of_sensor: bool = True
 
 
@@ -45,15 +43,6 @@ _ENTRIES = (
     Zero("edge_zero_m", "edge camera", "zero of the trailing edge", "mm", 1e-3, 0.5),
     Zero("contact_zero_m", "contact camera", "zero of the contact length", "mm", 1e-3, 3.0),
     Zero("contact_delay_s", "contact camera", "delay of the contact length", "s", 1.0, 0.2),
-    Zero(
-        "contact_gain",
-        "contact camera",
-        "scale of the contact length",
-        "1",
-        1.0,
-        0.03,
-        relative=True,
-    ),
     # The half drop of a wave is 1.4 times the standard deviation that it has.
     Zero("track_drop", "track", "drops of an uneven track", "1", 1.0, 1.4, of_sensor=False),
 )
@@ -64,8 +53,7 @@ ZEROS: Mapping[str, Zero] = MappingProxyType({zero.field: zero for zero in _ENTR
 class DataFinding:
     """Something clearly wrong with the data of one sensor.
 
-    ``kind`` is ``zero`` or ``scale`` (``size`` in ``unit``), or ``noise`` (``size`` times what was
-    stated).
+    ``kind`` is ``zero`` (``size`` in ``unit``) or ``noise`` (``size`` times what was stated).
     """
 
     protocol: str

@@ -87,7 +87,7 @@ def zero_findings(measurements: Measurements, fitted: Fit, state: State) -> list
                     protocol,
                     zero.sensor,
                     zero.quantity,
-                    "scale" if zero.relative else "zero",
+                    "zero",
                     float(size),
                     (float(size - reach), float(size + reach)),
                     zero.unit,

@@ -46,7 +46,6 @@ class DropDragBlock(Block):
         "edge_zero_m",
         "contact_zero_m",
         "contact_delay_s",
-        "contact_gain",
     )
 
     run: np.ndarray
@@ -82,7 +81,6 @@ class DropDragBlock(Block):
         scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
         start_mm, edge_zero = 1e3 * bench.stage_zero_m, 1e3 * bench.edge_zero_m
         contact_zero = 1e3 * bench.contact_zero_m
-        contact_scale = scale * (1 + bench.contact_gain)
         late = np.where(np.isnan(late), 0.0, late) + start_mm
         edge_mm = scale * (self.stage_mm - lag - late) + edge_zero
         turn_mm = self.turn_mm - start_mm - 1e3 * bench.turn_early_m
@@ -90,7 +88,7 @@ class DropDragBlock(Block):
         values = {
             "lag_mm": self.stage_mm - edge_mm,
             "edge_slope": np.full(n, scale),
-            "contact_len_mm": 1e3 * contact * contact_scale + contact_zero,
+            "contact_len_mm": 1e3 * contact * scale + contact_zero,
             "first_motion_mm": sampled(
                 slip + late + np.maximum(self.threshold_mm - jump, 0.0) / scale,
                 self.grid_mm[:, 0],
@@ -123,7 +121,7 @@ class DropDragBlock(Block):
                 r = self.run[i]
                 since = 1e-3 * np.maximum(self.stuck_mm[r] - behind[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
-                result[i] = 1e3 * contact_scale * (stuck.sum() / len(stuck)) + contact_zero
+                result[i] = 1e3 * scale * (stuck.sum() / len(stuck)) + contact_zero
         return result
 
 
