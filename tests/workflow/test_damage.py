@@ -38,7 +38,8 @@ DAMAGES = (truncated, flipped, emptied)
 READERS = {
     "calibrate": (
         "results/calibrate/sweep/base.json",
-        ["calibrate", *CONFIG, "--sweeps", "results/calibrate/sweep/base.json", "--out", "{out}/c.json"],
+        ["calibrate", *CONFIG, "--sweeps", "results/calibrate/sweep/base.json",
+         "--out", "{out}/c.json"],
     ),
     "simulate": (
         "results/calibrate/calibration.json",
