@@ -345,7 +345,7 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
         "royal-target 0.5 time step over 2 0.5 mm 2.5 mm 30 mm 0.4 mm 0.3 s; flip in one only"
         in text
     )
-    assert "not converged" in text
+    assert "1 comparison with time step over 2: 1 not converged." in text
     assert "Not run, so not compared: m09_f0300_n61_h0" in text
     assert "made with other settings (time_step_s, bending_stiffness_at)" in text
 

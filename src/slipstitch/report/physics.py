@@ -1,12 +1,13 @@
 """Physics section of the report: checks against theory, convergence."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from slipstitch.calibrate.choice import describe
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.page.figures import svg_uri
-from slipstitch.page.wording import quantity, yes_or_no
+from slipstitch.page.wording import counted, quantity, yes_or_no
 from slipstitch.report import physics_pictures
 from slipstitch.report.results import Results
 from slipstitch.simulate.convergence import studied_settings_that_differ
@@ -113,9 +114,18 @@ def convergence(results: Results) -> dict[str, Any] | None:
                         "verdict": found["verdict"],
                     }
                 )
+    verdicts: dict[str, Counter] = {}
+    for row in rows:
+        kind = row["verdict"].partition(" (")[0]
+        verdicts.setdefault(row["against"], Counter())[kind] += 1
     return {
         "figure": svg_uri(physics_pictures.convergence(study)),
         "rows": rows,
+        "counted": [
+            f"{counted(counts.total(), 'comparison')} with {against}: "
+            + ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+            for against, counts in verdicts.items()
+        ],
         "settings": study["settings"],
         "demand": quantity(study["settings"]["convergence"]["mean_distance_m"], 1e3, "mm", 2),
         "missing": study.get("missing", []),
