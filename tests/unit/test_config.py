@@ -17,6 +17,12 @@ ROOT = Path(__file__).parents[2]
 SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml"))
 
 
+def below(scale: str) -> list[Path]:
+    """The files that a scale is merged over."""
+    others = ["config/paper.yaml"] if scale == "config/instrument.yaml" else []
+    return [ROOT / name for name in ("config.yaml", *others)]
+
+
 def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
@@ -24,7 +30,7 @@ def write(path: Path, text: str) -> Path:
 
 @pytest.mark.parametrize("scale", ["config.yaml", *SCALES])
 def test_scales_of_the_project_are_valid_over_the_default(scale):
-    config = load_config(ROOT / "config.yaml", ROOT / scale)
+    config = load_config(*below(scale), ROOT / scale)
     assert config.grid.materials
 
 
@@ -51,7 +57,7 @@ def test_paper_scale_perturbs_nothing():
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_scales_hold_only_what_differs_from_the_default(scale):
-    default = load_config(ROOT / "config.yaml").model_dump(mode="json")
+    default = load_config(*below(scale)).model_dump(mode="json")
     for section, keys in read_mapping(ROOT / scale).items():
         for key, value in keys.items():
             assert value != default[section][key], f"{section}.{key} is the default's"

@@ -104,3 +104,19 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
         noise = [pixel_noise(3, name, "dots", "side", 7).random() for name in (first, other)]
         assert noise[0] == noise[1]
     assert draw_surroundings(looks, 3, "m03_f0100_r02") != draw_surroundings(looks, 3, first)
+
+
+def test_a_camera_of_another_bench_has_its_own_floor_and_lamp_the_same_at_every_coefficient():
+    looks = RenderSettings(
+        viewpoints=["calibrated", "side", "bench_1", "bench_2"],
+        floors=list(FLOORS),
+        augmentation={"lamp_m": 0.3},
+    )
+    here, aside, one, two = (
+        draw_surroundings(looks, 3, "m03_f0100_r01", view) for view in ("v00", "v01", "v02", "v03")
+    )
+    assert here == aside
+    assert len({here.lamp_position_m, one.lamp_position_m, two.lamp_position_m}) == 3
+    assert one == draw_surroundings(looks, 3, "m03_f1500_r01", "v02")
+    other_place = looks.model_copy(update={"viewpoints": ["bench_1"]})
+    assert one == draw_surroundings(other_place, 3, "m03_f0100_r01", "v00")

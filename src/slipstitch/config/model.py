@@ -54,20 +54,28 @@ class Config(Section):
                     f"train.view_order: {name!r} is not in render.viewpoints "
                     f"({', '.join(self.render.viewpoints)})"
                 )
+        for key in ("viewpoints", "calibration_viewpoints"):
+            for name in getattr(self.instrument, key) or ():
+                self._seen_in_the_calibrated_view(f"instrument.{key}", name)
         for name in self.instrument.viewpoints or ():
-            if name not in self.render.viewpoint_ids().values():
+            if name in self.render.test_viewpoints:
                 raise ValueError(
-                    f"instrument.viewpoints: {name!r} is not in render.viewpoints "
-                    f"({', '.join(self.render.viewpoints)})"
-                )
-            if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
-                raise ValueError(
-                    f"instrument.viewpoints: {name!r} is not seen in the calibrated view; allowed "
-                    f"are {self.calibrated_view} and the family bench_1 ..."
+                    f"instrument.viewpoints: {name!r} is in render.test_viewpoints, must not be "
+                    "used for training"
                 )
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
         return self
+
+    def _seen_in_the_calibrated_view(self, key: str, name: str) -> None:
+        known = list(dict.fromkeys(self.render.viewpoint_ids().values()))
+        if name not in known:
+            raise ValueError(f"{key}: {name!r} is not in render.viewpoints ({', '.join(known)})")
+        if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
+            raise ValueError(
+                f"{key}: {name!r} is not seen in the calibrated view; allowed are "
+                f"{self.calibrated_view} and the family bench_1 ..."
+            )
 
     @property
     def view_order(self) -> list[str]:

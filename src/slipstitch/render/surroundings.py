@@ -2,7 +2,8 @@
 
 Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
 textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no
-look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides.
+look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides,
+and each member of the family ``bench_1`` ... has a floor and a lamp of its own.
 """
 
 import hashlib
@@ -11,7 +12,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from slipstitch.catalogue import FLOORS
+from slipstitch.catalogue import FLOORS, VIEWPOINTS
 from slipstitch.config.grid import bench_of
 from slipstitch.config.render import RenderSettings
 
@@ -70,6 +71,8 @@ def draw_surroundings(
 ) -> Surroundings:
     """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
+    A viewpoint of the family ``bench_1`` ... is another bench, with its own floor and lamp.
+
     Parameters
     ----------
     settings : RenderSettings
@@ -79,15 +82,17 @@ def draw_surroundings(
     simulation : str
         Its id.
     viewpoint_id : str
-        One of the second training set, or any other: they share floor and lamp.
+        Of the family, one of the second training set, or any other: these share floor and lamp.
     """
-    rng = generator(seed, bench_of(simulation), "surroundings")
+    bench = bench_of(simulation)
+    view = settings.viewpoint_ids().get(viewpoint_id, "")
+    drawn = view in VIEWPOINTS and VIEWPOINTS[view].drawn
+    rng = generator(seed, bench, *([view] if drawn else []), "surroundings")
     floor = _draw_floor(settings.floors, rng)
     moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
     x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
     if settings.reflective(viewpoint_id):
-        view = settings.viewpoint_ids()[viewpoint_id]
-        own = generator(seed, bench_of(simulation), view, "reflective floor")
+        own = generator(seed, bench, view, "reflective floor")
         floor = _draw_floor(settings.reflective_floors, own)
     return Surroundings(*floor, (x, y, z))
 
