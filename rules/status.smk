@@ -27,6 +27,9 @@ onstart:
     refuse_unwritable(workflow.dag.needrun_jobs())
     write_config(CONFIG, CONFIG_FILE)
     JOURNAL.begin(workflow.dag, workflow.cores)
+    # Snakemake 9's limit of jobs started a second sets a timer with every job, which sets the next
+    # for ever: after 250 jobs they took a third of a core. Cluster profiles limit jobs otherwise.
+    workflow.scheduler.job_rate_limiter = None
 
 
 onsuccess:
