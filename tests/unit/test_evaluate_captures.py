@@ -194,7 +194,7 @@ def test_surrogates_are_named_so_and_real_ones_so(bench):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ([], "--captures requires --models, --instruments or both"),
+        ([], "--models, --instruments or both are required"),
         (["--instruments", "."], ".: no trained model for captures found"),
         (["--models", "nowhere"], "nowhere: no models found"),
     ],

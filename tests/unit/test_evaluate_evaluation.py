@@ -271,3 +271,46 @@ def test_models_of_another_dataset_are_refused(chain, tmp_path):
 def _evaluate(dataset, models, out):
     names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
     write_evaluation(EvaluateSettings(), dataset, models, *names, calibrated="calibrated")
+
+
+def test_instruments_alone_are_evaluated_behind_cameras_they_never_trained_on(tmp_path):
+    config = synthetic_videos.config(
+        instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
+        render={"test_viewpoints": ["bench_1"]},
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render")
+    write_dataset(config, shards, tmp_path / "sample")
+    train_instrument(
+        config.instrument,
+        tmp_path / "sample",
+        "by_simulation",
+        0,
+        tmp_path / "instrument/by_simulation/seed0",
+        viewpoints=["calibrated"],
+        frames=6,
+    )
+    names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    metrics = write_evaluation(
+        EvaluateSettings(),
+        tmp_path / "sample",
+        None,
+        *names,
+        calibrated="calibrated",
+        instruments_folder=tmp_path / "instrument",
+    )
+    assert set(metrics) == {"by_simulation", "other_cameras"}
+    instrument = content(names[2])["other_cameras"]["instrument"]
+    rows = pq.read_table(names[1]).to_pylist()
+    elsewhere = [row for row in rows if row["split"] == "other_cameras"]
+    assert {row["viewpoint"] for row in elsewhere} == {"bench_1"}
+    assert len(elsewhere) == instrument["n"]
+    for kind, parts in instrument["by"].items():
+        assert sum(part["n"] for part in parts.values()) == instrument["n"], kind
+    off = {mu: part["mean_absolute_error"] for mu, part in instrument["by"]["friction"].items()}
+    for mu, error in off.items():
+        errors = [
+            abs(row["predicted_value"] - row["true_value"])
+            for row in elsewhere
+            if f"{row['true_value']:g}" == mu
+        ]
+        assert error == pytest.approx(np.mean(errors))

@@ -56,11 +56,11 @@ def run(arguments: argparse.Namespace) -> None:
 
     check_at_least(arguments, threads=1)
     config = load_config(*arguments.config)
+    if not (arguments.models or arguments.instruments):
+        raise BadInput("--models, --instruments or both are required")
     if arguments.captures:
         _captures(config, arguments)
         return
-    if not arguments.models:
-        raise BadInput("--models is required, except for --captures with --instruments")
     if arguments.page:
         raise BadInput("--page requires --captures")
     metrics = write_evaluation(
@@ -82,13 +82,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _captures(config, arguments: argparse.Namespace) -> None:
     """Evaluate on captures; print one line per model and subset."""
-    from slipstitch.errors import BadInput
     from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
     from slipstitch.evaluate.text_table import capture_lines
 
     refuse(arguments, ("details",), "--captures")
-    if not (arguments.models or arguments.instruments):
-        raise BadInput("--captures requires --models, --instruments or both")
     metrics = write_captures_evaluation(
         config.evaluate,
         arguments.dataset,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
@@ -89,6 +90,8 @@ def evaluation_sets(
     by_video, by_simulation: the split's test videos in training textures and views.
     off_grid, unseen_fabric: friction coefficients between those of the grid, and fabrics that no
     network trains on, with the networks trained by simulation.
+    other_cameras: by_simulation's test simulations from cameras of the family ``bench_1`` ... that
+    are for testing only.
     unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
     turn from the calibrated one, in degrees, in training textures. Both test the networks trained
     by video on every simulation, as the paper does: the texture or the view is new to them, the
@@ -116,17 +119,27 @@ def evaluation_sets(
         return counts(row) and test_only(row) == {kind}
 
     def turned(turn_deg: float, row: Row) -> bool:
-        return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
+        turn = None if VIEWPOINTS[row["viewpoint"]].drawn else row["viewpoint_turn_deg"]
+        return test_only(row) == {"viewpoint"} and turn == turn_deg
+
+    def elsewhere(row: Row) -> bool:
+        held = row["split_by_simulation"] == "test" and VIEWPOINTS[row["viewpoint"]].drawn
+        return held and test_only(row) == {"viewpoint"}
 
     def mirrored(row: Row) -> bool:
         return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
 
-    turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
+    turns = {
+        row["viewpoint_turn_deg"]
+        for row in rows
+        if row["viewpoint_role"] == "test" and not VIEWPOINTS[row["viewpoint"]].drawn
+    }
     sets = [
         *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
         EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),
         EvaluationSet("unseen_texture", "by_video", partial(unseen, "texture")),
         EvaluationSet("unseen_fabric", "by_simulation", partial(unseen, "material")),
+        EvaluationSet("other_cameras", "by_simulation", elsewhere),
         *(
             EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
             for turn in sorted(turns)
@@ -214,7 +227,7 @@ def predicted_probabilities(
 def evaluate(
     settings: EvaluateSettings,
     dataset: str | os.PathLike,
-    models_folder: str | os.PathLike,
+    models_folder: str | os.PathLike | None,
     *,
     calibrated: str,
     train: TrainSettings | None = None,
@@ -228,8 +241,10 @@ def evaluate(
     Parameters
     ----------
     settings : EvaluateSettings
-    dataset, models_folder : path
-        What the sample and train stages wrote.
+    dataset : path
+        What the sample stage wrote.
+    models_folder : path or None
+        What the train stage wrote; None: instruments only.
     calibrated : str
         Name of the calibrated viewpoint.
     train : TrainSettings, optional
@@ -258,7 +273,7 @@ def evaluate(
         must tell nothing of friction tells it (see `slipstitch.evaluate.probes`).
     """
     set_up_torch(threads)
-    models = find_models(models_folder, train)
+    models = find_models(models_folder, train) if models_folder is not None else {}
     pixels = {model.card["pixels"] for model in models.values()}
     if len(pixels) > 1:
         raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
@@ -275,21 +290,22 @@ def evaluate(
         instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
 
     probed = probes(settings, dataset)
-    side = pixels.pop()
+    side = pixels.pop() if pixels else None
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
     predictions: list[dict[str, Any]] = []
     for test in evaluation_sets(videos.rows, calibrated, settings.viewpoints):
         chosen = np.array([test.holds(row) for row in videos.rows])
         whole = videos.chosen(chosen)
-        part = whole.seen_with(side, frames)
+        part = whole if side is None else whole.seen_with(side, frames)
         by_network: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
         for key in models:
             if key[0] == test.trained_on:
                 probabilities = predicted_probabilities(models, key, part, settings.batch_size)
                 by_network[key[1]][key[2]] = probabilities
                 predictions += _rows(part, test, key, models[key], probabilities)
-        if not by_network:
+        measured, rows = evaluate_instruments(settings, test, whole, instruments)
+        if not by_network and not measured:
             continue
         scores = {
             network: _scores(settings, part, models, test.trained_on, network, of_seed)
@@ -307,7 +323,6 @@ def evaluate(
                 )
         details[test.name] |= probed.get(test.name, {})
         metrics[test.name] |= probe_entries(probed.get(test.name, {}))
-        measured, rows = evaluate_instruments(settings, test, whole, instruments)
         if measured:
             if test.name in TRAINED_ON:
                 measured["alarms"] = alarm_rates(instruments, test.name, whole)
@@ -413,7 +428,7 @@ def _rows(
 def write_evaluation(
     settings: EvaluateSettings,
     dataset: str | os.PathLike,
-    models_folder: str | os.PathLike,
+    models_folder: str | os.PathLike | None,
     out: str | os.PathLike,
     predictions_out: str | os.PathLike,
     details_out: str | os.PathLike,
@@ -433,9 +448,9 @@ def write_evaluation(
         **options,
     )
     inputs = [Path(dataset) / "manifest.parquet"]
-    inputs += [
-        path.with_name(name) for path in _weights(models_folder, train) for name in (WEIGHTS, CARD)
-    ]
+    if models_folder is not None:
+        weights = _weights(models_folder, train)
+        inputs += [path.with_name(name) for path in weights for name in (WEIGHTS, CARD)]
     if instruments_folder is not None:
         inputs += sorted(Path(instruments_folder).glob(f"*/seed*/{INSTRUMENT}"))
     record = provenance_record(

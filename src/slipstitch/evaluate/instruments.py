@@ -1,12 +1,13 @@
 """Evaluation of instruments on their test videos: errors, coverage of intervals, alarms."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
@@ -105,6 +106,54 @@ def scores(
     return result
 
 
+def breakdown(measurements: list[Measurement], rows: list[Row]) -> dict[str, dict[str, Row]]:
+    """Errors and coverage by fabric, coefficient, floor, texture, and azimuth of the camera.
+
+    Parameters
+    ----------
+    measurements : list of Measurement
+    rows : list of dict
+        Of the manifest, one a measurement.
+
+    Returns
+    -------
+    dict
+        Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``; azimuths
+        relative to the calibrated view, in degrees, rounded to fives.
+    """
+    kinds: dict[str, Callable[[Row], Any]] = {
+        "material": lambda row: row["material"],
+        "friction": lambda row: f"{row['friction']:g}",
+        "floor": lambda row: row["floor"],
+        "texture": lambda row: row["texture"],
+        "yaw_deg": lambda row: f"{5 * round(row['pose_yaw_deg'] / 5) + 0:+d}",
+    }
+    table = pandas.DataFrame(
+        [
+            {name: of(row) for name, of in kinds.items()}
+            | {
+                "simulation": row["simulation"],
+                "off": abs(one.friction_coefficient - row["friction"]),
+                "inside": one.interval_90[0] <= row["friction"] <= one.interval_90[1],
+            }
+            for one, row in zip(measurements, rows, strict=True)
+        ]
+    )
+    return {
+        kind: {
+            str(value): {
+                "n": len(part),
+                "simulations": part["simulation"].nunique(),
+                "mean_absolute_error": float(part["off"].mean()),
+                "within_0_1": float((part["off"] < 0.1).mean()),
+                "coverage_90": float(part.groupby("simulation")["inside"].mean().mean()),
+            }
+            for value, part in table.groupby(kind)
+        }
+        for kind in kinds
+    }
+
+
 def evaluate_instruments(
     settings: EvaluateSettings, test, videos: Videos, instruments: dict[tuple[str, int], Instrument]
 ) -> tuple[dict[str, Any] | None, list[Row]]:
@@ -115,13 +164,14 @@ def evaluate_instruments(
     Returns
     -------
     details : dict or None
-        ``n, simulations, trained_on, chance, mean, seeds`` as for the networks; None if there is
-        no instrument or no video.
+        ``n, simulations, trained_on, chance, mean, seeds`` as for the networks, and `breakdown` of
+        all seeds as ``by``; None if there is no instrument or no video.
     predictions : list of dict
         Rows of predictions.parquet.
     """
     each: dict[str, dict[str, float]] = {}
     predictions: list[Row] = []
+    everything: list[Measurement] = []
     for (split, seed), instrument in instruments.items():
         if split != test.trained_on:
             continue
@@ -136,6 +186,7 @@ def evaluate_instruments(
         frames = phased(chosen.pixels, instrument.card["frames"], None)
         measurements = measured(instrument, frames, rows)
         each[str(seed)] = scores(measurements, rows, settings)
+        everything += measurements
         predictions += [
             _prediction(row, test, seed, measurement)
             for row, measurement in zip(rows, measurements, strict=True)
@@ -151,6 +202,7 @@ def evaluate_instruments(
         "mean": mean_over_seeds(list(each.values())),
         "spread": spread_over_seeds(list(each.values())),
         "seeds": each,
+        "by": breakdown(everything, rows * len(each)),
     }, predictions
 
 
