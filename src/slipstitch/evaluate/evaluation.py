@@ -118,22 +118,19 @@ def evaluation_sets(
     def unseen(kind: str, row: Row) -> bool:
         return counts(row) and test_only(row) == {kind}
 
+    def new_view(family: bool, row: Row) -> bool:
+        return test_only(row) == {"viewpoint"} and VIEWPOINTS[row["viewpoint"]].drawn == family
+
     def turned(turn_deg: float, row: Row) -> bool:
-        turn = None if VIEWPOINTS[row["viewpoint"]].drawn else row["viewpoint_turn_deg"]
-        return test_only(row) == {"viewpoint"} and turn == turn_deg
+        return new_view(False, row) and row["viewpoint_turn_deg"] == turn_deg
 
     def elsewhere(row: Row) -> bool:
-        held = row["split_by_simulation"] == "test" and VIEWPOINTS[row["viewpoint"]].drawn
-        return held and test_only(row) == {"viewpoint"}
+        return new_view(True, row) and row["split_by_simulation"] == "test"
 
     def mirrored(row: Row) -> bool:
         return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
 
-    turns = {
-        row["viewpoint_turn_deg"]
-        for row in rows
-        if row["viewpoint_role"] == "test" and not VIEWPOINTS[row["viewpoint"]].drawn
-    }
+    turns = {row["viewpoint_turn_deg"] for row in rows if new_view(False, row)}
     sets = [
         *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
         EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),

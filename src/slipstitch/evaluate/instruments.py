@@ -1,13 +1,13 @@
 """Evaluation of instruments on their test videos: errors, coverage of intervals, alarms."""
 
 import os
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas
 
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.errors import BadInput
@@ -81,14 +81,7 @@ def scores(
         ``alarm_rate``.
     """
     names = list(measurements[0].material_probabilities)
-    answers = PredictionsAndTruth(
-        settings.friction_step,
-        np.array([measurement.friction_coefficient for measurement in measurements]),
-        np.array([row["friction"] for row in rows]),
-        intervals=np.array([measurement.interval_90 for measurement in measurements]),
-        groups=[row["simulation"] for row in rows],
-        alarms=np.array([measurement.alarm for measurement in measurements]),
-    )
+    answers = _answers(measurements, rows, settings.friction_step)
     result = {
         **scores_of(answers, "friction"),
         **scores_of(answers, "interval", table=TEST_SETS),
@@ -106,7 +99,22 @@ def scores(
     return result
 
 
-def breakdown(measurements: list[Measurement], rows: list[Row]) -> dict[str, dict[str, Row]]:
+def _answers(
+    measurements: list[Measurement], rows: list[Row], friction_step: float
+) -> PredictionsAndTruth:
+    return PredictionsAndTruth(
+        friction_step,
+        np.array([measurement.friction_coefficient for measurement in measurements]),
+        np.array([row["friction"] for row in rows]),
+        intervals=np.array([measurement.interval_90 for measurement in measurements]),
+        groups=[row["simulation"] for row in rows],
+        alarms=np.array([measurement.alarm for measurement in measurements]),
+    )
+
+
+def breakdown(
+    measurements: list[Measurement], rows: list[Row], friction_step: float
+) -> dict[str, dict[str, Row]]:
     """Errors and coverage by fabric, coefficient, floor, texture, and azimuth of the camera.
 
     Parameters
@@ -114,6 +122,8 @@ def breakdown(measurements: list[Measurement], rows: list[Row]) -> dict[str, dic
     measurements : list of Measurement
     rows : list of dict
         Of the manifest, one a measurement.
+    friction_step : float
+        Of the grid of mu.
 
     Returns
     -------
@@ -128,30 +138,22 @@ def breakdown(measurements: list[Measurement], rows: list[Row]) -> dict[str, dic
         "texture": lambda row: row["texture"],
         "yaw_deg": lambda row: f"{5 * round(row['pose_yaw_deg'] / 5) + 0:+d}",
     }
-    table = pandas.DataFrame(
-        [
-            {name: of(row) for name, of in kinds.items()}
-            | {
-                "simulation": row["simulation"],
-                "off": abs(one.friction_coefficient - row["friction"]),
-                "inside": one.interval_90[0] <= row["friction"] <= one.interval_90[1],
+    result: dict[str, dict[str, Row]] = {}
+    for kind, value_of in kinds.items():
+        parts = defaultdict(list)
+        for pair in zip(measurements, rows, strict=True):
+            parts[value_of(pair[1])].append(pair)
+        result[kind] = {}
+        for value, pairs in sorted(parts.items()):
+            answers = _answers([one for one, _ in pairs], [row for _, row in pairs], friction_step)
+            result[kind][value] = {
+                "n": len(pairs),
+                "simulations": len({row["simulation"] for _, row in pairs}),
+                "mean_absolute_error": BY_NAME["mean_absolute_error"].compute(answers),
+                "within_0_1": BY_NAME["within_0.1"].compute(answers),
+                "coverage_90": answers.coverage[0],
             }
-            for one, row in zip(measurements, rows, strict=True)
-        ]
-    )
-    return {
-        kind: {
-            str(value): {
-                "n": len(part),
-                "simulations": part["simulation"].nunique(),
-                "mean_absolute_error": float(part["off"].mean()),
-                "within_0_1": float((part["off"] < 0.1).mean()),
-                "coverage_90": float(part.groupby("simulation")["inside"].mean().mean()),
-            }
-            for value, part in table.groupby(kind)
-        }
-        for kind in kinds
-    }
+    return result
 
 
 def evaluate_instruments(
@@ -202,7 +204,7 @@ def evaluate_instruments(
         "mean": mean_over_seeds(list(each.values())),
         "spread": spread_over_seeds(list(each.values())),
         "seeds": each,
-        "by": breakdown(everything, rows * len(each)),
+        "by": breakdown(everything, rows * len(each), settings.friction_step),
     }, predictions
 
 
