@@ -320,7 +320,7 @@ def read_training_videos(
 
     def taken(row: dict[str, Any]) -> bool:
         if validates and row[column] == "validation":
-            return takes_part(row | {"viewpoint_role": "train"}, split) and validates(row)
+            return takes_part(row, split, may_test=["viewpoint"]) and validates(row)
         return takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
 
     videos = read_videos(dataset, taken, pixels, frames)
