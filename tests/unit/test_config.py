@@ -145,6 +145,24 @@ def test_several_problems_are_all_named_in_one_line(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("sections", "problem"),
+    [
+        (
+            {"render": {"viewpoints": ["calibrated", "bench_1"]}},
+            "train.splits: 'by_video' tests on simulations that it trains on",
+        ),
+        (
+            {"render": {"test_viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}},
+            "render.test_viewpoints: 'bench_1' is another camera in every simulation",
+        ),
+    ],
+)
+def test_cameras_that_would_tell_a_simulation_need_whole_simulations_held_out(sections, problem):
+    with pytest.raises(BadInput, match=problem):
+        resolve_config(sections)
+
+
+@pytest.mark.parametrize(
     ("content", "message"),
     [
         (None, "cannot be read: No such file"),

@@ -273,10 +273,11 @@ def _evaluate(dataset, models, out):
     write_evaluation(EvaluateSettings(), dataset, models, *names, calibrated="calibrated")
 
 
-def test_instruments_alone_are_evaluated_behind_cameras_they_never_trained_on(tmp_path):
+def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_path):
     config = synthetic_videos.config(
         instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
-        render={"test_viewpoints": ["bench_1"]},
+        render={"viewpoints": ["calibrated", "bench_1"]},
+        train={"splits": ["by_simulation"]},
     )
     shards = synthetic_videos.write_shards(config, tmp_path / "render")
     write_dataset(config, shards, tmp_path / "sample")
@@ -286,7 +287,7 @@ def test_instruments_alone_are_evaluated_behind_cameras_they_never_trained_on(tm
         "by_simulation",
         0,
         tmp_path / "instrument/by_simulation/seed0",
-        viewpoints=["calibrated"],
+        viewpoints=["calibrated", "bench_1"],
         frames=6,
     )
     names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
@@ -298,19 +299,18 @@ def test_instruments_alone_are_evaluated_behind_cameras_they_never_trained_on(tm
         calibrated="calibrated",
         instruments_folder=tmp_path / "instrument",
     )
-    assert set(metrics) == {"by_simulation", "other_cameras"}
-    instrument = content(names[2])["other_cameras"]["instrument"]
+    assert set(metrics) == {"by_simulation"}
+    instrument = content(names[2])["by_simulation"]["instrument"]
     rows = pq.read_table(names[1]).to_pylist()
-    elsewhere = [row for row in rows if row["split"] == "other_cameras"]
-    assert {row["viewpoint"] for row in elsewhere} == {"bench_1"}
-    assert len(elsewhere) == instrument["n"]
+    assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
+    assert len(rows) == instrument["n"]
     for kind, parts in instrument["by"].items():
         assert sum(part["n"] for part in parts.values()) == instrument["n"], kind
     off = {mu: part["mean_absolute_error"] for mu, part in instrument["by"]["friction"].items()}
     for mu, error in off.items():
         errors = [
             abs(row["predicted_value"] - row["true_value"])
-            for row in elsewhere
+            for row in rows
             if f"{row['true_value']:g}" == mu
         ]
         assert error == pytest.approx(np.mean(errors))

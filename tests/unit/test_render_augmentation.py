@@ -106,17 +106,23 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
     assert draw_surroundings(looks, 3, "m03_f0100_r02") != draw_surroundings(looks, 3, first)
 
 
-def test_a_camera_of_another_bench_has_its_own_floor_and_lamp_the_same_at_every_coefficient():
+def test_a_camera_of_another_bench_has_a_floor_a_lamp_and_colours_of_its_own_in_every_simulation():
     looks = RenderSettings(
         viewpoints=["calibrated", "side", "bench_1", "bench_2"],
         floors=list(FLOORS),
-        augmentation={"lamp_m": 0.3},
+        augmentation={"lamp_m": 0.3, "exposure_stops": 1.0},
     )
     here, aside, one, two = (
         draw_surroundings(looks, 3, "m03_f0100_r01", view) for view in ("v00", "v01", "v02", "v03")
     )
     assert here == aside
     assert len({here.lamp_position_m, one.lamp_position_m, two.lamp_position_m}) == 3
-    assert one == draw_surroundings(looks, 3, "m03_f1500_r01", "v02")
+    for other in ("m03_f1500_r01", "m04_f0100_r01"):
+        assert one.lamp_position_m != draw_surroundings(looks, 3, other, "v02").lamp_position_m
+        cameras = [
+            draw_augmentation(looks.augmentation, 3, name, "dots", "bench_1")
+            for name in ("m03_f0100_r01", other)
+        ]
+        assert cameras[0] != cameras[1]
     other_place = looks.model_copy(update={"viewpoints": ["bench_1"]})
     assert one == draw_surroundings(other_place, 3, "m03_f0100_r01", "v00")

@@ -35,13 +35,14 @@ def test_the_pose_is_told_from_rotation_and_translation():
     assert told == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_camera_is_drawn_by_bench_and_member_never_by_coefficient():
+def test_every_simulation_has_a_camera_of_its_own_so_that_none_tells_a_fabric():
     def drawn(simulation, viewpoint):
         return draw_bench_camera(FAMILY, 0, simulation, viewpoint)
 
     first = drawn("m05_f0300_r00", "bench_1")
-    assert first == drawn("m05_f1500_r00", "bench_1")
+    assert first == drawn("m05_f0300_r00", "bench_1")
     others = [
+        ("m05_f1500_r00", "bench_1"),
         ("m05_f0300_r01", "bench_1"),
         ("m04_f0300_r00", "bench_1"),
         ("m05_f0300_r00", "bench_2"),
@@ -75,6 +76,7 @@ def shard(tmp_path_factory):
         render = {"pixels": 48, "textures": ["dots"], "bench_camera": family}
         render["viewpoints"] = ["calibrated", "bench_1"]
         config = {"render": render, "sample": {"frames": 3}, "simulation": {"frames": 6}}
+        config["train"] = {"splits": ["by_simulation"]}
         (folder / "config.json").write_text(json.dumps(config))
         out = folder / f"{viewpoint}.parquet"
         files = ["--trajectory", str(folder / "m05_f0300_r00.parquet"), "--out", str(out)]

@@ -17,12 +17,6 @@ class InstrumentSettings(Section):
         description="training viewpoints, all rectified to the calibrated view: the calibrated one "
         "and members of the family bench_1 ...; null: the first of train.view_order",
     )
-    calibration_viewpoints: list[str] | None = Field(
-        None,
-        min_length=1,
-        description="viewpoints whose validation videos calibrate error bars and alarm, which may "
-        "be test viewpoints: cameras never trained on; null: the training viewpoints",
-    )
     knows_pose: bool = Field(
         False,
         description="pose of the camera relative to the calibrated view as an input of the network",

@@ -18,7 +18,7 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.config.train import REFLECTIVE, TrainSettings
+from slipstitch.config.train import BY_SIMULATION, REFLECTIVE, TrainSettings
 
 
 class Config(Section):
@@ -54,18 +54,34 @@ class Config(Section):
                     f"train.view_order: {name!r} is not in render.viewpoints "
                     f"({', '.join(self.render.viewpoints)})"
                 )
-        for key in ("viewpoints", "calibration_viewpoints"):
-            for name in getattr(self.instrument, key) or ():
-                self._seen_in_the_calibrated_view(f"instrument.{key}", name)
         for name in self.instrument.viewpoints or ():
+            self._seen_in_the_calibrated_view("instrument.viewpoints", name)
             if name in self.render.test_viewpoints:
                 raise ValueError(
                     f"instrument.viewpoints: {name!r} is in render.test_viewpoints, must not be "
                     "used for training"
                 )
+        self._benches_tell_no_coefficient()
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
         return self
+
+    def _benches_tell_no_coefficient(self) -> None:
+        """A camera of a family stands elsewhere in every simulation, which tells them apart."""
+        for name in self.render.test_viewpoints:
+            if VIEWPOINTS[name].drawn:
+                raise ValueError(
+                    f"render.test_viewpoints: {name!r} is another camera in every simulation; put "
+                    "it in render.viewpoints, whole simulations are held out for testing"
+                )
+        drawn = [name for name in self.render.viewpoints if VIEWPOINTS[name].drawn]
+        others = [split for split in self.train.splits if split != BY_SIMULATION]
+        if drawn and others:
+            raise ValueError(
+                f"train.splits: {others[0]!r} tests on simulations that it trains on, and "
+                f"{drawn[0]!r} (render.viewpoints) is another camera in every simulation, which "
+                f"would tell its coefficient; allowed is {BY_SIMULATION!r} alone"
+            )
 
     def _seen_in_the_calibrated_view(self, key: str, name: str) -> None:
         known = list(dict.fromkeys(self.render.viewpoint_ids().values()))

@@ -11,7 +11,8 @@ from pydantic import Field, model_validator
 from slipstitch.config.section import Section, Seeds
 
 NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
-SPLITS = ("by_video", "by_simulation")
+BY_SIMULATION = "by_simulation"
+SPLITS = ("by_video", BY_SIMULATION)
 #: The videos of by_video's sides and the same on the floors of the second training set.
 REFLECTIVE = "by_video_reflective"
 TRAINED_ON = (*SPLITS, REFLECTIVE)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
@@ -90,8 +89,6 @@ def evaluation_sets(
     by_video, by_simulation: the split's test videos in training textures and views.
     off_grid, unseen_fabric: friction coefficients between those of the grid, and fabrics that no
     network trains on, with the networks trained by simulation.
-    other_cameras: by_simulation's test simulations from cameras of the family ``bench_1`` ... that
-    are for testing only.
     unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
     turn from the calibrated one, in degrees, in training textures. Both test the networks trained
     by video on every simulation, as the paper does: the texture or the view is new to them, the
@@ -118,25 +115,18 @@ def evaluation_sets(
     def unseen(kind: str, row: Row) -> bool:
         return counts(row) and test_only(row) == {kind}
 
-    def new_view(family: bool, row: Row) -> bool:
-        return test_only(row) == {"viewpoint"} and VIEWPOINTS[row["viewpoint"]].drawn == family
-
     def turned(turn_deg: float, row: Row) -> bool:
-        return new_view(False, row) and row["viewpoint_turn_deg"] == turn_deg
-
-    def elsewhere(row: Row) -> bool:
-        return new_view(True, row) and row["split_by_simulation"] == "test"
+        return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
 
     def mirrored(row: Row) -> bool:
         return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
 
-    turns = {row["viewpoint_turn_deg"] for row in rows if new_view(False, row)}
+    turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     sets = [
         *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
         EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),
         EvaluationSet("unseen_texture", "by_video", partial(unseen, "texture")),
         EvaluationSet("unseen_fabric", "by_simulation", partial(unseen, "material")),
-        EvaluationSet("other_cameras", "by_simulation", elsewhere),
         *(
             EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
             for turn in sorted(turns)

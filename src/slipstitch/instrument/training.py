@@ -48,23 +48,20 @@ def _training_videos(
     frames: int,
     uses: Callable[[dict[str, Any]], bool] | None = None,
 ) -> tuple[Videos, np.ndarray]:
-    """The videos that train or calibrate, and which of them train.
+    """The videos of some viewpoints that train or calibrate, and which of them train.
 
-    Those of `viewpoints` train; those of the setting ``calibration_viewpoints`` calibrate. `uses`
-    says of a manifest row whether its video may do either; by default all may.
+    `uses` says of a manifest row whether its video may do either; by default all may.
 
     Raises
     ------
     BadInput
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
-    calibrating = settings.calibration_viewpoints or viewpoints
-
-    def seen_from(views: Sequence[str]) -> Callable[[dict[str, Any]], bool]:
-        return lambda row: row["viewpoint"] in views and (uses is None or uses(row))
-
     videos, training = read_training_videos(
-        dataset, split, seen_from(viewpoints), settings.pixels, validates=seen_from(calibrating)
+        dataset,
+        split,
+        lambda row: row["viewpoint"] in viewpoints and (uses is None or uses(row)),
+        settings.pixels,
     )
     stored = videos.pixels.shape[1]
     if stored < frames:

@@ -9,10 +9,9 @@ from dataclasses import asdict, dataclass
 import cv2
 import numpy as np
 
-from slipstitch.config.grid import bench_of
 from slipstitch.config.render import AugmentationSettings
 from slipstitch.render.encoding import encode_srgb
-from slipstitch.render.surroundings import generator
+from slipstitch.render.surroundings import drawn_by, generator
 
 # The read noise of a sensor, as a share of the shot noise at full white.
 _READ_NOISE = 0.1
@@ -69,8 +68,8 @@ class Augmentation:
 def draw_augmentation(
     settings: AugmentationSettings, seed: int, simulation: str, texture: str, viewpoint: str
 ) -> Augmentation:
-    """The camera of one video, by the simulation's fabric and replicate, texture and viewpoint."""
-    rng = generator(seed, bench_of(simulation), texture, viewpoint, "augmentation")
+    """The camera of one video: by its bench (`drawn_by`), texture and viewpoint."""
+    rng = generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, "augmentation")
     exposure, red, blue = rng.uniform(-1, 1, 3)
     noise, compression = rng.uniform(0, 1, 2)
     return Augmentation(
@@ -85,5 +84,5 @@ def draw_augmentation(
 def pixel_noise(
     seed: int, simulation: str, texture: str, viewpoint: str, frame: int
 ) -> np.random.Generator:
-    """The random numbers of one image's noise, the same at every friction coefficient."""
-    return generator(seed, bench_of(simulation), texture, viewpoint, str(frame))
+    """The random numbers of one image's noise, the same for all videos of a bench."""
+    return generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, str(frame))

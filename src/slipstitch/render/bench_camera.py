@@ -1,7 +1,7 @@
 """A bench's own camera: near the calibrated viewpoint, known with errors, brought back into it.
 
-A viewpoint of the family ``bench_1`` ... has another pose in every video: drawn by fabric,
-replicate and member, never by the friction coefficient. Its images are rectified into the
+A viewpoint of the family ``bench_1`` ... has another pose in every simulation: as many benches as
+films, so that no bench tells its fabric. Its images are rectified into the
 calibrated viewpoint by the function that rectifies real videos, from what a calibration would
 have told of the camera.
 """
@@ -13,12 +13,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from slipstitch.config.grid import bench_of
 from slipstitch.config.render import RenderSettings
 from slipstitch.render.camera import AIM_M, Camera, cloth_room, crop_to
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.rectification import rectify, stage_plane
-from slipstitch.render.surroundings import generator
+from slipstitch.render.surroundings import drawn_by, generator
 from slipstitch.simulate.trajectory import Trajectory
 
 _NO_DISTORTION = np.zeros(5)
@@ -97,12 +96,12 @@ def draw_bench_camera(
     seed : int
         The configuration's.
     simulation : str
-        Its id; the coefficient in it does not count.
+        Its id.
     viewpoint : str
         Name of the member.
     """
     family = settings.bench_camera
-    rng = generator(seed, bench_of(simulation), viewpoint, "bench camera")
+    rng = generator(seed, drawn_by(simulation, viewpoint), viewpoint, "bench camera")
     yaw, pitch, roll, distance = rng.uniform(-1, 1, 4)
     aim = rng.uniform(-1, 1, 3) * family.aim_m
     if rng.uniform() < family.calibrated_share:

@@ -2,8 +2,8 @@
 
 Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
 textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no
-look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides,
-and each member of the family ``bench_1`` ... has a floor and a lamp of its own.
+look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides.
+A camera of the family ``bench_1`` ... has a floor and a lamp of its own in every simulation.
 """
 
 import hashlib
@@ -66,12 +66,35 @@ def generator(seed: int, *names: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
 
+def of_a_family(viewpoint: str) -> bool:
+    """Whether a viewpoint of the catalogue is another bench's, with a camera of its own."""
+    return viewpoint in VIEWPOINTS and VIEWPOINTS[viewpoint].drawn
+
+
+def drawn_by(simulation: str, viewpoint: str) -> str:
+    """What the looks of a simulation's videos from a viewpoint are drawn by.
+
+    The bench (fabric and replicate), so that no look tells the coefficient. For a camera of the
+    family ``bench_1`` ... the whole simulation: as many benches as there are films, so that none
+    tells its fabric. That a look is then of one coefficient does no harm where whole simulations
+    are held out, the only split that the configuration allows with such cameras.
+
+    Parameters
+    ----------
+    simulation : str
+        Its id.
+    viewpoint : str
+        Name in the catalogue.
+    """
+    return simulation if of_a_family(viewpoint) else bench_of(simulation)
+
+
 def draw_surroundings(
     settings: RenderSettings, seed: int, simulation: str, viewpoint_id: str = "v00"
 ) -> Surroundings:
     """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
-    A viewpoint of the family ``bench_1`` ... is another bench, with its own floor and lamp.
+    A camera of the family ``bench_1`` ... is another bench in every simulation (`drawn_by`).
 
     Parameters
     ----------
@@ -84,10 +107,9 @@ def draw_surroundings(
     viewpoint_id : str
         Of the family, one of the second training set, or any other: these share floor and lamp.
     """
-    bench = bench_of(simulation)
     view = settings.viewpoint_ids().get(viewpoint_id, "")
-    drawn = view in VIEWPOINTS and VIEWPOINTS[view].drawn
-    rng = generator(seed, bench, *([view] if drawn else []), "surroundings")
+    bench = drawn_by(simulation, view)
+    rng = generator(seed, bench, *([view] if of_a_family(view) else []), "surroundings")
     floor = _draw_floor(settings.floors, rng)
     moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
     x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))

@@ -4,7 +4,7 @@
 """
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -126,14 +126,12 @@ def resized(video: np.ndarray, side: int) -> np.ndarray:
     )
 
 
-def takes_part(
-    row: Mapping[str, Any], trained_on: str = "", may_test: Collection[str] = ()
-) -> bool:
-    """Whether a video may train: nothing in it (`ROLES`), but for `may_test`, is for testing.
+def takes_part(row: Mapping[str, Any], trained_on: str = "") -> bool:
+    """Whether a video may train: nothing in it (`ROLES`) is for testing.
 
     Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
     """
-    return test_only(row) <= {*may_test, *(["floor"] if trained_on == REFLECTIVE else [])}
+    return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 
 def test_only(row: Mapping[str, Any]) -> set[str]:

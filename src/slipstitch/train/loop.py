@@ -292,7 +292,6 @@ def read_training_videos(
     uses: Callable[[dict[str, Any]], bool] | None,
     pixels: int | None,
     frames: int | None = None,
-    validates: Callable[[dict[str, Any]], bool] | None = None,
 ) -> tuple[Videos, np.ndarray]:
     """The videos that train or validate, and which of them train.
 
@@ -305,9 +304,6 @@ def read_training_videos(
         Says of a manifest row whether its video may do either; None: all may.
     pixels, frames
         As for `slipstitch.sample.videos.read_videos`.
-    validates : callable, optional
-        Says of a manifest row on the validation side whether its video validates, in place of
-        `uses`; it may be from a test viewpoint.
 
     Raises
     ------
@@ -317,13 +313,14 @@ def read_training_videos(
     if split not in TRAINED_ON:
         raise BadInput(f"unknown split {split!r}; known: {', '.join(TRAINED_ON)}")
     column = f"split_{split_of(split)}"
-
-    def taken(row: dict[str, Any]) -> bool:
-        if validates and row[column] == "validation":
-            return takes_part(row, split, may_test=["viewpoint"]) and validates(row)
-        return takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
-
-    videos = read_videos(dataset, taken, pixels, frames)
+    videos = read_videos(
+        dataset,
+        lambda row: (
+            takes_part(row, split) and row[column] != "test" and (uses is None or uses(row))
+        ),
+        pixels,
+        frames,
+    )
     return videos, np.array([row[column] == "train" for row in videos.rows])
 
 
