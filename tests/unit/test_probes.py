@@ -42,7 +42,7 @@ def dataset(shards, tmp_path_factory):
     return folder
 
 
-def grid_of_images(leak: float, seed: int = 0):
+def grid_of_images(leak: float, seed: int = 0, viewpoint: str = "calibrated"):
     """Videos of 4 fabrics x 8 coefficients x 6 textures: rows and first frames.
 
     `leak` scales a faint pattern that every simulation has of its own, as a perturbed bench has.
@@ -59,6 +59,7 @@ def grid_of_images(leak: float, seed: int = 0):
                 rows.append(
                     {
                         "friction": 0.1 * f,
+                        "viewpoint": viewpoint,
                         "simulation": f"m{m}f{f}",
                         "split_by_video": side,
                         "split_by_simulation": "test" if (m + f) % 4 == 0 else "train",
@@ -66,6 +67,15 @@ def grid_of_images(leak: float, seed: int = 0):
                 )
                 images.append(128 + texture[t] + fabric[m] + leak * own[m, f])
     return rows, np.clip(np.stack(images), 0, 255).astype(np.uint8)
+
+
+def test_benches_of_one_simulation_each_may_tell_it_where_whole_simulations_are_held_out():
+    check_first_frames("benches", *grid_of_images(6.0, viewpoint="bench_1"))
+    rows, frames = grid_of_images(0.0, viewpoint="bench_1")
+    floors = np.random.default_rng(0).normal(0, 10, (8, 16, 16, 3))
+    drawn = floors[[round(10 * row["friction"]) for row in rows]]
+    with pytest.raises(BadInput, match="benches: split by simulation: the first frame tells"):
+        check_first_frames("benches", rows, np.clip(frames + drawn, 0, 255).astype(np.uint8))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,11 +8,16 @@ import torch
 from torch import nn
 
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.train import SPLITS
 from slipstitch.evaluate.metrics import chance, confusion, constant_error, entry, friction_scores
 from slipstitch.evaluate.wrong_inputs import ever_cloth
 from slipstitch.sample.images import read_frames
-from slipstitch.sample.probes import PIXELS, linear_answers, refuse_leak, standardised
+from slipstitch.sample.probes import (
+    PIXELS,
+    linear_answers,
+    probed_splits,
+    refuse_leak,
+    standardised,
+)
 from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.classes import classes_of, labels_of
 
@@ -156,9 +161,10 @@ def probe_split(
 
 
 def probes(settings: EvaluateSettings, dataset: str | os.PathLike) -> dict[str, dict[str, Any]]:
-    """`probe_split` of both splits, of the videos that may train."""
+    """`probe_split` of the splits that must tell nothing, of the videos that may train."""
     videos = read_videos(dataset, takes_part, PIXELS, 2)
-    return {split: probe_split(settings, dataset, videos, split) for split in SPLITS}
+    splits = probed_splits(row["viewpoint"] for row in videos.rows)
+    return {split: probe_split(settings, dataset, videos, split) for split in splits}
 
 
 def entries(of_split: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
