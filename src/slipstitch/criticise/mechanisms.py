@@ -30,7 +30,8 @@ class Bench:
     stage starts ``stage_zero_m`` late and turns ``turn_early_m`` early; a delay is that of a
     reading behind its stage, a drift is counted from the middle of the session; readings are too
     large by the others. ``track_drop`` are the drops that an uneven track makes where nothing
-    sticks, in units of those that its unevenness would allow.
+    sticks, in units of those that its unevenness would allow, ``damping`` the ratio of a slider on
+    its spring.
     """
 
     mass_error: float = 0.0
@@ -52,6 +53,7 @@ class Bench:
     force_delay_s: float = 0.0
     force_drift_N_h: float = 0.0
     track_drop: float = 0.0
+    damping: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -73,13 +73,13 @@ def without_zeros(measurements: Measurements, fitted: Fit, state: State) -> np.n
 
 
 def zero_findings(measurements: Measurements, fitted: Fit, state: State) -> list[DataFinding]:
-    """Zeros that are clearly off."""
+    """Sensors' zeros that are clearly off."""
     values, covariance = estimated_zeros(measurements, fitted, state, usual=False)
     found = []
     for k, (protocol, zero) in enumerate(measurements.zeros):
         error = float(np.sqrt(covariance[k, k]))
         reach = 1.96 * error
-        clear = error > 0 and (values[k] / error) ** 2 > CLEAR_RATIO
+        clear = zero.of_sensor and error > 0 and (values[k] / error) ** 2 > CLEAR_RATIO
         if clear and abs(values[k]) - reach > NEGLIGIBLE:
             size, reach = values[k] * zero.sd, reach * zero.sd
             found.append(

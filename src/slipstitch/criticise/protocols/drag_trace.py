@@ -37,6 +37,10 @@ class Texture:
         reduction = 2.0 * (r - 1.0 + np.exp(-r)) / r**2
         return abs(force_mN) * self.relative_sd * np.sqrt(reduction)
 
+    def change_sd(self, distance_mm: float) -> float:
+        """Standard deviation of the relative change from a place to one at a distance."""
+        return self.relative_sd * float(np.sqrt(-2.0 * np.expm1(-distance_mm / self.length_mm)))
+
 
 def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: float) -> Texture:
     """Texture from all runs' plateaus: (readings, uncertainty, level) of each.
@@ -207,7 +211,7 @@ def trace_features(
     excess = force[on] - spring_mN_mm * x[on]
     centre = x[on].mean()
     spread = float(((x[on] - centre) ** 2).sum())
-    slope, offset = spring_mN_mm, float(excess.mean())
+    slope, offset, fitted = spring_mN_mm, float(excess.mean()), False
     # At the middle of the ramp the offset is independent of the slope.
     features["relaxed_mN"] = Feature(
         ramp.offset_mN,
@@ -219,25 +223,25 @@ def trace_features(
         if gain > -0.8 * spring_mN_mm:
             error = np.hypot(u / np.sqrt(spread) / spring_mN_mm, 1e-3)
             features["stiffness"] = Feature(1 + gain / spring_mN_mm, float(error))
-            slope, offset = spring_mN_mm + gain, offset - gain * centre
+            slope, offset, fitted = spring_mN_mm + gain, offset - gain * centre, True
     first = _first_lasting(offset + slope * x - force > threshold)
     if first is None or first == 0:
         return features
     if first > 6:  # once more, with all of the line: a long line needs a good slope
         line = np.flatnonzero(np.abs(offset + slope * x - force)[: first - 1] < threshold)
         if len(line) > 4:
-            slope, offset = np.polyfit(x[line], force[line], 1)
+            (slope, offset), fitted = np.polyfit(x[line], force[line], 1), True
         first = _first_lasting(offset + slope * x - force > threshold)
         if first is None or first == 0:
             return features
     grid = slope * (x[first] - x[first - 1])
     error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * level) ** 2)
+    # The reading before may be past the slip, its departure not yet seen: a line fitted to
+    # readings says where it passed; one of the nominal spring may be of another slope.
+    passed = offset + slope * x[first] - grid if fitted else force[first - 1]
     if x[first] - x[first - 1] < GAP * step:
         features["force_first_slip_mN"] = Feature(
-            float(force[first - 1] + 0.5 * grid),
-            float(error),
-            float(grid),
-            float(offset + slope * x[first]),
+            float(passed + 0.5 * grid), float(error), float(grid), float(offset + slope * x[first])
         )
     reach = x[-1] - x[first]
     settled = x > x[first] + max(2 * texture.length_mm, 3 * step, SETTLED_SHARE * reach)
@@ -287,7 +291,9 @@ def _reversal(out, back, slope, u, texture, level, turn_mm) -> dict[str, Feature
     force = back["force_mN"].to_numpy()
     tail = out["force_mN"].to_numpy()[-2:]
     start = float(tail.mean())
-    start_error = np.hypot(u, texture.relative_sd * level * np.sqrt(step / texture.length_mm))
+    # The fall begins at the turn itself, up to which the texture changes.
+    left = max(turn - float(out["x_stage_mm"].iloc[-2:].mean()) - 0.25 * step, 0.0)
+    start_error = np.hypot(u / np.sqrt(2.0), level * texture.change_sd(left))
     late = float(np.median(force[len(force) // 2 :]))
     middle, half = 0.5 * (start + late), 0.5 * (start - late)
     crossing = _first_lasting(force < middle)
@@ -327,6 +333,6 @@ def _reversal(out, back, slope, u, texture, level, turn_mm) -> dict[str, Feature
         grid = slope * (travel[first] - travel[first - 1])
         error = np.sqrt(grid**2 / 12 + 0.5 * u**2 + (texture.relative_sd * late) ** 2)
         features["force_reversal_slip_mN"] = Feature(
-            float(force[first - 1] - 0.5 * grid), float(error), float(grid), float(line[first])
+            float(line[first] + 0.5 * grid), float(error), float(grid), float(line[first])
         )
     return features

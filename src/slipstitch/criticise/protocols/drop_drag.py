@@ -26,6 +26,7 @@ from slipstitch.friction_law import Contact
 # A stage that turns early stands still while its reading goes on.
 TURN_MARGIN_MM = 5.0
 MOTION_NOISES = 5.0
+SURELY_STUCK_NOISES = MOTION_NOISES + 2.0
 USUAL_STEADY_STAGE_MM = 200.0
 DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
 
@@ -150,8 +151,8 @@ def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dic
             0.5 * (x[first - 1] + x[first]),
             float(np.hypot((x[first] - x[first - 1]) / np.sqrt(12), u)),
         )
-        stuck = np.arange(len(x)) < first - 1
-        stuck &= x < 0.8 * x[first]
+        # What is not yet seen to move may do so.
+        stuck = x < min(x[first - 1] - SURELY_STUCK_NOISES * u, 0.8 * x[first])
         setting["grid"] = (x[first] - x[first - 1], x[first])
         if stuck.any():
             setting["stuck"] = x[stuck]
@@ -198,13 +199,14 @@ def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
     if np.sum(seen - every < 1e-6) > 2:  # it waited there, in view
         return seen, 0.0
     last, first = forward.iloc[-1], back.iloc[0]
-    step = float(np.median(np.diff(forward["x_stage_mm"])))
-    time = float(np.median(np.diff(forward["t_s"])))
+    steps, times = np.diff(forward["x_stage_mm"]), np.diff(forward["t_s"])
+    step, time = float(np.median(steps)), float(np.median(times))
     elapsed = first["t_s"] - last["t_s"]
     if not time > 0 or not elapsed < 1.6 * time:
         return seen, np.inf
     crossing = 0.5 * (last["x_stage_mm"] + first["x_stage_mm"] + step / time * elapsed)
-    return float(max(crossing, seen)), 0.05 * step
+    # As well as the frames' clock tells how far the stage goes from one to the next.
+    return float(max(crossing, seen)), 0.5 * float(np.std(steps - step / time * times))
 
 
 def features(tables, nominal, measured) -> DropDragBlock | None:

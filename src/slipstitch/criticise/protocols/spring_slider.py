@@ -43,8 +43,9 @@ SYNTHETIC_TRACES = 4
 USUAL_EXCESS = 0.1
 # Scatter of a single slip and of a block's mean where too few slips tell.
 USUAL_SINGLE, USUAL_BLOCK = 0.1, 0.03
-# Of the swing that inertia makes: damping, which the model has not, takes some of it.
-INERTIAL_ERROR = 0.3
+# Of the swing that inertia makes, what more than linear damping takes; and of it, the excess up to
+# which damping may let the swing die out.
+INERTIAL_ERROR, DAMPED_EXCESS = 0.1, 0.5
 
 
 @dataclass
@@ -59,6 +60,7 @@ class SpringSliderBlock(Block):
         "force_gain",
         "force_drift_N_h",
         "track_drop",
+        "damping",
     )
 
     at_rest: Contact
@@ -68,6 +70,7 @@ class SpringSliderBlock(Block):
     spring_N_m: np.ndarray
     speed_m_s: np.ndarray
     track_drop_mN: np.ndarray
+    unseen_mN: np.ndarray
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
@@ -80,7 +83,15 @@ class SpringSliderBlock(Block):
         )
         level = cycle.level_N - load * np.sin(tilt)
         gain = 1e3 * (1 + bench.force_gain)
-        result = np.where(quantity == SWING, gain * cycle.swing_N, gain * cycle.first_swing_N)
+        # Viscous damping pulls at the mean speed, and at every swing until the trough.
+        inertial = slider.inertial_force
+        level = level + 2 * bench.damping * inertial
+        swing = np.where(quantity == SWING, cycle.swing_N, cycle.first_swing_N)
+        excess = np.sqrt(np.maximum(swing**2 - inertial**2, 0.0))
+        result = gain * swing * (1 - bench.damping * (np.pi - np.arctan2(excess, inertial)))
+        # Without an excess it lets the swing die out below what would be seen.
+        quiet = np.hypot(gain * excess, np.minimum(gain * inertial, self.unseen_mN))
+        result = np.where(self.unseen_mN > 0, quiet, result)
         result = result + bench.track_drop * self.track_drop_mN
         offset = 1e3 * (bench.force_offset_N + bench.force_drift_N_h * self.hours())
         return np.where(quantity == LEVEL, gain * level + offset, result)
@@ -203,7 +214,8 @@ def _features(
 ) -> tuple[list[tuple], np.ndarray]:
     """(run, quantity, value, uncertainty) of every run; uncertainties are pooled over runs.
 
-    And by run the half drops (mN) that a track as uneven as the slips' middles makes.
+    Drops that were not seen have as a fifth what they are taken for. And by run the half drops
+    (mN) that a track as uneven as the force makes.
 
     The less a slider sticks between its slips, the more damping changes its swing.
     """
@@ -214,7 +226,9 @@ def _features(
     halves = {id(r): _block_means(r.slips.half_mN) for r in slipping}
     level_sd = _pooled(list(middles.values()), USUAL_BLOCK)
     half_sd = _pooled(list(halves.values()), USUAL_BLOCK)
-    uneven = _pooled([r.slips.middle_mN for r in slipping], USUAL_BLOCK)
+    # A slider that slides on shows the track in its force, one that slips in the slips' middles.
+    sliding = [middles[id(r)] for r in good if id(r) not in halves]
+    uneven = _pooled([*sliding, *(r.slips.middle_mN for r in slipping)], USUAL_BLOCK)
     single_sd = _pooled([r.slips.half_mN for r in slipping], USUAL_SINGLE)
     lines, of_tracks = [], np.zeros(len(readings))
     for i, reading in enumerate(readings):
@@ -226,7 +240,10 @@ def _features(
         of_track = of_tracks[i] = uneven * level
         inertial = INERTIAL_ERROR * inertial_mN[i]
         doubt = np.hypot(inertial, of_track)
-        error = np.hypot(level * level_sd, u) / np.sqrt(len(blocks))
+        # The blocks' scatter has the noise of the readings in it.
+        error = np.hypot(
+            level * level_sd / np.sqrt(len(blocks)), u / np.sqrt(len(reading.steady_mN))
+        )
         lines.append((i, LEVEL, level, float(error)))
         # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
         unseen = (0.25 * DROP_NOISES * u, float(np.hypot(0.25 * DROP_NOISES * u, doubt)))
@@ -240,16 +257,16 @@ def _features(
             error = np.hypot(error, of_track)
             lines.append((i, SWING, half, float(error)))
         elif not len(reading.slips.half_mN):
-            # Damping lets the swing of a slider that does not stick die out altogether.
-            lines.append((i, SWING, unseen[0], float(np.hypot(unseen[1], inertial_mN[i]))))
+            quiet = float(np.hypot(unseen[1], DAMPED_EXCESS * inertial_mN[i]))
+            lines.append((i, SWING, unseen[0], quiet, unseen[0]))
         if reading.first_half_mN is not None:
             first = reading.first_half_mN - reading.bias_mN
-            error = np.hypot(single_sd * first, u)
+            error = np.hypot(single_sd * first, u / np.sqrt(2))  # of half a difference
             error = np.hypot(error, inertial * min(inertial_mN[i] / max(first, 1e-9), 1.0))
             error = np.hypot(error, of_track)
             lines.append((i, FIRST_SWING, float(first), float(error)))
         elif reading.first_unseen:
-            lines.append((i, FIRST_SWING, *unseen))
+            lines.append((i, FIRST_SWING, *unseen, unseen[0]))
     return lines, of_tracks
 
 
@@ -316,6 +333,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         spring[index],
         speed[index],
         np.where(static, of_tracks[index], 0.0),
+        np.array([line[4] if len(line) > 4 else 0.0 for line in lines]),
     )
     block.trace_noises = noises
     return block
