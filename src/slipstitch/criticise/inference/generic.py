@@ -13,7 +13,7 @@ import pandas as pd
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 
 FEWEST_RUNS = 4
-MOST_PARTS, MOST_CYCLES = 16, 12.0
+MOST_PARTS, MOST_CYCLES = 16, 20.0
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,8 @@ def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
         return []
     span = np.ptp(values[known & usable])
     shapes = []
-    # Up to a quarter as many cycles as places: beyond, waves are alike at the places there are.
-    most = min(0.25 * len(_levels(values[known & usable])), MOST_CYCLES)
+    # Beyond half as many cycles as places, waves are alike at places that are evenly spread.
+    most = min(0.4 * len(_levels(values[known & usable])), MOST_CYCLES)
     for cycles in np.arange(1.0, max(most, 2.5) + 0.25, 0.5):
         period = span / cycles
         phase = 2 * np.pi * np.where(known, values, 0.0) / period
