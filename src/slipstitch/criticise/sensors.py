@@ -43,9 +43,9 @@ _ENTRIES = (
     Zero("edge_zero_m", "edge camera", "zero of the trailing edge", "mm", 1e-3, 0.5),
     Zero("contact_zero_m", "contact camera", "zero of the contact length", "mm", 1e-3, 3.0),
     Zero("contact_delay_s", "contact camera", "delay of the contact length", "s", 1.0, 0.2),
-    # The half drop of a wave is 1.4 times the standard deviation that it has.
     # Of the critical: a few per cent, as in dry joints and springs.
     Zero("damping", "slider", "damping ratio", "1", 1.0, 0.03, of_sensor=False),
+    # The half drop of a wave is 1.4 times the standard deviation that it has.
     Zero("track_drop", "track", "drops of an uneven track", "1", 1.0, 1.4, of_sensor=False),
 )
 ZEROS: Mapping[str, Zero] = MappingProxyType({zero.field: zero for zero in _ENTRIES})

@@ -150,7 +150,8 @@ def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
         return []
     span = np.ptp(values[known & usable])
     shapes = []
-    # Beyond half as many cycles as places, waves are alike at places that are evenly spread.
+    # Beyond half as many cycles as places, waves are alike at places that are evenly spread;
+    # a little less, because places are not.
     most = min(0.4 * len(_levels(values[known & usable])), MOST_CYCLES)
     for cycles in np.arange(1.0, max(most, 2.5) + 0.25, 0.5):
         period = span / cycles
