@@ -20,6 +20,8 @@ SETTLED_SHARE = 0.1
 GAP = 2.5
 # Places at which the start of a fall is tried.
 FALL_PLACES = 201
+# Relative error of a slope that is not seen: of the nominal spring, and of the cell's gain.
+USUAL_SLOPE_ERROR = 0.1
 
 
 @dataclass(frozen=True)
@@ -212,6 +214,7 @@ def trace_features(
     centre = x[on].mean()
     spread = float(((x[on] - centre) ** 2).sum())
     slope, offset, fitted = spring_mN_mm, float(excess.mean()), False
+    slope_error = USUAL_SLOPE_ERROR * spring_mN_mm
     # At the middle of the ramp the offset is independent of the slope.
     features["relaxed_mN"] = Feature(
         ramp.offset_mN,
@@ -224,6 +227,7 @@ def trace_features(
             error = np.hypot(u / np.sqrt(spread) / spring_mN_mm, 1e-3)
             features["stiffness"] = Feature(1 + gain / spring_mN_mm, float(error))
             slope, offset, fitted = spring_mN_mm + gain, offset - gain * centre, True
+            slope_error = u / np.sqrt(spread)
     first = _first_lasting(offset + slope * x - force > threshold)
     if first is None or first == 0:
         return features
@@ -231,6 +235,7 @@ def trace_features(
         line = np.flatnonzero(np.abs(offset + slope * x - force)[: first - 1] < threshold)
         if len(line) > 4:
             (slope, offset), fitted = np.polyfit(x[line], force[line], 1), True
+            slope_error = u / (np.sqrt(len(line)) * x[line].std())
         first = _first_lasting(offset + slope * x - force > threshold)
         if first is None or first == 0:
             return features
@@ -248,7 +253,7 @@ def trace_features(
     if settled.sum() >= 5:
         features["force_plateau_mN"] = _plateau(x[settled], force[settled], u, texture)
     if len(back) >= 8 and "force_plateau_mN" in features:
-        features |= _reversal(out, back, slope, u, texture, level, turn_mm)
+        features |= _reversal(out, back, (slope, slope_error), u, texture, level, turn_mm)
     return features
 
 
@@ -279,8 +284,9 @@ def _start_of_fall(travel, force, start, late, slope, u) -> tuple[float, float]:
     return float(mean), float(np.sqrt(np.average((places - mean) ** 2, weights=weights)))
 
 
-def _reversal(out, back, slope, u, texture, level, turn_mm) -> dict[str, Feature]:
+def _reversal(out, back, spring, u, texture, level, turn_mm) -> dict[str, Feature]:
     features: dict[str, Feature] = {}
+    slope, slope_error = spring
     last, first = float(out["x_stage_mm"].iloc[-1]), float(back["x_stage_mm"].iloc[0])
     turn = max(float(out["x_stage_mm"].max()), float(back["x_stage_mm"].max()))
     step = float(np.median(np.abs(np.diff(back["x_stage_mm"])))) or 1e-6
@@ -314,16 +320,16 @@ def _reversal(out, back, slope, u, texture, level, turn_mm) -> dict[str, Feature
             two = slice(crossing - 1, crossing + 1)
             lost, error = _start_of_fall(travel[two], force[two], start, late, slope, u)
             error = np.hypot(error, start_error / slope)
+            error = np.hypot(error, half * slope_error / slope**2)
             features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
         return features
     along, drop = travel[falling], force[falling]
     centre, spread = along.mean(), float(((along - along.mean()) ** 2).sum())
-    own_slope = len(along) >= 5
-    if own_slope:  # the fall's own slope: over its length a small error of it adds up
-        slope = -float(((along - centre) * drop).sum() / spread)
+    if len(along) >= 5:  # the fall's own slope: over its length a small error of it adds up
+        slope, slope_error = -float(((along - centre) * drop).sum() / spread), u / np.sqrt(spread)
     lost = float(centre + (drop.mean() - start) / slope)
-    own = 1.0 / len(along) + ((centre - lost) ** 2 / spread if own_slope else 0.0)
-    error = np.sqrt(u**2 * own + start_error**2) / slope
+    of_slope = (centre - lost) * slope_error
+    error = np.sqrt(u**2 / len(along) + of_slope**2 + start_error**2) / slope
     if seen:
         features["lost_motion_mm"] = Feature(lost, float(np.hypot(error, 0.003)))
     line = start - slope * (travel - lost)
