@@ -5,7 +5,7 @@ import pytest
 
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
+from slipstitch.simulate.drop_and_drag import _Bench, draw_perturbation, simulate_drop_and_drag
 
 SMALL = SimulationSettings(vertices_per_side=21, frames=12)
 FRICTION = 0.3
@@ -130,3 +130,36 @@ def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch
     )
     bulge = trajectory.positions_m[-1, :, 0]
     assert np.sign(bulge[np.abs(bulge).argmax()]) == -curl
+
+
+def test_a_step_to_the_other_side_is_refused_while_the_cloth_lands(monkeypatch):
+    """The way that the cloth goes is confirmed; its mirror image is not."""
+    confirm = _Bench._lands_on_one_side
+    decided = []
+
+    def both_ways(bench, x, step_s):
+        way_m = x[:, 0] - bench.solver.positions_m[:, 0]
+        other = x.copy()
+        other[:, 0] -= 2 * way_m
+        answers = confirm(bench, x, step_s), confirm(bench, other, step_s)
+        if bench._probe is None:
+            assert answers == (True, True)
+        elif np.sqrt(np.mean(way_m**2)) > bench.settings.step_error_m:
+            decided.append(answers)
+        return answers[0]
+
+    monkeypatch.setattr(_Bench, "_lands_on_one_side", both_ways)
+    settings = SimulationSettings(
+        vertices_per_side=11, frames=5, settle_s=0.5, step_error_m=3e-4
+    )  # so coarse that steps are accepted that could be halved
+    simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    assert decided and set(decided) == {(True, False)}
+
+
+def test_a_step_that_is_not_confirmed_is_halved(monkeypatch):
+    settings = SimulationSettings(vertices_per_side=5, frames=4, settle_s=0.0)
+    plain, _ = simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    monkeypatch.setattr(_Bench, "_lands_on_one_side", lambda bench, x, step_s: step_s < 0.06)
+    halved, _ = simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    for count in ("steps", "refinements"):
+        assert halved.metadata["solver"][count] > plain.metadata["solver"][count]

@@ -117,6 +117,15 @@ class FloorFriction:
         warp = cos(angle) * along_u + sin(angle) * along_v
         self._warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
 
+    def go_on_from(self, other: FloorFriction) -> None:
+        """Take the contact history of another one of the same cloth."""
+        for own, its in [
+            (self.sliding, other.sliding),
+            (self.dwell_s, other.dwell_s),
+            (self.repeats, other.repeats),
+        ]:
+            own.assign(its)
+
     def rest(self, duration_s: float) -> None:
         """Let every resting node grow older without anything moving."""
         if self.extended:

@@ -202,6 +202,8 @@ class ClothSolver:
         self.velocities_m_s = np.zeros_like(self.positions_m)
         self.record = StepRecord()
         self.time_s = 0.0
+        # Asked about the end (V, 3) of an accurate step and its length in s; a no halves the step.
+        self.confirm: Callable[[np.ndarray, float], bool] | None = None
         self._accurate_step_s = np.inf
         self._last_step_s = 0.0
         self._acceleration_m_s2 = np.zeros_like(self.positions_m)
@@ -460,6 +462,9 @@ class ClothSolver:
                 return Outcome.INACCURATE
         elif step_error_m < self.settings.step_error_m / 5:
             self._accurate_step_s = 2 * step_s
+        if may_refine and self.confirm and not self.confirm(x, step_s):
+            self._accurate_step_s = step_s / 2
+            return Outcome.INACCURATE
         self.record.largest_residual = max(self.record.largest_residual, error)
         self._accept(x, step_s)
         return Outcome.ACCEPTED
@@ -584,6 +589,15 @@ class ClothSolver:
             self.floor.start.assign(self.positions_m)
             self.floor.set_directions(place)
         self.sheets.ask(Work.STRAINS, self.member)
+
+    def go_on_from(self, other: ClothSolver) -> None:
+        """Take the state of another solver of the same cloth; layers forget their friction."""
+        self.positions_m, self.velocities_m_s = other.positions_m, other.velocities_m_s
+        self._acceleration_m_s2, self._last_step_s = other._acceleration_m_s2, other._last_step_s
+        self.time_s, self._accurate_step_s = other.time_s, np.inf
+        self.start()
+        self._anchor.assign(other._anchor)
+        self.floor.go_on_from(other.floor)
 
     def advance(
         self,
