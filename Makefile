@@ -10,7 +10,7 @@ SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-departures benchmark-audit \
 	benchmark-batch \
 	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
-	benchmark-scale captures convergence criticise-measured figures clean
+	benchmark-scale captures convergence criticise-measured shipped-instrument figures clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
@@ -33,6 +33,7 @@ help:
 	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
 	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
 	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
+	@echo 'make shipped-instrument  copy the published instrument into the package'
 	@echo 'make figures    write the figures of README and docs that come from published files again'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
@@ -104,6 +105,11 @@ benchmark-fuzz: setup
 benchmark-scale: setup
 	$(BIN)/python benchmarks/dag.py --out results/published/scale/dag.json
 	$(BIN)/python benchmarks/scale.py
+
+shipped-instrument:
+	cp results/published/instrument/models/by_simulation/instrument/seed0/instrument.safetensors \
+	   results/published/instrument/models/by_simulation/instrument/seed0/instrument.json \
+	   results/published/instrument/config.json src/slipstitch/measure/shipped/
 
 criticise-measured: setup
 	for case in paper_on_paper block_on_wood_board block_on_other_board; do \

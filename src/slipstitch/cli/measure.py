@@ -14,25 +14,26 @@ from slipstitch.cli.options import (
 )
 
 SUMMARY = "measure the friction coefficient in a video, with an error bar, the fabric and an alarm"
-EXAMPLE = (
-    "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json "
-    "--model results/instrument/by_simulation/seed0 --out glass_1.html"
-)
+EXAMPLE = "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
         "videos",
-        nargs="+",
+        nargs="*",
         type=Path,
         metavar="VIDEO",
         help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
         "measured individually and together",
     )
     parser.add_argument(
+        "--example",
+        action="store_true",
+        help="measure the video that comes with Slipstitch: a simulated one, not a real one",
+    )
+    parser.add_argument(
         "--camera",
-        required=True,
         type=Path,
         metavar="FILE",
         help="camera file written by slipstitch capture camera, with the camera's position at "
@@ -81,10 +82,20 @@ def run(arguments: argparse.Namespace) -> int:
     import math
 
     from slipstitch.errors import BadInput
+    from slipstitch.measure.example import EXAMPLE_FOLDER, known_of_example
     from slipstitch.measure.measurement_files import measure_to_files
     from slipstitch.measure.measuring import measuring_bench
 
     check_at_least(arguments, threads=1)
+    if arguments.example:
+        if arguments.videos or arguments.camera:
+            raise BadInput("--example has its own video and camera: give neither with it")
+        arguments.videos = [EXAMPLE_FOLDER / "film.mp4"]
+        arguments.camera = EXAMPLE_FOLDER / "camera.json"
+    elif not arguments.videos:
+        raise BadInput("no video: give one, or --example")
+    elif not arguments.camera:
+        raise BadInput("--camera FILE is required: `slipstitch capture camera` writes one")
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
@@ -111,6 +122,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     for line in pair.videos[0].lines() if len(arguments.videos) == 1 else pair.lines():
         print(line)
+    if arguments.example:
+        print(known_of_example())
     if pair.refused:
         return BAD_INPUT_EXIT_CODE
     return ALARM_EXIT_CODE if any(v.measurement.alarm for v in pair.videos) else 0

@@ -92,7 +92,10 @@ def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
 def add_instrument(parser: argparse.ArgumentParser) -> None:
     """``--model DIR`` and ``--config FILE`` of a trained instrument."""
     parser.add_argument(
-        "--model", required=True, type=Path, metavar="DIR", help="a trained instrument"
+        "--model",
+        type=Path,
+        metavar="DIR",
+        help="a trained instrument (default: the one that comes with Slipstitch)",
     )
     parser.add_argument(
         "--config",

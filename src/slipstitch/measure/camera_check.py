@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.poses import in_words, outside
+from slipstitch.measure import SHIPPED
 from slipstitch.measure.measuring import schedule_of
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
@@ -47,14 +48,18 @@ class CameraCheck:
 
 
 def check_camera(
-    camera: str | os.PathLike, model: str | os.PathLike, config: str | os.PathLike | None = None
+    camera: str | os.PathLike,
+    model: str | os.PathLike | None = None,
+    config: str | os.PathLike | None = None,
 ) -> CameraCheck:
     """Compare a camera's place with the poses of an instrument's training.
 
     Parameters
     ----------
-    camera, model : path
-        The camera file, the instrument's folder.
+    camera : path
+        The camera file.
+    model : path, optional
+        The instrument's folder; by default the instrument that comes with Slipstitch.
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
 
@@ -64,6 +69,7 @@ def check_camera(
         If a file cannot be used.
     """
     lens = read_camera_file(camera)
+    model = model or SHIPPED
     instrument = load_instrument(model)
     _, schedule = schedule_of(instrument, model, config)
     pose = relative_pose(*lens.pose, schedule.pose)

@@ -16,6 +16,7 @@ from slipstitch.config import load_config
 from slipstitch.errors import BadInput
 from slipstitch.instrument import Instrument, Measurement, load_instrument
 from slipstitch.instrument.poses import outside
+from slipstitch.measure import SHIPPED
 from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera_file import LensCamera, read_camera_file
 from slipstitch.render.pose import POSE
@@ -165,7 +166,7 @@ class MeasuringBench:
 
 def measuring_bench(
     camera: str | os.PathLike,
-    model: str | os.PathLike,
+    model: str | os.PathLike | None = None,
     config: str | os.PathLike | None = None,
     threads: int = 2,
     force: bool = False,
@@ -174,8 +175,10 @@ def measuring_bench(
 
     Parameters
     ----------
-    camera, model : path
-        The camera file, the instrument's folder.
+    camera : path
+        The camera file.
+    model : path, optional
+        The instrument's folder; by default the instrument that comes with Slipstitch.
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
     threads : int
@@ -188,7 +191,8 @@ def measuring_bench(
         If a file cannot be used, or the camera stands outside the poses of the training.
     """
     lens = read_camera_file(camera)
-    instrument = load_instrument(Path(model))
+    model = model or SHIPPED
+    instrument = load_instrument(model)
     config_path, schedule = schedule_of(instrument, model, config)
     tested = instrument.card.get("pose_range")
     strange = outside(relative_pose(*lens.pose, schedule.pose), tested) if tested else []

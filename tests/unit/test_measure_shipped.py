@@ -1,0 +1,67 @@
+"""The instrument that comes with Slipstitch, and the video to try it on."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slipstitch.cli.main import main
+from slipstitch.config import load_config
+from slipstitch.instrument import load_instrument
+from slipstitch.measure import SHIPPED
+from slipstitch.measure.example import EXAMPLE_FOLDER
+
+ROOT = Path(__file__).parents[2]
+PUBLISHED = ROOT / "results/published/instrument"
+
+
+def test_it_is_the_published_one_and_small():
+    models = PUBLISHED / "models/by_simulation/instrument/seed0"
+    for name in ("instrument.safetensors", "instrument.json"):
+        assert (SHIPPED / name).read_bytes() == (models / name).read_bytes(), name
+    assert (SHIPPED / "config.json").read_bytes() == (PUBLISHED / "config.json").read_bytes()
+    assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 4e6
+
+
+def test_it_is_what_its_configuration_trains():
+    shipped = load_config(SHIPPED / "config.json")
+    now = load_config(
+        *(ROOT / name for name in ("config.yaml", "config/paper.yaml", "config/instrument.yaml"))
+    )
+    for section in ("seed", "grid", "simulation", "sample", "instrument"):
+        assert getattr(shipped, section) == getattr(now, section), section
+    card = load_instrument(SHIPPED).card
+    assert len(card["materials"]) == 10
+    assert (min(card["frictions"]), max(card["frictions"])) == (0.0, 1.5)
+    assert card["calibration_simulations"] == 32
+    assert card["split"] == "by_simulation"
+    low, high = card["pose_range"]["yaw_deg"]
+    assert low < -10 < 10 < high
+
+
+def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["measure", "--example", "--json", "numbers.json"]) == 0
+    said = capsys.readouterr().out
+    assert "the example is simulated, not real" in said
+    known = json.loads((EXAMPLE_FOLDER / "example.json").read_text())
+    told = json.loads((tmp_path / "numbers.json").read_text())
+    low, high = told["interval_90"]
+    assert low <= known["friction"] <= high
+    assert not told["alarm"]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ([], "no video: give one, or --example"),
+        (["film.mp4"], "--camera FILE is required"),
+        (["--example", "film.mp4"], "--example has its own video and camera: give neither with it"),
+        (["--example", "--camera", "c.json"], "--example has its own video and camera"),
+    ],
+)
+def test_a_video_with_its_camera_or_the_example(words, problem, capsys):
+    assert main(["measure", *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
