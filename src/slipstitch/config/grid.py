@@ -130,7 +130,8 @@ def simulation_seed(seed: int, material: str, replicate: int) -> int:
 def bench_of(simulation: str) -> str:
     """The bench of a simulation by its id, ``m05_f0300_r00`` -> ``m05_r00``.
 
-    What is drawn for floor, lamp and camera is drawn by this: the same at every coefficient.
+    Floor, lamp and the camera's noise are drawn by this, the same at every coefficient; but for
+    cameras of the family ``bench_1`` ..., see `slipstitch.render.surroundings.drawn_by`.
     """
     return re.sub(r"_f\d+(?=_|$)", "", simulation)
 
