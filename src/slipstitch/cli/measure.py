@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     import math
 
     from slipstitch.errors import BadInput
-    from slipstitch.measure.example import EXAMPLE_FOLDER, known_of_example
+    from slipstitch.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.measure.measurement_files import measure_to_files
     from slipstitch.measure.measuring import measuring_bench
 
@@ -90,8 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")
-        arguments.videos = [EXAMPLE_FOLDER / "film.mp4"]
-        arguments.camera = EXAMPLE_FOLDER / "camera.json"
+        arguments.videos = [EXAMPLE_VIDEO]
+        arguments.camera = EXAMPLE_CAMERA
     elif not arguments.videos:
         raise BadInput("no video: give one, or --example")
     elif not arguments.camera:

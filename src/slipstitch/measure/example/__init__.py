@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 
 EXAMPLE_FOLDER = Path(__file__).parent
+EXAMPLE_VIDEO = EXAMPLE_FOLDER / "film.mp4"
+EXAMPLE_CAMERA = EXAMPLE_FOLDER / "camera.json"
 
 
 def known_of_example() -> str:
