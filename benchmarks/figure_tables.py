@@ -6,6 +6,7 @@ import pandas
 from solver_cost_page import page
 
 from slipstitch.calibrate.choice import describe
+from slipstitch.evaluate import paper as printed
 
 
 def _read(root, name):
@@ -156,7 +157,72 @@ def instrument_parts(root):
     return _table(head.split("|"), rows)
 
 
+# Of the paper's tables: what each network is asked, and the metric's words.
+COUNTED = {
+    "material_baseline": "fabric",
+    "friction_baseline": "μ, fabric not told",
+    "friction_conditional": "μ, fabric estimated first",
+}
+METRICS = {
+    "material_top1": "right",
+    "material_top2": "among the first two",
+    "friction_lt_0.1": "class right (< 0.1)",
+    "friction_lt_0.2": "or its neighbour (< 0.2)",
+}
+PROBE = "probe_middle_frame"
+
+
+def _cell(details, test, network, metric):
+    found = details.get(test, {}).get(network)
+    if not found or metric not in found["mean"]:
+        return "–"
+    text = f"{100 * found['mean'][metric]:.1f}"
+    return text + (f" ± {100 * found['spread'][metric]:.1f}" if found["spread"] else "")
+
+
+def paper(root):
+    """The paper's Table 2 and ours, beside what one frame tells a linear probe."""
+    details = _read(root, "paper/details.json")
+    tests = ("by_video", "by_simulation")
+    rows = []
+    for (network, metric), share in printed.TABLE_2.items():
+        probed = [
+            _cell(details, test, PROBE, metric) if network == "friction_baseline" else ""
+            for test in tests
+        ]
+        ours = [_cell(details, test, network, metric) for test in tests]
+        words = f"{COUNTED[network]}: {METRICS[metric]}"
+        rows.append([words, f"{100 * share:.1f}", *ours, *probed])
+    head = "%|the paper|ours, by video|ours, whole simulations held out"
+    return _table([*head.split("|"), "one frame, by video", "one frame, held out"], rows)
+
+
+def paper_unseen(root):
+    """The paper's Sec. 6.2.1 and Table 3, and ours."""
+    details = _read(root, "paper/details.json")
+    network = "friction_conditional"
+    texture = [
+        printed.UNSEEN_TEXTURE[network, metric] for metric in ("friction_lt_0.1", "friction_lt_0.2")
+    ]
+    tests = {"unseen_texture": ("unseen texture", texture)}
+    for turn, shares in printed.TABLE_3.items():
+        tests[f"view_{turn:+d}"] = (f"camera turned by {turn:+d}°", shares)
+    rows = []
+    for test, (words, shares) in tests.items():
+        ours = [
+            _cell(details, test, each, metric)
+            for each in (network, "friction_baseline")
+            for metric in ("friction_lt_0.1", "friction_lt_0.2")
+        ]
+        number = str(details.get(test, {}).get(network, {}).get("n", "–"))
+        rows.append([words, number, *(f"{100 * share:.1f}" for share in shares), *ours])
+    head = "%|our videos|the paper, < 0.1|< 0.2|ours, < 0.1|< 0.2|ours, fabric not told, < 0.1"
+    return _table([*head.split("|"), "< 0.2"], rows)
+
+
 TABLES = {
+    "paper": paper,
+    "paper_unseen": paper_unseen,
     "convergence": convergence,
     "sweep": sweep,
     "checks": checks,
