@@ -8,7 +8,7 @@ from scipy.stats import t as student
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_identified
-from slipstitch.criticise.inference.analysis import SIGNIFICANCE, Analysis
+from slipstitch.criticise.inference.analysis import LEFTOVER_SIGNIFICANCE, SIGNIFICANCE, Analysis
 from slipstitch.criticise.inference.certificate import POWER, Detectable
 from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
 from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
@@ -16,7 +16,7 @@ from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
 from slipstitch.criticise.inference.rivals import TITLES as RIVALS
 from slipstitch.criticise.inference.separation import separations
-from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.within_runs import within_runs, words
@@ -275,6 +275,7 @@ def sentence(verdict: dict) -> str:
         )
         return (
             f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
+            + _left(verdict)
         )
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
@@ -283,7 +284,15 @@ def sentence(verdict: dict) -> str:
         for name, p in verdict["parameters"].items()
         if name not in [coefficient.name for coefficient in COEFFICIENTS]
     )
-    return f"The model is wrong because {titles} ({numbers})."
+    return f"The model is wrong because {titles} ({numbers}).{_left(verdict)}"
+
+
+def _left(verdict: dict) -> str:
+    """The clearest trace of what else is left beside the causes, if it is significant."""
+    shape = next(iter(verdict["residual_tests"]), None)
+    if shape is None or shape["p_adjusted"] >= LEFTOVER_SIGNIFICANCE * ERROR_WEIGHTS["generic"]:
+        return ""
+    return f" Beside it, structure is left: {shape['shape']} in the {shape['name']}."
 
 
 def _scatter(verdict: dict) -> str:

@@ -15,6 +15,7 @@ from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
 from slipstitch.criticise.inference.rivals import TITLES, ZEROS_OFF, taken_by_rivals
 from slipstitch.criticise.inference.selection import (
+    STANDS_BESIDE,
     TIE_BIC,
     Candidate,
     Judge,
@@ -22,6 +23,7 @@ from slipstitch.criticise.inference.selection import (
     fitted_pairs,
     number_of_runs,
     second_is_significant,
+    stands_beside,
     tied_with,
 )
 from slipstitch.criticise.inference.state import State, refit, state_at, test_at
@@ -239,7 +241,7 @@ def _analyse(
     singles = list(ranking)
     chosen, left_state, left = _tested(measurements, judge, singles[0], rng, replicates)
     pairs = fitted_pairs(judge, singles, left)
-    accepted = [p for p in pairs if second_is_significant(p, singles)]
+    accepted = [p for p in pairs if second_is_significant(p, singles, left)]
     ranking = sorted(singles + pairs, key=lambda c: c.bic)
     if accepted and accepted[0].bic < chosen.bic:
         chosen, left_state, left = _tested(measurements, judge, accepted[0], rng, replicates)
@@ -250,14 +252,14 @@ def _analyse(
     if chosen.bic > -2:
         why = "no mechanism improves on the null by enough to be named"
         return result("unknown", chosen=None, state=null_state, left=outcome, why=why)
-    if chosen_p < LEFTOVER_SIGNIFICANCE:
+    if chosen_p < LEFTOVER_SIGNIFICANCE and not stands_beside(chosen, left, judge):
         why = "structure is left that no one or two mechanisms remove"
         return result("unknown", chosen=chosen, state=left_state, left=left, why=why)
     largest = dict.fromkeys(left_state.scatters, LARGEST_INSTRUMENT_FACTOR)
     for finding in noise_findings(measurements):
         largest[finding.protocol] = LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS
     noisy = {p: s.kappa for p, s in left_state.scatters.items() if s.kappa > largest[p]}
-    if noisy:
+    if noisy and chosen.credit < STANDS_BESIDE:
         protocol = max(noisy, key=noisy.get)
         why = (
             f"readings of one run of {protocol} disagree by {noisy[protocol]:.1f} times their "

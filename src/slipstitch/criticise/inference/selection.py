@@ -24,6 +24,8 @@ PAIR_SIGNIFICANCE = 0.01
 CHANCE_GAIN = 20.0
 # Credit below which a shape that is linear is worth comparing with a mechanism.
 MODERATE = 60.0
+# Credit that a cause must have beside the clearest shape that is left, to be named all the same.
+STANDS_BESIDE = 60.0
 # A rival by design explains at least this share of what the chosen model does.
 EQUAL_SHARE = 0.5
 
@@ -91,6 +93,13 @@ class Judge:
         cost = extra * np.log(max(number_of_runs(m, self.keep), 2))
         return Candidate(causes, best.fitted, credit, cost - credit, best.scatters)
 
+    def credit_beside(self, chosen: Candidate, columns: np.ndarray) -> float:
+        """Credit of a model over the null with columns (n, k) that are fitted freely in both."""
+        m, keep = self.measurements, self.keep
+        base = refit(m, keep, self.null.causes, self.null, self.scatters, columns)
+        best = refit(m, keep, chosen.causes, chosen.fitted, chosen.scatters, columns)
+        return 2 * (best.log_likelihood - base.log_likelihood)
+
     def weights_of(self, causes: tuple[str, ...], state: State) -> Weights:
         """Weights of a state, free levels where what drives the causes was not recorded."""
         nuisance = self._nuisance(causes)
@@ -143,6 +152,16 @@ def explains(outcome: Outcome, chosen: Candidate, measurements, keep) -> bool:
     return True
 
 
+def stands_beside(chosen: Candidate, left: Outcome, judge: Judge) -> bool:
+    """Is the evidence for a model overwhelming beside the clearest shape that it leaves?"""
+    strongest = left.strongest("generic")
+    if strongest is None or chosen.credit < STANDS_BESIDE:
+        return False
+    shape = left.tests[strongest]
+    columns = [shape.columns] if shape.nuisance is None else [shape.columns, shape.nuisance]
+    return judge.credit_beside(chosen, np.column_stack(columns)) >= STANDS_BESIDE
+
+
 def tied_with(
     chosen: Candidate, others: list[Candidate], judge: Judge, state: State
 ) -> list[Candidate]:
@@ -174,14 +193,18 @@ def _expected_evidence(chosen: Candidate, other: Candidate, judge: Judge, state:
     return max(best.chi2 - float(left @ left), 0.0)
 
 
-def second_is_significant(pair: Candidate, singles: list[Candidate]) -> bool:
-    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?"""
+def second_is_significant(pair: Candidate, singles: list[Candidate], left: Outcome) -> bool:
+    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?
+
+    ``left`` are the tests beside the best single one, of which the second may be any.
+    """
     alone = [c for c in singles if c.causes[0] in pair.causes]
     if not alone:
         return False
     top = max(alone, key=lambda c: c.credit)
     extra = len(pair.fitted.parameters) - len(top.fitted.parameters)
-    threshold = chi_square.isf(PAIR_SIGNIFICANCE / max(len(singles) - 1, 1), max(extra, 1))
+    tried = max(len(_testable(left)), 1)
+    threshold = chi_square.isf(PAIR_SIGNIFICANCE / tried, max(extra, 1))
     return pair.credit - top.credit > threshold and pair.bic < top.bic
 
 
@@ -190,7 +213,8 @@ def fitted_pairs(
 ) -> list[Candidate]:
     """The most promising pairs, fitted; screened by ratios beside the leading singles."""
     promise: dict[tuple[str, ...], float] = {}
-    testable = {c.causes[0] for c in singles}
+    # Beside a strong first mechanism a second one counts that explains little alone.
+    testable = _testable(left) | {c.causes[0] for c in singles}
 
     def offer(single, tests, ratios):
         for test, ratio in zip(tests, ratios, strict=True):
@@ -211,6 +235,15 @@ def fitted_pairs(
         first = max((c for c in singles if c.causes[0] in pair), key=lambda c: c.credit)
         fitted.append(judge.candidate(pair, first.fitted))
     return sorted(fitted, key=lambda c: c.bic)
+
+
+def _testable(left: Outcome) -> set[str]:
+    """The mechanisms that can be tested beside a model."""
+    return {
+        test.mechanism
+        for test, log_p in zip(left.tests, left.log_p, strict=True)
+        if test.mechanism is not None and np.isfinite(log_p)
+    }
 
 
 def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
