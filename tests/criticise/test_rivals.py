@@ -10,6 +10,7 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.verdict import sentence, verdict_of
 
 
 def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
@@ -38,6 +39,32 @@ def test_faulty_sensors_do_not_tell_what_the_design_cannot(seed, tmp_path):
 def test_two_mechanisms_along_one_covariate_do_not_stand_for_another_law(tmp_path):
     truth = departures.make_case(9031, tmp_path)
     assert set(truth["effects"]) == {"load_step"}
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    assert analysis.verdict == "unknown", analysis.causes
+
+
+def test_memory_of_the_load_before_is_not_blamed_on_the_load(tmp_path):
+    plan = departures.draw_plan(9705, "null", False)
+    plan.effects = {"memory": {"memory": 0.2}}
+    departures.campaign.write(plan, tmp_path)
+    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    assert analysis.verdict in ("confounded", "unknown"), analysis.causes
+
+
+def test_a_cause_is_named_beside_the_uneven_track_that_it_leaves(tmp_path):
+    truth = departures.make_case(9533, tmp_path)
+    assert set(truth["effects"]) == {"ageing"}
+    assert truth["uneven_track"] == ["incline", "strip"]
+    case = read_case(tmp_path)
+    analysis = analyse(assemble(case))
+    assert analysis.causes == ("ageing",)
+    said = sentence(verdict_of(case, analysis, 1, "test"))
+    assert "structure is left" in said and "position on the substrate" in said
+
+
+def test_a_law_outside_the_library_does_not_stand_beside_what_it_leaves(tmp_path):
+    truth = departures.make_case(9312, tmp_path)
+    assert set(truth["effects"]) == {"stribeck"}
     analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
     assert analysis.verdict == "unknown", analysis.causes
 

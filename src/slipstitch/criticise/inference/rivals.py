@@ -1,4 +1,4 @@
-"""What may stand behind a mechanism's evidence: time in the session, and the run before.
+"""What may stand behind a mechanism's evidence: time, the run before, the place on the track.
 
 Where loads, speeds or rests were taken in an order, a drift with time looks like an effect of
 them. A cause is named only if its evidence survives beside every rival.
@@ -6,9 +6,10 @@ them. A cause is named only if its evidence survives beside every rival.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import legendre
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.inference.fit import Fit
@@ -17,30 +18,42 @@ from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.friction_law import CONTACT_MECHANISMS
 
 SURVIVES_AT = 0.01
-TIME, BEFORE, ZEROS_OFF = "time_in_session", "run_before", "sensor_zeros"
+TIME, BEFORE, PLACE, ZEROS_OFF = "time_in_session", "run_before", "place", "sensor_zeros"
 TITLES = {
     TIME: "a drift with the time in the session",
     BEFORE: "memory of the run before",
+    PLACE: "friction that differs along the track",
     ZEROS_OFF: "zeros of sensors that are off",
 }
 REMEMBERED_COLUMNS = ("load_ratio", "speed_mm_s", "dwell_s")
+# Of twice the log-likelihood, between two curves of one column.
+CLEAR_LEAD = 10.0
+# Of the polynomial along the track: it bends as often as a patch of a third of it needs.
+PLACE_DEGREE = 4
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A smooth curve that friction may follow instead: factors (n, k) of its columns."""
+    """A smooth curve that friction may follow instead: factors (n, k) of its columns.
+
+    ``must_lead``: half of it is the mechanism's own covariate, so that it takes the evidence only
+    if it explains more by itself; clearly more is enough.
+    """
 
     name: str
     factors: np.ndarray
+    must_lead: bool = False
 
 
 def rivals_of(measurements: Measurements) -> list[Rival]:
     """The rivals that a case's order of runs allows."""
     m = measurements
-    time, memory = np.zeros((len(m.y), 3)), []
+    time, place = np.zeros((len(m.y), 3)), np.zeros((len(m.y), PLACE_DEGREE))
     before = {name: np.zeros(len(m.y)) for name in REMEMBERED_COLUMNS}
+    since = {name: np.zeros(len(m.y)) for name in REMEMBERED_COLUMNS}
     for protocol in np.unique(m.protocol):
         mine = np.flatnonzero(m.protocol == protocol)
         runs, first, of_run = np.unique(m.run[mine], return_index=True, return_inverse=True)
@@ -51,6 +64,10 @@ def rivals_of(measurements: Measurements) -> list[Rival]:
         clock = clock if np.isfinite(clock).all() else first.astype(float)
         z = 2 * (clock - clock.min()) / max(np.ptp(clock), 1e-12) - 1
         time[mine] = np.column_stack([z, z**2, z**3])[of_run]
+        along = m.rows["pos_x_mm"].to_numpy(float)[mine][first]
+        if np.isfinite(along).all() and len(np.unique(along)) > 2 * PLACE_DEGREE:
+            z = 2 * (along - along.min()) / np.ptp(along) - 1
+            place[mine] = legendre.legvander(z, PLACE_DEGREE)[of_run, 1:]
         specimen = m.specimen[mine][first]
         order = np.lexsort([clock, specimen])
         follows = np.flatnonzero(specimen[order][1:] == specimen[order][:-1])
@@ -63,10 +80,18 @@ def rivals_of(measurements: Measurements) -> list[Rival]:
             known = np.isfinite(last)
             if known.sum() < 4 or np.ptp(last[known]) < 1e-9:
                 continue
+            change = last - values
             before[name][mine] = np.where(known, last - last[known].mean(), 0.0)[of_run]
-    memory = [column for column in before.values() if np.any(column != 0)]
-    rivals = [Rival(TIME, time)] if np.any(time != 0) else []
-    return [*rivals, Rival(BEFORE, np.column_stack(memory))] if memory else rivals
+            since[name][mine] = np.where(known, change - change[known].mean(), 0.0)[of_run]
+    found = [Rival(TIME, time), Rival(PLACE, place)]
+    found.append(Rival(BEFORE, np.column_stack(list(before.values()))))
+    # What is remembered may fade towards the run's own value.
+    found += [Rival(BEFORE, column[:, None], must_lead=True) for column in since.values()]
+    return [
+        replace(rival, factors=rival.factors[:, rival.factors.any(axis=0)])
+        for rival in found
+        if rival.factors.any()
+    ]
 
 
 def _of_runs(values: np.ndarray, of_run: np.ndarray, count: int) -> np.ndarray:
@@ -77,30 +102,45 @@ def _of_runs(values: np.ndarray, of_run: np.ndarray, count: int) -> np.ndarray:
     return result
 
 
+def _takes(rival: Rival, nothing_left: bool, lead: float) -> bool:
+    """Does a rival take a cause's evidence? ``lead``: by how much more it explains by itself."""
+    if not rival.must_lead:
+        return nothing_left
+    return lead > CLEAR_LEAD or (nothing_left and lead > 0)
+
+
 def taken_by_rivals(
     measurements: Measurements, fitted: Fit, null_state: State, state: State
 ) -> dict[str, list[str]]:
     """Causes of a fit whose evidence a rival takes away, with the rivals that do."""
     m, names = measurements, [p.name for p in fitted.parameters]
-    factors = {r.name: r.factors * state.sensitivity[:, None] for r in rivals_of(m)}
+    rivals = rivals_of(m)
+    factors = [rival.factors * state.sensitivity[:, None] for rival in rivals]
     taken: dict[str, list[str]] = {}
     for cause in fitted.causes:
-        if MECHANISMS[cause].covariate is None:
+        if MECHANISMS[cause].covariate is None and cause not in CONTACT_MECHANISMS:
             continue
         own = [names.index(p.name) for p in MECHANISMS[cause].parameters]
         others = [j for j in range(len(names)) if j not in own]
         columns = fitted.jacobian[:, own]
         change = columns @ (fitted.values[own] - [fitted.parameters[j].null for j in own])
         residual = m.y - fitted.prediction + change
-        tests = [Test(columns, columns_of, mechanism=cause) for columns_of in factors.values()]
+        tests = [Test(columns, columns_of, mechanism=cause) for columns_of in factors]
         if not tests:
             continue
         scatters = {g.protocol: null_state.scatters[g.protocol] for g in state.groups}
+        tests += [Test(columns_of, mechanism=cause) for columns_of in factors]
+        tests.append(Test(columns, mechanism=cause))
         ratios = data_ratios(
             tests, fitted.jacobian[:, others], residual, state.groups, scatters, m.zero_columns
         )
+        beside, alone, own_alone = np.split(ratios, [len(rivals), 2 * len(rivals)])
         limit = chi_square.isf(SURVIVES_AT, len(own))
-        lost = [name for name, ratio in zip(factors, ratios, strict=True) if ratio < limit]
+        lost = [
+            rival.name
+            for rival, left, explained in zip(rivals, beside, alone, strict=True)
+            if _takes(rival, left < limit, explained - own_alone[0])
+        ]
         if lost:
-            taken[cause] = lost
+            taken[cause] = list(dict.fromkeys(lost))
     return taken
