@@ -9,6 +9,7 @@ from support.hidden_effects.bench import make_case
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.inference.rivals import rivals_of
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import sentence, verdict_of
 
@@ -49,6 +50,16 @@ def test_memory_of_the_load_before_is_not_blamed_on_the_load(tmp_path):
     departures.campaign.write(plan, tmp_path)
     analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
     assert analysis.verdict in ("confounded", "unknown"), analysis.causes
+
+
+def test_rivals_are_finite_where_single_rests_and_loads_are_unknown(tmp_path):
+    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    table = pd.read_csv(tmp_path / "incline.csv")
+    table.loc[table.index % 3 == 0, "dwell_s"] = np.nan
+    table.to_csv(tmp_path / "incline.csv", index=False)
+    rivals = rivals_of(assemble(read_case(tmp_path)))
+    assert {rival.name for rival in rivals} == {"time_in_session", "place", "run_before"}
+    assert all(np.isfinite(rival.factors).all() for rival in rivals)
 
 
 def test_a_cause_is_named_beside_the_uneven_track_that_it_leaves(tmp_path):

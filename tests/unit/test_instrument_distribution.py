@@ -13,8 +13,9 @@ from slipstitch.instrument.distribution import (
     probabilities_on_grid,
     quantiles,
     ranked_probability_score,
-    tempered,
+    spread,
 )
+from slipstitch.instrument.error_bars import fitted_spread
 from slipstitch.instrument.measuring import stretch_scores, stretched
 
 GRID = friction_grid(1.5, 0.01)
@@ -52,10 +53,28 @@ def test_quantiles_of_a_normal_distribution_on_the_grid():
     np.testing.assert_allclose(found, norm.ppf([0.05, 0.5, 0.95], 0.6, 0.1), atol=1e-3)
 
 
-def test_a_temperature_of_four_doubles_a_normal_distributions_deviation():
-    shares = tempered(probabilities_on_grid(cumulative_of(0.7, 0.05).numpy()), 4.0)
+def test_a_spread_of_two_doubles_a_normal_distributions_deviation():
+    shares = spread(probabilities_on_grid(cumulative_of(0.7, 0.05).numpy()), GRID, 2.0)
     mean = (shares * GRID).sum()
     assert np.sqrt((shares * (GRID - mean) ** 2).sum()) == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_spread_keeps_the_median_of_two_modes():
+    one, other = (probabilities_on_grid(cumulative_of(m, 0.02).numpy()) for m in (0.3, 1.2))
+    shares = 0.7 * one + 0.3 * other
+    medians = [
+        quantiles(s, GRID, np.array([0.5]))[0, 0] for s in (shares, spread(shares, GRID, 5.0))
+    ]
+    assert medians[0] == pytest.approx(medians[1], abs=2e-3)
+    assert abs(medians[0] - 0.3) < 0.02
+
+
+def test_the_fitted_spread_is_that_of_the_errors():
+    random = np.random.default_rng(3)
+    truth = random.uniform(0.3, 1.2, 400)
+    said = truth + random.normal(size=400) * 0.06
+    shares = np.concatenate([probabilities_on_grid(cumulative_of(m, 0.02).numpy()) for m in said])
+    assert fitted_spread(shares, GRID, truth, [str(n) for n in range(400)]) == pytest.approx(3, 0.1)
 
 
 def test_the_quantile_counts_every_group_once():

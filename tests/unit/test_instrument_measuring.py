@@ -185,7 +185,7 @@ def test_altered_files_are_refused(folder, tmp_path):
         {"bfloat16": 1},
         {"pixels": 10**9},
         {"settings": {"friction_step": 1e-12}},
-        {"error_bars": {"temperature": 1.0}},
+        {"error_bars": {"spread": 1.0}},
     ],
 )
 def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, claim):
@@ -207,7 +207,7 @@ def test_foreign_files_are_refused(folder, tmp_path):
     with pytest.raises(BadInput, match="not a model card of Slipstitch"):
         load_instrument(tmp_path)
     (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
-    with pytest.raises(BadInput, match="'slipstitch-instrument-2' is needed"):
+    with pytest.raises(BadInput, match="'slipstitch-instrument-3' is needed"):
         load_instrument(tmp_path)
 
 

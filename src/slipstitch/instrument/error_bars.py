@@ -1,32 +1,36 @@
-"""Error bars: temperatures, conformal stretch and alarm, from held-out simulations.
+"""Error bars: spread, conformal stretch and alarm, from held-out simulations.
 
-One set of simulations serves all three. The temperature is one number, and the promise of the
-conformal step is tested with it fitted on the same groups (tests/unit).
+One set of simulations serves all three. The spread is one number, and the promise of the conformal
+step is tested with it fitted on the same groups (tests/unit).
 """
 
 import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
 from slipstitch.instrument.alarm import calibrated_alarm, describe
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import grouped_quantile
-from slipstitch.instrument.distribution import tempered
+from slipstitch.instrument.distribution import ranked_probability_score, spread
 from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
 from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
 TEMPERATURES = (0.2, 25.0)
-CELL = 0.05  # width in mu over which a distribution is asked for its probability of the truth
+SPREADS = (1.0, 30.0)
 
 
-def fitted_temperature(
+def fitted_spread(
     probabilities: np.ndarray, grid: np.ndarray, truth: np.ndarray, groups: Sequence[str]
 ) -> float:
-    """Temperature at which the truths are likeliest, every group counting once.
+    """Factor by which distributions spread about their medians score best, every group once.
+
+    The score is the continuous ranked probability score (Gneiting & Raftery 2007, eq. 20), as in
+    training: unlike the likelihood, it is not ruled by the few truths far from all modes.
 
     Parameters
     ----------
@@ -36,14 +40,15 @@ def fitted_temperature(
         Values on the grid's scale.
     groups : sequence of str, length n
     """
-    near = abs(grid[None] - truth[:, None]) <= max(CELL / 2, grid[1] - grid[0])
     weights = _one_each(groups)
+    points, truths = torch.from_numpy(grid), torch.from_numpy(np.asarray(truth, np.float64))
 
-    def surprise(logarithm: float) -> float:
-        of_truth = (tempered(probabilities, np.exp(logarithm)) * near).sum(1)
-        return float(-(weights * np.log(np.maximum(of_truth, 1e-12))).sum())
+    def score(logarithm: float) -> float:
+        shares = spread(probabilities, grid, np.exp(logarithm))
+        cumulative = torch.from_numpy(np.cumsum(shares, axis=1)[:, :-1])
+        return float(weights @ ranked_probability_score(cumulative, truths, points).numpy())
 
-    found = minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded")
+    found = minimize_scalar(score, bounds=np.log(SPREADS), method="bounded")
     return float(np.exp(found.x))
 
 
@@ -89,13 +94,13 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     names = instrument.card["materials"]
     material = np.array([names.index(videos.rows[number]["material"]) for number in held])
 
-    temperature = fitted_temperature(answers.probabilities, instrument.grid, friction, groups)
+    width = fitted_spread(answers.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
     scores = stretch_scores(
-        tempered(answers.probabilities, temperature), instrument.grid, coverage, friction
+        spread(answers.probabilities, instrument.grid, width), instrument.grid, coverage, friction
     )
     bars = ErrorBars(
-        temperature=temperature,
+        spread=width,
         material_temperature=fitted_material_temperature(answers.material_logits, material, groups),
         factor=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(

@@ -20,7 +20,7 @@ from slipstitch.instrument.distribution import (
     mixture_cumulative,
     probabilities_on_grid,
     quantiles,
-    tempered,
+    spread,
 )
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.poses import scaled
@@ -28,7 +28,7 @@ from slipstitch.render.pose import POSE
 from slipstitch.sample.videos import resized
 from slipstitch.train.model_file import read_weights, write_weights
 
-FORMAT = "slipstitch-instrument-2"
+FORMAT = "slipstitch-instrument-3"
 WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
@@ -84,14 +84,17 @@ class ErrorBars:
 
     Attributes
     ----------
-    temperature, material_temperature : float
+    spread : float
+        By which the distributions are spread about their medians.
+    material_temperature : float
+        By which the fabrics' logits are divided.
     factor : float
         By which the distribution's own half-intervals are stretched; infinite: not enough
         simulations to promise anything.
     alarm : Alarm
     """
 
-    temperature: float
+    spread: float
     material_temperature: float
     factor: float
     alarm: Alarm
@@ -156,7 +159,7 @@ class Instrument:
     def distributions(self, answers: Answers) -> np.ndarray:
         """Calibrated distributions on the grid, shape (n, G)."""
         bars = self.error_bars
-        return tempered(answers.probabilities, bars.temperature if bars else 1.0)
+        return spread(answers.probabilities, self.grid, bars.spread if bars else 1.0)
 
     def intervals(self, distributions: np.ndarray) -> np.ndarray:
         """Median, lower and upper end of the intervals, shape (n, 3)."""
@@ -278,7 +281,7 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
     bars = instrument.error_bars
     if bars:
         card["error_bars"] = {
-            "temperature": bars.temperature,
+            "spread": bars.spread,
             "material_temperature": bars.material_temperature,
             "factor": bars.factor if math.isfinite(bars.factor) else None,
             "alarm_threshold": bars.alarm.threshold,
@@ -339,7 +342,7 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
                 if name.startswith(ALARM)
             }
             bars = ErrorBars(
-                noted["temperature"],
+                noted["spread"],
                 noted["material_temperature"],
                 math.inf if noted["factor"] is None else noted["factor"],
                 Alarm(**arrays, threshold=noted["alarm_threshold"]),

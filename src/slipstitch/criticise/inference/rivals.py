@@ -80,9 +80,11 @@ def rivals_of(measurements: Measurements) -> list[Rival]:
             known = np.isfinite(last)
             if known.sum() < 4 or np.ptp(last[known]) < 1e-9:
                 continue
-            change = last - values
             before[name][mine] = np.where(known, last - last[known].mean(), 0.0)[of_run]
-            since[name][mine] = np.where(known, change - change[known].mean(), 0.0)[of_run]
+            both = known & np.isfinite(values)
+            if both.any():
+                change = last - values
+                since[name][mine] = np.where(both, change - change[both].mean(), 0.0)[of_run]
     found = [Rival(TIME, time), Rival(PLACE, place)]
     found.append(Rival(BEFORE, np.column_stack(list(before.values()))))
     # What is remembered may fade towards the run's own value.
