@@ -110,11 +110,13 @@ def test_unknown_tables_are_reported_not_swallowed(case):
     assert read_case(case).ignored_files == ("peel.csv",)
 
 
-def test_true_is_no_number(case):
+@pytest.mark.parametrize("key", ["rho_kg_m2", "k_tether_N_m"])  # one that (a) needs, one of (c)
+@pytest.mark.parametrize("value", [True, float("nan"), -50, "0.2"])
+def test_what_is_no_positive_number_is_refused_whatever_needs_it(case, key, value):
     meta = json.loads((case / "meta.json").read_text())
-    meta["nominal"]["rho_kg_m2"] = True
+    meta["nominal"][key] = value
     (case / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(BadInput, match=r"nominal\.rho_kg_m2: True; must be a positive number"):
+    with pytest.raises(BadInput, match=rf"nominal\.{key}: {value!r}; must be a positive number"):
         read_case(case)
 
 

@@ -157,7 +157,8 @@ def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
 def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path, capsys):
     damaged = tmp_path / "damaged.mp4"
     _text(bench, damaged)
-    files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged)]
+    missing = tmp_path / "missing.mp4"
+    files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged), str(missing)]
     words = ["--camera", str(bench / "camera.json")]
     words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
     out = [
@@ -165,13 +166,14 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
         f"--json={tmp_path / 'x.json'}",
         f"--csv={tmp_path / 'x.csv'}",
     ]
-    assert main(["measure", *files, *words, *out]) == 2  # one could not be measured
+    assert main(["measure", *files, *words, *out]) == 2  # two could not be measured
     said = capsys.readouterr().out
     assert said.count("video.mp4: friction ") == 2
-    assert "not measured: " in said and "damaged.mp4: a text file" in said
+    assert said.count("not measured: ") == 2 and "damaged.mp4: a text file" in said
+    assert "missing.mp4" in said
     assert "ALARM in every video: no combined value" in said
     told = json.loads((tmp_path / "x.json").read_text())
-    assert len(told["videos"]) == 2 and len(told["refused"]) == 1
+    assert len(told["videos"]) == 2 and len(told["refused"]) == 2
     assert told["combined"] is None
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 3
     content = (tmp_path / "x.html").read_text()

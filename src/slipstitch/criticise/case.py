@@ -156,22 +156,24 @@ def _read_meta(path: Path) -> dict:
 
 
 def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
-    values = {}
-    for key, value in meta["nominal"].items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        values[key] = float(value)
+    given = meta["nominal"]
     for protocol in PROTOCOLS.values():
-        if not set(protocol.tables) & set(tables):
-            continue
         for key in protocol.nominal:
-            value = meta["nominal"].get(key)
+            # What no table here needs may stand there too, but not wrongly: others use it.
+            if key not in given and not set(protocol.tables) & set(tables):
+                continue
+            value = given.get(key)
             if value is None:
                 raise BadInput(f"{path}: nominal.{key}: missing; {protocol.name} needs it")
             good = isinstance(value, int | float) and not isinstance(value, bool)
             good = good and math.isfinite(value)
             if not good or (value <= 0 and key != "ply_exponent"):
                 raise BadInput(f"{path}: nominal.{key}: {value!r}; must be a positive number")
+    values = {
+        key: float(value)
+        for key, value in given.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
     dwell = meta.get("reversal_dwell_s", meta["nominal"].get("reversal_dwell_s"))
     if dwell is not None:
         good = isinstance(dwell, int | float) and not isinstance(dwell, bool)

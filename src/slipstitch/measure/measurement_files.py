@@ -167,9 +167,8 @@ def measure_to_files(
         raise BadInput(f"none of {len(videos)} videos can be measured; the first: {refused[0]}")
     if not (page_path or numbers_path or table_path):
         return pair
-    record = provenance_record(
-        "measure", inputs=[*videos, camera, bench.config_path], started=started
-    )
+    read = [path for path in [*videos, camera, bench.config_path] if Path(path).is_file()]
+    record = provenance_record("measure", inputs=read, started=started)
     record["instrument"] = measured[0].instrument
     single = len(videos) == 1
     if page_path:
