@@ -4,7 +4,7 @@
 seeds are campaigns without faults, odd ones with faults of the instruments, gaps and uneven
 tracks. One line of JSON a case goes to --records, so that it can be stopped and resumed; then a
 Markdown table is printed, and with --json the same with the seeds of all misses. The truth is read
-only to score.
+only to score. With --adding, cases are judged again without each of their protocols instead.
 """
 
 import argparse
@@ -59,11 +59,17 @@ def slipstitch(*words):
         sys.argv = before
 
 
-def judged(seed, with_gain=True):
-    """Record of one case: truth, verdict, seconds."""
+def judged(seed, with_gain=True, without=None):
+    """Record of one case: truth, verdict, seconds; of its protocols may leave one out."""
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         truth = make_case(seed, root / "case")
+        if without is not None:
+            for table in (root / "case").glob(f"{without}*.csv"):
+                table.unlink()
+            meta = json.loads((root / "case/meta.json").read_text())
+            meta["protocols"].remove(without)
+            (root / "case/meta.json").write_text(json.dumps(meta))
         out, said = root / "verdict.json", io.StringIO()
         start = time.perf_counter()
         cpu = time.process_time()
@@ -83,6 +89,21 @@ def judged(seed, with_gain=True):
             make_case(seed, root / "fresh", repeat=1)
             record["fresh_gain"] = fresh_gain(root / "fresh", verdict)
     return record
+
+
+def lost_by_adding(seed):
+    """Each protocol without which the truth is found, and whether it is lost with it.
+
+    None where a case is of no such family, or its effect too weak.
+    """
+    truth = judged(seed, with_gain=False)
+    if truth["truth"]["family"] not in ("single", "pair", "ambiguous") or strength(truth) < 9:
+        return None
+    with tempfile.TemporaryDirectory() as scratch:
+        make_case(seed, Path(scratch) / "case")
+        meta = json.loads((Path(scratch) / "case/meta.json").read_text())
+    fewer = {name: judged(seed, False, name) for name in meta["protocols"]}
+    return [(name, not in_answer(truth)) for name, one in fewer.items() if in_answer(one)]
 
 
 def fresh_gain(folder, verdict):
@@ -280,9 +301,20 @@ def main():
     parser.add_argument("--records", type=Path, default=Path("criticise-departures.jsonl"))
     parser.add_argument("--json", type=Path, help="rates and seeds of misses")
     parser.add_argument("--families", nargs="+", choices=sorted(set(FAMILIES)))
+    parser.add_argument(
+        "--adding", action="store_true", help="only: does adding a protocol lose the truth?"
+    )
     parser.add_argument("--no-gain", action="store_true", help="no fresh campaigns")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.cases)
+    if arguments.adding:
+        with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
+            cases = [found for found in pool.imap(lost_by_adding, seeds) if found is not None]
+        lost = [was_lost for found in cases for _, was_lost in found]
+        print(
+            f"{len(cases)} cases; truth lost by a further protocol: {wilson(sum(lost), len(lost))}"
+        )
+        return
     records = []
     if arguments.records.exists():
         records = [json.loads(line) for line in arguments.records.read_text().splitlines()]

@@ -2,14 +2,19 @@
 
 import json
 import os
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
+from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.errors import BadInput
+
+CASES = Path(__file__).parents[2] / "data" / "cases"
 
 
 @pytest.fixture
@@ -118,6 +123,22 @@ def test_what_is_no_positive_number_is_refused_whatever_needs_it(case, key, valu
     (case / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(BadInput, match=rf"nominal\.{key}: {value!r}; must be a positive number"):
         read_case(case)
+
+
+@pytest.mark.parametrize("value", [True, float("nan"), -50])
+@pytest.mark.parametrize("name", ["paper_on_paper", "block_on_wood_board"])
+def test_an_areal_mass_that_no_protocol_needs_is_refused_all_the_same(
+    name, value, tmp_path, capsys
+):
+    folder = tmp_path / name
+    shutil.copytree(CASES / name, folder)
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["nominal"]["rho_kg_m2"] = value
+    (folder / "meta.json").write_text(json.dumps(meta))
+    assert main(["criticise", str(folder), "--out", str(tmp_path / "v.json")]) == 2
+    error = capsys.readouterr().err.strip()
+    assert f"nominal.rho_kg_m2: {value}; must be a positive number" in error
+    assert "\n" not in error
 
 
 @pytest.mark.parametrize("name", ["meta.json", "incline.csv"])

@@ -1,12 +1,23 @@
 """A campaign's certificate: what it could have seen is what it sees."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from support.departures import draw_plan
+from support.departures.campaign import write
+from support.departures.strength import SLIDE_MM, STROKE_MM, TRAVEL_MM
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.criticism_files import power_to_file
+from slipstitch.criticise.expected_traces import assumptions_of, expected
 from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
-from slipstitch.criticise.inference.certificate import of_design
+from slipstitch.criticise.inference.certificate import of_design, plain_model
+from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
+from slipstitch.errors import BadInput
 
 
 def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_is_not(tmp_path):
@@ -23,15 +34,110 @@ def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_
         assert (found.global_p < SIGNIFICANCE) == seen
 
 
-def test_a_design_says_before_it_is_measured_what_it_could_show(tmp_path):
+def power(folder, replicates=100):
+    case = read_case(folder, with_measurements=False)
+    assumed = assumptions_of(case)
+    design = expected(case, assumed, 1)
+    plain, scatters = plain_model(design, assumed)
+    return of_design(design, plain, scatters, SIGNIFICANCE, 1, replicates)
+
+
+def test_more_trials_show_smaller_effects_and_none_shows_what_nothing_would(tmp_path):
     make_case(93, "null", tmp_path, plant=({}, ["incline"]))
-    for table in tmp_path.glob("incline.csv"):
-        lines = table.read_text().splitlines()
-        table.write_text("\n".join(lines[:13]) + "\n")
-    few = of_design(assemble(read_case(tmp_path, False), False), SIGNIFICANCE, 1, 100)
+    table = tmp_path / "incline.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join(lines[:13]) + "\n")
+    few = power(tmp_path)
     table.write_text("\n".join(lines) + "\n")
-    all_ = of_design(assemble(read_case(tmp_path, False), False), SIGNIFICANCE, 1, 100)
+    all_ = power(tmp_path)
     assert all_["nap"].size < few["nap"].size
     for found in [*few.values(), *all_.values()]:
         assert np.isinf(found.size) or found.on_friction < np.log(10)
-    assert np.isinf(all_["backlash"].size) if "backlash" in all_ else True
+    assert np.isinf(all_["static_kinetic"].size)
+    assert "backlash" not in all_
+
+
+# What tables of runs do not tell of the bench of departures, and null campaigns of one protocol.
+TOLD = {
+    "incline": lambda plan: {},
+    "strip": lambda plan: {},
+    "drag": lambda plan: {
+        "drag_stroke_mm": STROKE_MM,
+        "drag_step_mm": plan.sampling_mm,
+        "drag_texture_sd": plan.grain[0],
+        "drag_texture_mm": plan.grain[1],
+    },
+    "drop_drag": lambda plan: {
+        "drop_drag_stroke_mm": TRAVEL_MM,
+        "drop_drag_step_mm": plan.frame_mm,
+    },
+    "spring_slider": lambda plan: {"slider_travel_mm": SLIDE_MM, "slider_texture_sd": 1e-6},
+}
+
+
+@pytest.mark.parametrize(
+    ("seed", "protocol"),
+    [
+        (2118, "incline"),
+        (2056, "strip"),
+        (2055, "drag"),
+        (2108, "drop_drag"),
+        (2046, "spring_slider"),
+    ],
+)
+def test_a_design_says_before_it_is_measured_what_its_campaign_says_after(tmp_path, seed, protocol):
+    plan = draw_plan(seed, "null", False)
+    assert plan.protocols == (protocol,)
+    write(plan, tmp_path)
+    after = analyse(assemble(read_case(tmp_path)), replicates=100)
+    # The same scatter: how large it is, no design tells.
+    scatter = after.null_state.scatters[protocol]
+    meta = json.loads((tmp_path / "meta.json").read_text())
+    coefficient = "mu_edge" if protocol == "strip" else "mu_face"
+    meta["design"] = TOLD[protocol](plan) | {
+        coefficient: getattr(plan, coefficient),
+        "scatter_specimen": scatter.specimen,
+        "scatter_run": scatter.run,
+        "noise_factor": scatter.kappa,
+    }
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    before = power(tmp_path)
+    assert set(before) == set(after.detectable)
+    assert sum(np.isfinite(found.size) for found in before.values()) >= 6
+    for name, found in after.detectable.items():
+        if np.isfinite(found.size) or np.isfinite(before[name].size):
+            assert 0.5 < before[name].size / found.size < 2.0, name
+
+
+def test_power_says_what_it_assumed_and_refuses_what_is_no_assumption(tmp_path):
+    make_case(93, "null", tmp_path, plant=({}, ["drag"]))
+    (tmp_path / "drag.csv").unlink()
+    meta = json.loads((tmp_path / "meta.json").read_text())
+
+    def said(**design):
+        (tmp_path / "meta.json").write_text(json.dumps(meta | {"design": design}))
+        case = read_case(tmp_path, with_measurements=False)
+        return power_to_file(case, 1, 50, tmp_path / "power.json")
+
+    assert "drag_stroke_mm: 70 mm" in said(drag_stroke_mm=70)
+    assumed = json.loads((tmp_path / "power.json").read_text())["assumed"]
+    assert assumed["drag_stroke_mm"] == 70 and "drop_drag_stroke_mm" not in assumed
+    with pytest.raises(BadInput, match=r"design\.stroke: unknown"):
+        said(stroke=70)
+    with pytest.raises(BadInput, match=r"design\.mu_face: True; must be a positive number"):
+        said(mu_face=True)
+
+
+def test_false_alarms_are_counted_in_campaigns_that_hold_nothing(tmp_path):
+    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    m = assemble(read_case(tmp_path))
+    null = analyse(m, replicates=50)
+    scatters = null.null_state.scatters
+    quiet = false_alarms(m, null.null, scatters, 8, 1, 50)
+    assert quiet.campaigns == 8 and quiet.alarms <= 2
+    # A null that is none: friction along the nap that the null does not know of.
+    along = np.cos(np.radians(m.rows["orientation_deg"].to_numpy(float)))
+    loud = replace(null.null, prediction=null.null.prediction * (1 + 0.2 * along))
+    assert false_alarms(m, loud, scatters, 3, 1, 50).alarms == 3
+    low, high = quiet.as_dict()["ci95"]
+    assert 0 <= low <= quiet.as_dict()["estimate"] <= high < 0.7

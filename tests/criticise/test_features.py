@@ -11,7 +11,15 @@ from slipstitch.criticise.inference.fit import parameters_of
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.mechanisms import MECHANISMS
 
-SEEDS = range(40, 44)
+SEEDS = range(40, 52)
+# Standard deviation of z by feature; that of features with a specimen's scatter in them is known to
+# about 0.1. Three claim more uncertainty than they have (here and at twelve other seeds):
+SPREAD = (0.8, 1.15)
+CAUTIOUS = {
+    "first_motion_mm": (0.65, 0.85),  # 0.79 and 0.71
+    "lost_motion_mm": (0.6, 0.8),  # 0.69 and 0.68
+    "stiffness": (0.7, 0.9),  # 0.79 and 0.77
+}
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +61,19 @@ def test_every_feature_of_the_four_protocols_is_found(z_scores):
     }
 
 
-def test_z_scores_have_standard_deviation_one(z_scores):
+def test_z_scores_have_the_standard_deviation_they_should(z_scores):
     spread = z_scores.std()
-    assert spread.between(0.5, 1.35).all(), spread.round(2).to_dict()
+    outside = {
+        name: round(found, 2)
+        for name, found in spread.items()
+        if not CAUTIOUS.get(name, SPREAD)[0] < found < CAUTIOUS.get(name, SPREAD)[1]
+    }
+    assert not outside
 
 
 def test_z_scores_have_mean_zero(z_scores):
-    # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.3.
-    assert (z_scores.mean().abs() < 0.6).all(), z_scores.mean().round(2).to_dict()
+    # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.15.
+    assert (z_scores.mean().abs() < 0.3).all(), z_scores.mean().round(2).to_dict()
 
 
 @pytest.mark.parametrize("fault", [("force_cell", "force_mN", "delay", 0.12, "s"), None])

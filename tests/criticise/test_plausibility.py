@@ -10,7 +10,10 @@ from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
+from slipstitch.criticise.verdict import sentence, verdict_of
 
 MIXED = ["incline", "strip", "drag", "drop_drag"]
 
@@ -79,6 +82,8 @@ def test_a_wrong_unit_is_named(good, tmp_path, table, columns, likely):
         ("thickness_m", 0.1, "another unit or ten times off"),
         ("cloth_length_m", 10.0, "another unit or ten times off"),
         ("cloth_length_m", 0.1, "another unit or ten times off"),
+        ("k_tether_N_m", 10.0, "another unit or ten times off"),
+        ("k_tether_N_m", 0.1, "another unit or ten times off"),
     ],
 )
 def test_a_nominal_size_of_another_unit_is_named(good, tmp_path, key, factor, words):
@@ -89,6 +94,44 @@ def test_a_nominal_size_of_another_unit_is_named(good, tmp_path, key, factor, wo
     (folder / "meta.json").write_text(json.dumps(meta))
     found = implausible(read_case(folder))
     assert any(key in line and words in line for line in found)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_tether_half_or_twice_as_stiff_is_none_of_another_unit(good, factor):
+    case = read_case(good)
+    case.nominal["k_tether_N_m"] *= factor
+    assert implausible(case) == []
+
+
+def test_a_stiffness_ten_times_off_is_named_with_the_likely_slip(tmp_path):
+    folder = tmp_path / "case"
+    make_case(4, "null", folder, plant=({}, ["drop_drag"]))
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["nominal"]["B_Nm"] *= 10
+    (folder / "meta.json").write_text(json.dumps(meta))
+    case = read_case(folder)
+    verdict = verdict_of(case, analyse(assemble(case), replicates=50), 1, "test")
+    assert "bending_error" in verdict["causes"]
+    assert "A power of ten in B_Nm or B_strip_Nm?" in sentence(verdict)
+
+
+@pytest.mark.parametrize(
+    "name, estimate, interval, where",
+    [
+        ("bending_error", 5.3, [2.2, 11.6], "B_Nm"),
+        ("bending_error", 0.9, [0.5, 1.4], None),
+        ("mass_error", 2.0, [0.9, 3.6], "rho_kg_m2"),  # 9 is beyond its bound
+        ("mass_error", 0.35, [0.3, 0.4], None),
+        ("force_gain", -0.6, [-0.65, -0.55], "the force"),
+        ("force_gain", -0.5, [-0.55, -0.45], None),
+    ],
+)
+def test_an_error_that_may_be_a_power_of_ten_is_said_to_be(name, estimate, interval, where):
+    entry = {"estimate": estimate, "ci95": interval, "unit": "1"}
+    verdict = {"verdict": "cause", "causes": [name], "parameters": {name: entry}}
+    said = sentence(verdict | {"residual_tests": [], "not_exported": {}})
+    assert ("A power of ten in" in said) == (where is not None)
+    assert (where or "") in said
 
 
 @pytest.mark.parametrize("table, columns, likely", [SPOILT[0], SPOILT[4], SPOILT[5]])

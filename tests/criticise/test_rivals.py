@@ -7,7 +7,6 @@ from support import departures
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.identifiability import not_identified
 from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.inference.rivals import rivals_of
 from slipstitch.criticise.measurements import assemble
@@ -78,12 +77,3 @@ def test_a_law_outside_the_library_does_not_stand_beside_what_it_leaves(tmp_path
     assert set(truth["effects"]) == {"stribeck"}
     analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
     assert analysis.verdict == "unknown", analysis.causes
-
-
-def test_a_coefficient_at_a_bound_or_hardly_known_is_not_exported():
-    entries = {
-        "mu_face": {"estimate": 0.44, "ci95": [0.13, 1.5]},
-        "mu_edge": {"estimate": 3.0, "ci95": [2.5, 3.5]},
-    }
-    assert set(not_identified(entries)) == {"mu_face", "mu_edge"}
-    assert not not_identified({"mu_face": {"estimate": 0.3, "ci95": [0.28, 0.32]}})

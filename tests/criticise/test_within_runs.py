@@ -12,8 +12,15 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols.stick_slip import Slider, run
 from slipstitch.criticise.resimulation import compare
-from slipstitch.criticise.verdict import gain_words
-from slipstitch.criticise.within_runs import _Run, _uneven_track, track_step, within_runs, words
+from slipstitch.criticise.verdict import gain_words, sentence
+from slipstitch.criticise.within_runs import (
+    _Run,
+    _uneven_track,
+    departure,
+    track_step,
+    within_runs,
+    words,
+)
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
 WEIGHT_N = 0.06 * 9.80665
@@ -76,6 +83,19 @@ def test_the_page_of_a_real_case_says_what_one_specimen_cannot_tell(tmp_path):
     assert "“whole face” was measured with one specimen only" in page
     assert "not cloth" in page and "first peak" in page
     assert "adhesion (part of the friction" in page
+    assert "## What this design could have seen" in page and "(a limit, not simulated)" in page
+    assert "| push | 20 | 7.9 |" in page
+
+
+def test_the_sentence_of_a_none_does_not_deny_what_is_within_the_runs():
+    track = {"ladder": [{"model": "track", "step_ci95": [0.2, 0.3]}]}
+    impact = {"excess_ci95": [-0.1, 0.1]}
+    verdict = {"verdict": "none", "null": {"global_p": 0.5}, "scatter_findings": []}
+    said = sentence(verdict | {"within_runs": {"spring_slider": track, "push": impact}})
+    assert said.endswith("but within them friction changes along the track.")
+    assert sentence(verdict | {"within_runs": {"push": impact}}).startswith("Nothing beyond plain")
+    impact["excess_ci95"][0] = 0.05
+    assert departure({"push": impact}) == "the first peak is more than the impact"
 
 
 def test_a_headline_states_a_gain_only_where_it_is_certain():

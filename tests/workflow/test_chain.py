@@ -241,7 +241,7 @@ def test_equal_seed_makes_equal_network(chain, results, config, tmp_path):
 
 def test_the_report_shows_criticism_release_and_audit(results):
     page = (results / "report/index.html").read_text(encoding="utf-8")
-    for case in ("paper_on_paper", "surrogate_anisotropic"):
+    for case in ("paper_on_paper", "block_on_wood_board", "surrogate_anisotropic"):
         assert f"results/criticise/{case}/index.html" in page
     # What is hidden in the surrogate case is found; what is measured is nobody's to prescribe.
     verdict = json.loads((results / "criticise/surrogate_anisotropic/verdict.json").read_text())

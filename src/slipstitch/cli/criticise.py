@@ -63,6 +63,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=300,
         help="simulated data sets for each family-wise p (default 300)",
     )
+    parser.add_argument(
+        "--campaigns",
+        type=int,
+        default=0,
+        help="simulate the rate of false alarms with as many campaigns of this design, noise and "
+        "scatter that hold nothing (each as long as the criticism itself; default 0: only the "
+        "limit is stated)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -70,14 +78,15 @@ def run(arguments: argparse.Namespace) -> int:
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
 
-    check_at_least(arguments, seed=0, replicates=50)
+    check_at_least(arguments, seed=0, replicates=50, campaigns=0)
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
         refuse(arguments, ignored, "--power")
         from slipstitch.criticise.criticism_files import power_to_file
 
         case = read_case(arguments.case, with_measurements=False)
-        print(power_to_file(case, arguments.seed, arguments.replicates, arguments.out))
+        seed, replicates = arguments.seed, arguments.replicates
+        print(power_to_file(case, seed, replicates, arguments.out, arguments.campaigns))
         return 0
     case = read_case(arguments.case)
     for name in case.ignored_files:
@@ -88,6 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         case,
         arguments.seed,
         arguments.replicates,
+        campaigns=arguments.campaigns,
         verdict_path=arguments.out,
         page_path=arguments.report,
         picture_path=arguments.picture,

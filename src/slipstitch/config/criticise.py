@@ -12,7 +12,12 @@ class CriticiseSettings(Section):
     """The measured cases."""
 
     cases: tuple[str, ...] = Field(
-        ("data/cases/paper_on_paper", "data/cases/surrogate_anisotropic"),
+        (
+            "data/cases/paper_on_paper",
+            "data/cases/block_on_wood_board",
+            "data/cases/block_on_other_board",
+            "data/cases/surrogate_anisotropic",
+        ),
         description="case folders (docs/measurements.md), relative to the working folder, or "
         "included in the workflow; a folder's name is the case's id",
     )

@@ -8,11 +8,13 @@ from typing import Any
 
 from slipstitch import __version__
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
 from slipstitch.criticise.extended_model import write_extended_model
 from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
-from slipstitch.criticise.inference.certificate import of_design
+from slipstitch.criticise.inference.certificate import of_design, plain_model
+from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import certificate, statement, verdict_of
+from slipstitch.criticise.verdict import certificate, false_alarm_words, statement, verdict_of
 from slipstitch.provenance import write_json, write_text
 
 
@@ -30,6 +32,7 @@ def criticise_to_files(
     seed: int,
     replicates: int,
     *,
+    campaigns: int = 0,
     verdict_path: str,
     page_path: str | None,
     picture_path: str | None,
@@ -43,11 +46,21 @@ def criticise_to_files(
     case : Case
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
+    campaigns : int
+        Simulated in which nothing is hidden, for the rate of false alarms.
     verdict_path, page_path, picture_path, model_path, resimulation_path : path
         JSON, HTML (or Markdown, by its name), SVG, YAML, JSON; all but the verdict may be None.
     """
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
+    verdict["certificate"]["false_alarm_rate"] = _false_alarm_rate(
+        analysis.measurements,
+        analysis.null,
+        analysis.null_state.scatters,
+        campaigns,
+        seed,
+        replicates,
+    )
     write_json(verdict_path, finite(verdict))
     again = None
     if resimulation_path:
@@ -73,13 +86,33 @@ def criticise_to_files(
     return statement(verdict)
 
 
-def power_to_file(case: Case, seed: int, replicates: int, path: str) -> str:
+def _false_alarm_rate(measurements, null, scatters, campaigns, seed, replicates) -> dict | None:
+    if not campaigns:
+        return None
+    return false_alarms(measurements, null, scatters, campaigns, seed, replicates).as_dict()
+
+
+def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: int = 0) -> str:
     """Write what a design could show as JSON, and say it, a line a mechanism."""
-    design = assemble(case, measured=False)
-    shown = certificate(of_design(design, SIGNIFICANCE, seed, replicates), SIGNIFICANCE)
-    write_json(path, {"case": case.name, "seed": seed, **shown})
-    lines = [f"seen in {100 * shown['power']:.0f} of 100 campaigns like {case.name}, from"]
-    for name, found in shown["smallest_detectable"].items():
-        size = "never" if found["size"] is None else f"{found['size']:.3g} {found['unit']}"
+    assumed = assumptions_of(case)
+    design = expected(case, assumed, seed)
+    plain, scatters = plain_model(design, assumed)
+    found = of_design(design, plain, scatters, SIGNIFICANCE, seed, replicates)
+    shown = certificate(found, SIGNIFICANCE)
+    rate = _false_alarm_rate(design, plain, scatters, campaigns, seed, replicates)
+    shown["false_alarm_rate"] = rate
+    write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown})
+    lines = ["assumed (meta.json may say otherwise under design):"]
+    for assumption in ASSUMPTIONS:
+        if assumption.name in assumed:
+            unit = "" if assumption.unit == "1" else f" {assumption.unit}"
+            lines.append(
+                f"  {assumption.name}: {assumed[assumption.name]:g}{unit}, {assumption.meaning}"
+            )
+    lines.append(f"seen in {100 * shown['power']:.0f} of 100 campaigns like {case.name}, from")
+    for name, entry in shown["smallest_detectable"].items():
+        size = "never" if entry["size"] is None else f"{entry['size']:.3g} {entry['unit']}"
         lines.append(f"  {name}: {size}")
+    if rate:
+        lines.append(false_alarm_words(shown))
     return "\n".join(lines)

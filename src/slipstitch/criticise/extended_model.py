@@ -18,9 +18,14 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
     :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``. A side whose
     coefficient the data do not tell is left out. Where no mechanism explains the data,
-    ``discrepancy`` has the smooth factor on the coefficients.
+    ``discrepancy`` has the smooth factor on the coefficients. So is a cause with a parameter that
+    they do not tell (``not_exported``); without any other, the coefficients are those of no cause.
     """
     model = verdict["models"][which]
+    left_out = verdict["not_exported"] if which == "extended" else {}
+    causes = [cause for cause in model["causes"] if cause not in left_out]
+    if not causes:
+        model = verdict["models"]["null"]
     values = dict(zip(model["parameters"], model["values"], strict=True))
     found = verdict.get("discrepancy") if which == "extended" else None
     table = {}
@@ -29,7 +34,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
         values |= {name: np.log(value) for name, value in found["coefficients"].items()}
     mechanisms: dict[str, dict[str, float]] = {}
     bench: dict[str, float] = {}
-    for cause in model["causes"]:
+    for cause in causes:
         own = {p.name: values[p.name] for p in MECHANISMS[cause].parameters}
         if cause in CONTACT_MECHANISMS:
             mechanisms[cause] = own
@@ -43,7 +48,8 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     return {
         "case": verdict["case"],
         "verdict": verdict["verdict"],
-        "causes": model["causes"],
+        "causes": causes,
+        **({"not_exported": left_out} if left_out else {}),
         "friction_law": laws,
         "bench": bench,
         **table,

@@ -21,6 +21,7 @@ SMALLEST_ANGLE_DEG = 2.0
 # Gauze to heavy coated cloth; loose fleece to densely woven or coated cloth.
 AREAL_MASS_KG_M2 = (0.01, 2.0)
 DENSITY_KG_M3 = (60.0, 2500.0)
+LARGEST_SLOPE_FACTOR = 3.0  # between the loading slope and the tether's stiffness
 
 Tables = Mapping[str, pd.DataFrame]
 Nominal = Mapping[str, float]
@@ -129,6 +130,7 @@ def implausible(case: Case) -> list[str]:
             case.tables[name]["angle_deg"].abs().max() < SMALLEST_ANGLE_DEG
         )
         if SMALLEST_COEFFICIENT <= middle <= LARGEST_COEFFICIENT and not small_angles:
+            found += _tether(case) if name == "drag" else []
             continue
         likely = _likely(name, middle, slips)
         found.append(
@@ -199,4 +201,28 @@ def _length(case: Case) -> list[str]:
     return [
         f"nominal cloth_length_m {1e-3 * length:g}: {seen:.3g} mm of it lie on the floor below a "
         f"clamp at {height:.3g} mm; a length in another unit or ten times off?"
+    ]
+
+
+def _tether(case: Case) -> list[str]:
+    """The tether against the median slope at which the force first rises from 0.2 to 0.8."""
+    slopes = []
+    traces = case.tables["drag"]
+    for _, trace in traces[traces["stroke"] == 0].groupby("run_id", sort=False):
+        x, force = trace["x_stage_mm"].to_numpy(float), trace["force_mN"].to_numpy(float)
+        level = float(np.median(force[len(force) // 2 :]))
+        loaded = int(np.argmax(force >= 0.8 * level))
+        unloaded = np.flatnonzero(force[:loaded] <= 0.2 * level)
+        if not len(unloaded):
+            continue
+        ramp = slice(int(unloaded[-1]), loaded + 1)
+        if loaded - unloaded[-1] >= 3 and np.ptp(x[ramp]) > 0:  # else the sampling makes the slope
+            slopes.append(np.polyfit(x[ramp], force[ramp], 1)[0])
+    nominal = case.nominal["k_tether_N_m"]
+    slope = float(np.median(slopes)) if slopes else nominal
+    if 1 / LARGEST_SLOPE_FACTOR <= slope / nominal <= LARGEST_SLOPE_FACTOR:
+        return []
+    return [
+        f"nominal k_tether_N_m {nominal:g}: the force rises by {slope:.3g} N/m; in another unit or "
+        "ten times off?"
     ]

@@ -7,7 +7,7 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.identifiability import not_identified
+from slipstitch.criticise.identifiability import not_exported, not_identified
 from slipstitch.criticise.inference.analysis import LEFTOVER_SIGNIFICANCE, SIGNIFICANCE, Analysis
 from slipstitch.criticise.inference.certificate import POWER, Detectable
 from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
@@ -19,10 +19,18 @@ from slipstitch.criticise.inference.separation import separations
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.criticise.within_runs import within_runs, words
+from slipstitch.criticise.within_runs import departure, within_runs, words
 from slipstitch.page.wording import counted, with_interval
 
 CLEAR_FALL = 0.8  # of an error, to be worth a headline
+
+# Relative errors that a power of ten makes, and in what it would be.
+TENFOLD = (9.0, -0.9)
+TENFOLD_IN = {
+    "bending_error": "B_Nm or B_strip_Nm",
+    "mass_error": "rho_kg_m2",
+    "force_gain": "the force",
+}
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
@@ -37,6 +45,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     fitted = chosen.fitted if named and chosen is not None else analysis.null
     left = analysis.left_over or analysis.null_outcome
     parameters = parameters_with_intervals(analysis, fitted)
+    unknown = not_identified(_entries(analysis, fitted) | parameters)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -67,7 +76,8 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),
         "gain": _gain(gain),
-        "not_identified": not_identified(parameters),
+        "not_identified": unknown,
+        "not_exported": not_exported(fitted.causes, unknown),
         "certificate": certificate(analysis.detectable, SIGNIFICANCE),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
         "scatter_findings": scatter_findings(
@@ -96,7 +106,8 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
 def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
     """What this design could have seen; sizes are None where nothing would show the mechanism."""
     return {
-        "false_alarm_rate": limit,
+        "false_alarm_limit": limit,
+        "false_alarm_rate": None,
         "power": POWER,
         "smallest_detectable": {
             name: {
@@ -107,6 +118,21 @@ def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
             for name, found in sorted(detectable.items())
         },
     }
+
+
+def false_alarm_words(shown: dict) -> str:
+    """How often a certificate says that nothing is taken for something: simulated, or at most."""
+    rate = shown["false_alarm_rate"]
+    if rate is None:
+        return (
+            "where there is nothing, the tests are made to say something in at most "
+            f"{100 * shown['false_alarm_limit']:.0f} of 100 (a limit, not simulated)"
+        )
+    low, high = (100 * end for end in rate["ci95"])
+    return (
+        f"of {rate['campaigns']} simulated campaigns that held nothing, "
+        f"{100 * rate['estimate']:.3g} % [{low:.2g}, {high:.2g}] were said to hold something"
+    )
 
 
 def _best(analysis: Analysis) -> float:
@@ -165,9 +191,27 @@ def residual_tests(outcome: Outcome) -> list[dict]:
 
 def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
     """Estimates with 95 % intervals in the units of the specification."""
-    m = analysis.measurements
-    specimens = len(np.unique(m.specimen[analysis.state.keep]))
-    reach = float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
+    reach = _reach(analysis, fitted)
+    inflation = analysis.null_outcome.mechanism_inflation()
+    result = _entries(analysis, fitted)
+    for cause in fitted.causes:
+        names = MECHANISMS[cause].components
+        if names is not None:
+            own = {p.name for p in MECHANISMS[cause].parameters}
+            result = {name: entry for name, entry in result.items() if name not in own}
+            result |= _size_and_direction(fitted, cause, names, reach, inflation.get(cause, 1.0))
+    return result
+
+
+def _reach(analysis: Analysis, fitted: Fit) -> float:
+    """Half of a 95 % interval in standard errors."""
+    specimens = len(np.unique(analysis.measurements.specimen[analysis.state.keep]))
+    return float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
+
+
+def _entries(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
+    """Every fitted parameter with its 95 % interval, vectors by their components."""
+    reach = _reach(analysis, fitted)
     inflation = analysis.null_outcome.mechanism_inflation()
     owner = {p.name: c for c in fitted.causes for p in MECHANISMS[c].parameters}
     result: dict[str, dict] = {}
@@ -187,12 +231,6 @@ def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict
         else:
             estimate, interval = value, np.array([value - reach * error, value + reach * error])
         result[parameter.name] = _entry(estimate, interval, parameter.unit)
-    for cause in fitted.causes:
-        names = MECHANISMS[cause].components
-        if names is not None:
-            own = {p.name for p in MECHANISMS[cause].parameters}
-            result = {name: entry for name, entry in result.items() if name not in own}
-            result |= _size_and_direction(fitted, cause, names, reach, inflation.get(cause, 1.0))
     return result
 
 
@@ -211,11 +249,12 @@ def _size_and_direction(
     across = np.array([-y, x]) / max(size, 1e-12)
     error = float(np.sqrt(along @ covariance @ along))
     turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
+    turn = min(reach * turn, 180.0)
     azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
     limits = [max(size - reach * error, 0.0), size + reach * error]
     return {
         size_name: _entry(size, limits, components[0].unit),
-        direction_name: _entry(azimuth, [azimuth - reach * turn, azimuth + reach * turn], "deg"),
+        direction_name: _entry(azimuth, [azimuth - turn, azimuth + turn], "deg"),
     }
 
 
@@ -259,10 +298,12 @@ def sentence(verdict: dict) -> str:
     """The verdict in one sentence."""
     kind = verdict["verdict"]
     if kind == "none":
-        return (
-            "Nothing beyond plain Coulomb friction with scatter was found in these measurements "
-            f"(family-wise p = {verdict['null']['global_p']:.2g}).{_scatter(verdict)}"
-        )
+        within = departure(verdict.get("within_runs", {}))
+        nothing = "othing beyond plain Coulomb friction with scatter was found"
+        p = f"(family-wise p = {verdict['null']['global_p']:.2g})"
+        if within:
+            return f"Between the runs n{nothing} {p}; but within them {within}.{_scatter(verdict)}"
+        return f"N{nothing} in these measurements {p}.{_scatter(verdict)}"
     if kind == "insufficient":
         return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
     if kind == "unknown":
@@ -275,7 +316,9 @@ def sentence(verdict: dict) -> str:
         )
         return (
             f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
+            + _power_of_ten(verdict)
             + _left(verdict)
+            + _kept_back(verdict)
         )
     titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
     numbers = ", ".join(
@@ -284,7 +327,34 @@ def sentence(verdict: dict) -> str:
         for name, p in verdict["parameters"].items()
         if name not in [coefficient.name for coefficient in COEFFICIENTS]
     )
-    return f"The model is wrong because {titles} ({numbers}).{_left(verdict)}"
+    return (
+        f"The model is wrong because {titles} ({numbers})."
+        + _power_of_ten(verdict)
+        + _left(verdict)
+        + _kept_back(verdict)
+    )
+
+
+def _power_of_ten(verdict: dict) -> str:
+    """Whether a nominal value is ten times off; beyond a bound the fit cannot follow it."""
+    found = []
+    for name, where in TENFOLD_IN.items():
+        if name not in verdict["parameters"]:
+            continue
+        entry, (parameter,) = verdict["parameters"][name], MECHANISMS[name].parameters
+        low, high = entry["ci95"]
+        near = 0.01 * (parameter.upper - parameter.lower)
+        at_bound = not parameter.lower + near < entry["estimate"] < parameter.upper - near
+        if at_bound or any(low <= error <= high for error in TENFOLD):
+            found.append(where)
+    return f" A power of ten in {' and '.join(found)}?" if found else ""
+
+
+def _kept_back(verdict: dict) -> str:
+    """The causes that the extended model has to do without."""
+    left_out = verdict.get("not_exported") or {}
+    why = "; ".join(f"{cause} ({why})" for cause, why in left_out.items())
+    return f" The exported model leaves out {why}." if why else ""
 
 
 def _left(verdict: dict) -> str:

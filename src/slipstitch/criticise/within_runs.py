@@ -242,6 +242,17 @@ def track_step(finding: dict, model: str) -> dict:
     return next(entry for entry in finding["ladder"] if entry["model"] == model)
 
 
+def departure(findings: dict) -> str:
+    """What is beyond doubt within the runs and no plain friction, as a clause; or nothing."""
+    track, impact = findings.get("spring_slider"), findings.get("push")
+    found = []
+    if track is not None and track_step(track, "track")["step_ci95"][0] > 0:
+        found.append("friction changes along the track")
+    if impact is not None and impact["excess_ci95"][0] > 0:
+        found.append("the first peak is more than the impact")
+    return " and ".join(found)
+
+
 def words(findings: dict) -> list[str]:
     """What the findings say, a sentence each; nothing where nothing is beyond doubt."""
     said = []

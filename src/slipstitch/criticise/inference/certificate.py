@@ -1,12 +1,12 @@
-"""What a design could have seen: the smallest effect of every mechanism, and the false alarms.
+"""What a design could have seen: the smallest effect of every mechanism.
 
-With no effect, the verdict is another than `none` as often as the limit of the family-wise p says:
-the statistics are simulated for this design and noise. An effect is seen where its likelihood ratio
-is beyond what these maxima leave, which a non-central chi-squared gives.
+An effect is seen where its likelihood ratio is beyond what the maxima simulated for this design and
+noise leave at the limit of the family-wise p, which a non-central chi-squared gives.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from scipy.stats import ncx2
 
 from slipstitch.criticise.inference.alternatives import alternatives, sensitivity_of
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.covariance import KAPPA_LIMITS, Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, jacobian
 from slipstitch.criticise.inference.ratio import run_tests
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
@@ -26,8 +26,6 @@ POWER = 0.8
 # Logarithm of the largest change of friction for which an effect counts as one that could be seen:
 # none is known to change it tenfold, and tests that are linear in the effect say nothing there.
 LARGEST_CHANGE = np.log(10.0)
-# Of a campaign that is still to be made.
-USUAL_SCATTER = Scatter(0.05, 0.03, 1.2)
 
 
 @dataclass(frozen=True)
@@ -85,27 +83,50 @@ def _needed(threshold: float, degrees: int) -> float:
     return float(brentq(missing, 1e-9, 50.0 + 4.0 * threshold))
 
 
-def of_design(
-    design: Measurements, limit: float, seed: int, replicates: int
-) -> dict[str, Detectable]:
-    """The same for a campaign that is still to be made, at usual coefficients and scatter."""
+def plain_model(
+    design: Measurements, assumed: Mapping[str, float]
+) -> tuple[Fit, dict[str, Scatter]]:
+    """The null of a campaign that is still to be made, and the scatter of each protocol.
+
+    Parameters
+    ----------
+    design : its features, with the errors expected of them.
+    assumed : the coefficients, ``scatter_specimen``, ``scatter_run`` and ``noise_factor``.
+    """
     parameters = list(design.null_parameters)
-    values = np.array([p.null for p in parameters])
-    named = {p.name: p.null for p in parameters}
+    values = np.array([np.log(assumed[p.name]) for p in parameters])
+    named = {p.name: float(value) for p, value in zip(parameters, values, strict=True)}
     prediction = design.predict(named, ())
     columns = jacobian(design, (), parameters, values, prediction)
     none = np.zeros((0, 0))
-    fitted = Fit((), parameters, values, 0.0, prediction, columns, none, True, none)
-    keep = np.ones(len(design.y), bool)
-    groups = make_groups(design, sensitivity_of(fitted), keep)
+    scatters = {}
+    for block in design.blocks:
+        # What the traces themselves tell of the noise is in the features' uncertainties already.
+        told = max((noise.allowance for noise in block.trace_noises), default=1.0)
+        factor = float(np.clip(assumed["noise_factor"] / told, *KAPPA_LIMITS))
+        scatters[block.protocol] = Scatter(
+            assumed["scatter_specimen"], assumed["scatter_run"], factor
+        )
+    return Fit((), parameters, values, 0.0, prediction, columns, none, True, none), scatters
+
+
+def of_design(
+    design: Measurements,
+    plain: Fit,
+    scatters: dict[str, Scatter],
+    limit: float,
+    seed: int,
+    replicates: int,
+) -> dict[str, Detectable]:
+    """The same for a campaign that is still to be made, at its plain model."""
     outcome = run_tests(
-        alternatives(design, fitted, keep).tests,
-        columns,
+        alternatives(design, plain, np.ones(len(design.y), bool)).tests,
+        plain.jacobian,
         np.zeros(len(design.y)),
-        groups,
-        {group.protocol: USUAL_SCATTER for group in groups},
+        make_groups(design, sensitivity_of(plain), ~design.lower_bound),
+        scatters,
         np.random.default_rng(seed),
         replicates,
         shrunken=design.zero_columns,
     )
-    return smallest_detectable(outcome, fitted, limit)
+    return smallest_detectable(outcome, plain, limit)

@@ -21,12 +21,11 @@ from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.friction_law import CONTACT_MECHANISMS
 
 SURVIVES_AT = 0.01
-TIME, BEFORE, PLACE, ZEROS_OFF = "time_in_session", "run_before", "place", "sensor_zeros"
+TIME, BEFORE, PLACE = "time_in_session", "run_before", "place"
 TITLES = {
     TIME: "a drift with the time in the session",
     BEFORE: "memory of the run before",
     PLACE: "friction that differs along the track",
-    ZEROS_OFF: "zeros of sensors that are off",
 }
 REMEMBERED_COLUMNS = ("load_ratio", "speed_mm_s", "dwell_s")
 # Of twice the log-likelihood, between two curves of one column.

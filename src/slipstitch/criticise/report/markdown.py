@@ -13,7 +13,7 @@ from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.verdict_pictures import relative_residuals
-from slipstitch.criticise.verdict import second_sentence, sentence
+from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
 from slipstitch.criticise.within_runs import words
 from slipstitch.page.wording import counted, with_interval
 
@@ -37,6 +37,9 @@ def markdown(case: Case, verdict: dict, analysis: Analysis) -> str:
         "## The strongest traces of structure beside plain Coulomb friction",
         _table(("along", "shape", "p (family-wise)"), _traces(analysis)),
         *_labels(analysis),
+        *_of_data(verdict),
+        *_of_scatter(verdict),
+        *_certificate(verdict),
         *_silent(verdict),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -48,8 +51,14 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _parameters(verdict: dict) -> list[str]:
+    why = verdict["not_identified"]
     rows = [
-        (name, f"{p['estimate']:.3g}", f"{p['ci95'][0]:.3g} … {p['ci95'][1]:.3g}", p["unit"])
+        (
+            f"{name} (not identified: {why[name]})" if name in why else name,
+            f"{p['estimate']:.3g}",
+            f"{p['ci95'][0]:.3g} … {p['ci95'][1]:.3g}",
+            p["unit"],
+        )
         for name, p in verdict["parameters"].items()
     ]
     return ["## Parameters", _table(("name", "estimate", "95 % interval", "unit"), rows)]
@@ -130,6 +139,53 @@ def _told(table: pd.DataFrame) -> str:
     difference = float(one.mean() - two.mean())
     interval = (difference - half, difference + half)
     return f"Difference between specimens: {with_interval(difference, interval, 1)} % of friction."
+
+
+def _of_data(verdict: dict) -> list[str]:
+    rows = [
+        (
+            found["protocol"],
+            found["sensor"],
+            found["quantity"] + (", noise over what is stated" if found["kind"] == "noise" else ""),
+            f"{found['size']:.3g}",
+            f"{found['ci95'][0]:.3g} … {found['ci95'][1]:.3g}",
+            found["unit"],
+        )
+        for found in verdict["data_findings"]
+    ]
+    head = ("protocol", "sensor", "what", "size", "95 % interval", "unit")
+    return ["## What is wrong with the data themselves", _table(head, rows)] if rows else []
+
+
+def _of_scatter(verdict: dict) -> list[str]:
+    rows = [
+        (
+            found["protocol"],
+            f"{100 * found['run_scatter']:.2g}",
+            f"{100 * found['usual']:.2g}",
+            ", ".join(COVARIATES[name].title for name in found["record_next"]) or "-",
+        )
+        for found in verdict["scatter_findings"]
+    ]
+    head = ("protocol", "scatter between runs (%)", "usual (%)", "not recorded, or always the same")
+    return ["## Runs that scatter more than usual", _table(head, rows)] if rows else []
+
+
+def _certificate(verdict: dict) -> list[str]:
+    shown = verdict["certificate"]
+    rows = [
+        (MECHANISMS[name].title, f"{found['size']:.3g}", found["unit"])
+        for name, found in shown["smallest_detectable"].items()
+        if found["size"] is not None
+    ]
+    if not rows:
+        return []
+    return [
+        "## What this design could have seen",
+        f"Each of these, alone and of this size, is seen in {100 * shown['power']:.0f} of 100 such "
+        f"campaigns; {false_alarm_words(shown)}.",
+        _table(("mechanism", "smallest size seen", "unit"), rows),
+    ]
 
 
 def _silent(verdict: dict) -> list[str]:

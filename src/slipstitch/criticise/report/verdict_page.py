@@ -16,7 +16,7 @@ from slipstitch.criticise.report.verdict_pictures import (
     residual_picture,
 )
 from slipstitch.criticise.resimulation import Resimulation
-from slipstitch.criticise.verdict import second_sentence, sentence
+from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
 from slipstitch.criticise.within_runs import words
 from slipstitch.page.figures import svg, svg_element
 from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
@@ -60,6 +60,7 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
             for name, found in verdict["certificate"]["smallest_detectable"].items()
             if found["size"] is not None
         ],
+        false_alarm_words=false_alarm_words(verdict["certificate"]),
         silent=[
             (name, MECHANISMS[name].title, why)
             for name, why in verdict["not_testable"].items()

@@ -1,0 +1,60 @@
+"""How often campaigns in which nothing is hidden would be said to hold something."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import binomtest
+
+from slipstitch.criticise.inference.alternatives import sensitivity_of
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.inference.clusters import Clusters
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.measurements import Measurements
+
+NO_ALARM = ("none", "insufficient")
+
+
+@dataclass(frozen=True)
+class FalseAlarms:
+    """Verdicts that say something, of campaigns that hold nothing."""
+
+    alarms: int
+    campaigns: int
+
+    def as_dict(self) -> dict:
+        """The rate with its 95 % interval (Wilson)."""
+        ci = binomtest(self.alarms, self.campaigns).proportion_ci(method="wilson")
+        return {
+            "estimate": round(self.alarms / self.campaigns, 4),
+            "ci95": [round(float(ci.low), 4), round(float(ci.high), 4)],
+            "campaigns": self.campaigns,
+        }
+
+
+def false_alarms(
+    measurements: Measurements,
+    null: Fit,
+    scatters: dict[str, Scatter],
+    campaigns: int,
+    seed: int,
+    replicates: int,
+) -> FalseAlarms:
+    """Judge features drawn from a fitted null, from the fit of the scatter to the verdict.
+
+    Instruments and scatters are normal, sensors' zeros as usual; bounds stay what they are.
+    """
+    rng = np.random.default_rng([seed, 23])
+    groups = make_groups(measurements, sensitivity_of(null), ~measurements.lower_bound)
+    alarms = 0
+    for number in range(campaigns):
+        y = np.where(measurements.lower_bound, measurements.y, null.prediction)
+        for group in groups:
+            zeros = measurements.zero_columns[group.index]
+            drawn = Clusters(group, zeros).drawn(group, scatters[group.protocol], rng, 1)[:, 0]
+            y[group.index] += drawn + zeros @ rng.standard_normal(zeros.shape[1])
+        drawn = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
+        alarms += analyse(drawn, seed + number, replicates).verdict not in NO_ALARM
+    return FalseAlarms(alarms, campaigns)
