@@ -15,7 +15,8 @@ from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import cloth_room, crop_to
 from slipstitch.render.camera_file import read_camera_file
-from slipstitch.render.rectification import rectify, stage_plane
+from slipstitch.render.mean_cloth import stage_plane
+from slipstitch.render.rectification import rectify
 
 VIEWS = 9
 CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]

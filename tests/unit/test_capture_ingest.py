@@ -17,7 +17,8 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.render.camera import pose
-from slipstitch.render.rectification import rectify, source_pixels, stage_plane
+from slipstitch.render.mean_cloth import stage_plane
+from slipstitch.render.rectification import rectify, source_pixels
 from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config(

@@ -30,17 +30,25 @@ def bench(viewpoint="calibrated"):
     return stage.Bench(lens(viewpoint).camera, lens(viewpoint).distortion)
 
 
-def followed(rate=1.0, viewpoint="calibrated", noise=6.0, until_s=124.0, clock=lambda t: t):
-    """The time base of a film of the stage; its clock shows `clock` of the true time."""
+def follower_of(
+    rate=1.0, viewpoint="calibrated", noise=6.0, until_s=124.0, clock=lambda t: t, flicker=0.0
+):
+    """Has seen a film of the stage; its clock shows `clock` of the true time."""
     schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
     follower = StageFollower(lens(viewpoint), schedule.crop(0.0), schedule.path)
     random = np.random.default_rng(4)
     for time_s in np.arange(6.3, until_s, 0.34):
         if follower.wants(time_s):
             image = bench(viewpoint).image(clock(rate * time_s))[..., ::-1]
-            noisy = image + random.normal(0, noise, image.shape)
+            lamp = 1 + flicker * random.standard_normal()
+            noisy = lamp * image + random.normal(0, noise, image.shape)
             follower.add(time_s, np.ascontiguousarray(np.clip(noisy, 0, 255).astype(np.uint8)))
-    return follower.time_base()
+    return follower
+
+
+def followed(*arguments, **named):
+    """The time base of such a film."""
+    return follower_of(*arguments, **named).time_base()
 
 
 @pytest.mark.parametrize("rate", [0.95, 0.98, 0.995, 1.0, 1.005, 1.02, 1.05])
@@ -68,6 +76,23 @@ def test_a_film_that_was_cut_is_noticed(missing_s):
     """Seconds of the third stroke are missing: the rate is wrong, or none explains the rest."""
     found = followed(clock=lambda time_s: time_s + missing_s * (time_s > 80.0))
     assert abs(found.rate - 1) >= 0.005 or found.worst_offset_m() > 4e-3
+
+
+@pytest.mark.parametrize("stops_s", [22.0, 60.0, 95.0])
+@pytest.mark.parametrize(("noise", "flicker"), [(1.0, 0.0), (20.0, 0.05)])
+def test_a_stage_that_stops_is_noticed(stops_s, noise, flicker):
+    seen = {"noise": noise, "flicker": flicker}
+    stopped = follower_of(clock=lambda time_s: min(time_s, stops_s), **seen)
+    assert stopped.still_from_s() == pytest.approx(stops_s, abs=15.0)
+    assert follower_of(**seen).still_from_s() is None
+
+
+def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
+    times_s = np.concatenate([np.arange(0, 6.0, 0.1), np.arange(6.0, START_S + 126.0, 0.34)])
+    images = (bench().image(np.clip(time_s - START_S, 0.0, 30.0)) for time_s in times_s)
+    path = stage.write_video(tmp_path / "stops.mp4", images, times_s, preset="ultrafast")
+    with pytest.raises(BadInput, match=r"from 3\d s after the start on nothing moves.* stop\?"):
+        read_stage_video(path, lens(), SCHEDULE)
 
 
 def test_a_stage_out_of_sight_tells_nothing():

@@ -11,6 +11,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument
 from slipstitch.instrument.poses import outside, pose_range, poses_of
+from slipstitch.measure.measuring import measuring_bench
 from slipstitch.render.camera import pose
 
 CONFIG = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 6}})
@@ -32,6 +33,7 @@ def bench(tmp_path_factory):
     save_instrument(instrument, folder / "instrument")
     for name, viewpoint in (
         ("inside", Viewpoint(52.0, 20.0, 1.5)),
+        ("edge", Viewpoint(57.0, 24.0, 1.4)),
         ("aside", Viewpoint(65.0, 24.0, 1.4)),
         ("far", Viewpoint(40.0, 24.0, 2.4)),
     ):
@@ -50,6 +52,23 @@ def test_a_camera_inside_the_family_is_told_so(bench, capsys):
     assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
     assert "OUTSIDE" not in said
     assert (bench / "check.png").stat().st_size > 10_000
+
+
+def test_a_camera_beyond_the_family_within_the_tolerance_is_told_how_far(bench, capsys):
+    assert check(bench, "edge") == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said == (
+        "just beyond the training range, within the tolerance: rotation about the vertical "
+        "+17 degrees (trained on -15 ... +15)"
+    )
+
+
+def test_a_measurement_by_force_says_that_its_interval_does_not_hold(bench):
+    camera, model = bench / "aside.json", bench / "instrument"
+    (caveat,) = measuring_bench(camera, model, force=True).caveats
+    assert caveat.startswith("outside the tested range: rotation about the vertical +25 degrees")
+    assert caveat.endswith("the interval does not hold")
+    assert measuring_bench(bench / "edge.json", model).caveats == ()
 
 
 @pytest.mark.parametrize(

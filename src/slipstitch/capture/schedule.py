@@ -1,6 +1,7 @@
 """The times of the protocol that a network sees, and the crop at each."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.config.sample import SampleSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.render.camera import Camera, Pose, cloth_room, crop_to
+from slipstitch.render.mean_cloth import MeanCloth, lags_m
 from slipstitch.render.shots import viewpoint_pose
 
 
@@ -72,3 +74,14 @@ class Schedule:
             time_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
         room = cloth_room(*self.path.position_m(time_s), SIDE_M, SIDE_M)
         return crop_to(self.pose, room, self.pixels)
+
+    def cloth(self, time_s: float) -> MeanCloth:
+        """Where the cloth is at a time, on average."""
+        times_s, lags = self._lags
+        x_m, z_m = (float(place) for place in self.path.position_m(time_s))
+        return MeanCloth(x_m, z_m, float(np.interp(time_s, times_s, lags)))
+
+    @cached_property
+    def _lags(self) -> tuple[np.ndarray, np.ndarray]:
+        times_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
+        return times_s, lags_m(*self.path.position_m(times_s), SIDE_M)

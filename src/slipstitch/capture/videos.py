@@ -13,7 +13,8 @@ from slipstitch.errors import BadInput
 from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.rectification import rectify, stage_plane
+from slipstitch.render.mean_cloth import cloth_surface
+from slipstitch.render.rectification import rectify
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -76,6 +77,7 @@ def read_stage_video(
     *,
     start_s: float | None = None,
     frame_rate_hz: float | None = None,
+    note_far_view: bool = True,
 ) -> StageVideo:
     """Decode, synchronise, rectify and crop a video; one of its frames is in memory at a time.
 
@@ -90,6 +92,8 @@ def read_stage_video(
         Time in the video at which the stage starts; found in the frames by default.
     frame_rate_hz : float, optional
         Of the camera, where the file's times are wrong.
+    note_far_view : bool
+        Whether a camera aside of the viewpoint is worth a note: it is not to who knows its pose.
 
     Raises
     ------
@@ -108,6 +112,11 @@ def read_stage_video(
     if schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
         follower = StageFollower(lens, schedule.crop(0.0), schedule.path)
     chosen, intervals = _choose(recording, schedule.time_s, start.time_s, follower)
+    if follower and (still_s := follower.still_from_s()) is not None:
+        raise BadInput(
+            f"{path}: from {still_s:.0f} s after the start on nothing moves for 10 s or more: "
+            "did the stage stop?"
+        )
     time_base = follower.time_base() if follower else None
     rate = _checked_rate(path, time_base)
     if rate != 1.0:
@@ -116,8 +125,8 @@ def read_stage_video(
     for moment_s, image in chosen:
         at_s = rate * (moment_s - start.time_s)
         crop = schedule.crop(max(at_s, 0.0))
-        x_m, _ = schedule.path.position_m(max(at_s, 0.0))
-        picture, share = rectify(image, lens, crop, stage_plane(crop, float(x_m)))
+        surface = cloth_surface(crop, schedule.cloth(max(at_s, 0.0)))
+        picture, share = rectify(image, lens, crop, surface)
         frames.append(picture[..., ::-1])
         inside.append(share)
         time_s.append(at_s)
@@ -140,6 +149,10 @@ def read_stage_video(
         inside=np.array(inside),
     )
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
+    if note_far_view and video.view_angle_deg > _FAR_VIEW_DEG:
+        video.notes.append(
+            f"the camera is {video.view_angle_deg:.0f} degrees from the training viewpoint"
+        )
     return video
 
 
@@ -263,11 +276,8 @@ def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
     notes += _clock_notes(video.time_base, schedule, corrected)
     if video.inside.min() < 0.999:
         notes.append(
-            f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest is black"
-        )
-    if video.view_angle_deg > _FAR_VIEW_DEG:
-        notes.append(
-            f"the camera is {video.view_angle_deg:.0f} degrees from the training viewpoint"
+            f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest repeats "
+            "its border"
         )
     return notes
 

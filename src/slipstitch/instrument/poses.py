@@ -51,10 +51,14 @@ def in_words(name: str, value: float, limits: Sequence[float]) -> str:
     return f"{what} {shown(name, value)} {unit} (trained on {trained_on})"
 
 
-def outside(pose: Mapping[str, float], tested: Mapping[str, Sequence[float]]) -> list[str]:
-    """Description of the parts of a pose outside the training range of an instrument."""
+def outside(
+    pose: Mapping[str, float],
+    tested: Mapping[str, Sequence[float]],
+    tolerance: Mapping[str, float] = TOLERANCE,
+) -> list[str]:
+    """Description of the parts of a pose beyond the training range of an instrument."""
     return [
         in_words(name, pose[name], (low, high))
         for name, (low, high) in ((name, tested[name]) for name in POSE)
-        if not low - TOLERANCE[name] <= pose[name] <= high + TOLERANCE[name]
+        if not low - tolerance[name] <= pose[name] <= high + tolerance[name]
     ]

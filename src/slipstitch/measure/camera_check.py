@@ -42,9 +42,14 @@ class CameraCheck:
     def lines(self) -> list[str]:
         """The result for a terminal."""
         lines = [in_words(name, self.pose[name], self.tested[name]) for name in POSE]
-        if not self.outside:
-            return [*lines, "within the training range"]
-        return lines + [f"OUTSIDE: {problem}" for problem in self.outside]
+        if self.outside:
+            return lines + [f"OUTSIDE: {problem}" for problem in self.outside]
+        if beyond := outside(self.pose, self.tested, dict.fromkeys(POSE, 1e-3)):
+            return [
+                *lines,
+                f"just beyond the training range, within the tolerance: {'; '.join(beyond)}",
+            ]
+        return [*lines, "within the training range"]
 
 
 def check_camera(

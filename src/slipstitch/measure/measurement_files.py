@@ -113,7 +113,7 @@ class MeasuredPair:
                     f"{video.fabric[1]:.3f}",
                     measured.alarm_reason,
                     int(video.name in self.outliers),
-                    "; ".join(video.video.notes),
+                    "; ".join(video.notes),
                 ]
             )
         if together := self.together:

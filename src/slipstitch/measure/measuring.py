@@ -13,10 +13,11 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, Damaged
 from slipstitch.instrument import Instrument, Measurement, load_instrument
 from slipstitch.instrument.poses import outside
 from slipstitch.measure import SHIPPED
+from slipstitch.provenance import file_digest
 from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera_file import LensCamera, read_camera_file
 from slipstitch.render.pose import POSE
@@ -119,12 +120,23 @@ class MeasuringBench:
     config_path : path
         The configuration that told which frames to take.
     schedule : Schedule
+    outside : tuple of str
+        Where the camera's pose lies beyond what the instrument was tried with, in words.
     """
 
     lens: LensCamera
     instrument: Instrument
     config_path: Path
     schedule: Schedule
+    outside: tuple[str, ...] = ()
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """What an error bar does not cover here."""
+        beyond = (
+            f"outside the tested range: {what}: the interval does not hold" for what in self.outside
+        )
+        return (*self.instrument.caveats, *beyond)
 
     def measure(
         self,
@@ -147,7 +159,12 @@ class MeasuringBench:
             If the video cannot be used, or does not show the protocol.
         """
         video = read_stage_video(
-            path, self.lens, self.schedule, start_s=start_s, frame_rate_hz=frame_rate_hz
+            path,
+            self.lens,
+            self.schedule,
+            start_s=start_s,
+            frame_rate_hz=frame_rate_hz,
+            note_far_view="pose_range" not in self.instrument.card,
         )
         pose = np.array([video.pose[name] for name in POSE])
         measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
@@ -160,7 +177,7 @@ class MeasuringBench:
             str(self.instrument.card.get("weights_sha256") or "unknown"),
             self.schedule.path,
             self.instrument.without_error_bar,
-            tuple(self.instrument.caveats),
+            self.caveats,
         )
 
 
@@ -204,7 +221,7 @@ def measuring_bench(
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
     torch.set_num_threads(threads)
-    return MeasuringBench(lens, instrument, config_path, schedule)
+    return MeasuringBench(lens, instrument, config_path, schedule, tuple(strange))
 
 
 def schedule_of(
@@ -231,10 +248,20 @@ def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Pat
     for above in (folder, *folder.parents):
         found = above / "config.json"
         if found.is_file():
+            _check_listed(found)
             return found
     raise BadInput(
         f"{model}: no config.json in a folder above it; give the configuration with --config"
     )
+
+
+def _check_listed(config_path: Path) -> None:
+    """Damaged if the ``SHA256SUMS`` beside a configuration, where there is one, has another."""
+    sums = config_path.with_name("SHA256SUMS")
+    lines = sums.read_text(encoding="utf-8").splitlines() if sums.is_file() else []
+    digests = [line.split()[0] for line in lines if line.split()[1:] == [config_path.name]]
+    if digests and file_digest(config_path) not in digests:
+        raise Damaged(config_path, f"altered or damaged: not the file listed in {sums.name}")
 
 
 def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:

@@ -33,7 +33,7 @@ def page(pair: "MeasuredPair") -> str:
                 "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
                 "alarm": video.measurement.alarm_reason,
                 "outlier": video.name in pair.outliers,
-                "notes": video.video.notes,
+                "notes": video.notes,
                 "frames": decisive_frames(video),
             }
             for video in pair.videos

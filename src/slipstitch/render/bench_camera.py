@@ -16,7 +16,8 @@ import numpy as np
 from slipstitch.config.render import RenderSettings
 from slipstitch.render.camera import AIM_M, Camera, cloth_room, crop_to
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.rectification import rectify, stage_plane
+from slipstitch.render.mean_cloth import MeanCloth, cloth_surface, stage_plane
+from slipstitch.render.rectification import rectify
 from slipstitch.render.surroundings import drawn_by, generator
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -149,12 +150,10 @@ def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray
     The cloth's room, and where the calibrated crop's corners look through the stage plane, so that
     the rectified image has no blind part.
     """
-    normal, offset = stage_plane(seen, stage_x_m)
     corners = np.column_stack([_CORNERS * seen.pixels - 0.5, np.ones(4)])
     rays = corners @ np.linalg.inv(seen.matrix).T @ seen.rotation
     eye = -seen.rotation.T @ seen.translation_m
-    depth = (offset - eye @ normal) / (rays @ normal)
-    return np.concatenate([room_m, eye + depth[:, None] * rays])
+    return np.concatenate([room_m, stage_plane(seen, stage_x_m).seen(eye, rays)])
 
 
 def rectified(
@@ -163,6 +162,7 @@ def rectified(
     bench: BenchCamera,
     viewpoint: tuple[np.ndarray, np.ndarray],
     trajectory: Trajectory,
+    lags_m: np.ndarray,
     row: int,
     settings: RenderSettings,
     size_m: tuple[float, float],
@@ -179,6 +179,8 @@ def rectified(
     viewpoint : tuple of ndarray
         Rotation and translation of the calibrated viewpoint.
     trajectory : Trajectory
+    lags_m : ndarray (T,)
+        Of the cloth in it (`slipstitch.render.mean_cloth.lags_m`).
     row : int
         Of the frame in it.
     settings : RenderSettings
@@ -186,15 +188,18 @@ def rectified(
         Width and length of the cloth.
     """
     time_s = trajectory.time_s[row] + bench.start_error_s
-    x_m = float(np.interp(time_s, trajectory.time_s, trajectory.stage_x_m))
-    z_m = float(np.interp(time_s, trajectory.time_s, trajectory.stage_z_m))
+    x_m, z_m, lag_m = (
+        float(np.interp(time_s, trajectory.time_s, of))
+        for of in (trajectory.stage_x_m, trajectory.stage_z_m, lags_m)
+    )
     fixed = settings.crop == "fixed"
     room = cloth_room(
         trajectory.stage_x_m if fixed else x_m, trajectory.stage_z_m if fixed else z_m, *size_m
     )
     seen = crop_to(viewpoint, room, settings.pixels)
     lens = LensCamera(bench.stated(camera), _NO_DISTORTION)
-    return rectify(image, lens, seen, stage_plane(seen, x_m))[0]
+    cloth = MeanCloth(x_m, z_m, lag_m)
+    return rectify(image, lens, seen, cloth_surface(seen, cloth))[0]
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:

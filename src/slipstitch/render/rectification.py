@@ -1,10 +1,9 @@
 """From a real camera's image to the image that the calibrated viewpoint would have.
 
-The lens's distortion is taken out, and what lies in the stage plane (upright, across the track,
-through the clamps) is put where a camera at the calibrated viewpoint sees it: a homography. If
-the real camera stands there, this holds for every point. If it stands elsewhere, points off the
-plane are shifted by their parallax; of the planes that were tried this one shifts cloth least
-(docs/capture.md).
+The lens's distortion is taken out, and what lies on a surface, the mean cloth and the floor, is put
+where a camera at the calibrated viewpoint sees it. If the real camera stands there, this holds for
+every point. If it stands elsewhere, points off the surface are shifted by their parallax; of the
+surfaces that were tried this one shifts cloth least (docs/capture.md).
 """
 
 import math
@@ -15,24 +14,16 @@ import numpy as np
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.encoding import LINEAR, encode_srgb
+from slipstitch.render.mean_cloth import Surface, across_the_track
 
 # Averaging more source pixels than this along a side of an image's pixel changes nothing visible.
 _MOST_RAYS = 8
 
 
-def stage_plane(crop: Camera, stage_x_m: float) -> tuple[np.ndarray, float]:
-    """Normal n and offset d of the plane n x = d through the clamps.
+def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of the upright plane through the clamps at the stage's start, by their place.
 
     Across the track; for a camera that looks across the track, along it.
-    """
-    towards = crop.rotation[2]
-    if abs(towards[0]) >= abs(towards[1]):
-        return np.array([1.0, 0.0, 0.0]), stage_x_m
-    return np.array([0.0, 1.0, 0.0]), 0.0
-
-
-def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the plane that `stage_plane` gives at the stage's start, by their place.
 
     Parameters
     ----------
@@ -40,13 +31,12 @@ def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -
     sideways_m, height_m : ndarray
         From the middle between the clamps, and above the floor; broadcast against each other.
     """
-    normal, _ = stage_plane(crop, 0.0)
-    along = np.array([-normal[1], normal[0], 0.0])
+    along = np.array([0.0, 1.0, 0.0] if across_the_track(crop) else [-1.0, 0.0, 0.0])
     return sideways_m[..., None] * along + height_m[..., None] * [0, 0, 1.0]
 
 
 def source_pixels(
-    lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float], along: np.ndarray | None = None
+    lens: LensCamera, crop: Camera, surface: Surface, along: np.ndarray | None = None
 ) -> np.ndarray:
     """Position in the real image of each pixel of a crop.
 
@@ -56,15 +46,15 @@ def source_pixels(
         The real camera.
     crop : Camera
         Cut from the calibrated viewpoint.
-    plane : ndarray (3,), float
-        As from `stage_plane`.
+    surface : Surface
+        What the crop's pixels are taken to show.
     along : ndarray (n,), optional
         Places along either side of the crop; the pixels' centres by default.
 
     Returns
     -------
     ndarray (n, n, 2) float64
-        x, y; NaN where the crop looks past the plane or the real camera cannot see it.
+        x, y; NaN where the crop looks past the surface or the real camera cannot see it.
     """
     along = np.arange(crop.pixels) if along is None else along
     size = len(along)
@@ -72,12 +62,9 @@ def source_pixels(
     rays = np.column_stack([x, y, np.ones(size * size)]) @ np.linalg.inv(crop.matrix).T
     rays = rays @ crop.rotation
     eye = -crop.rotation.T @ crop.translation_m
-    normal, offset = plane
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (offset - eye @ normal) / (rays @ normal)
-        points = eye + depth[:, None] * rays
-        real = points @ lens.camera.rotation.T + lens.camera.translation_m
-        seen = (depth > 0) & np.isfinite(depth) & (real[:, 2] > 0)
+    points = surface.seen(eye, rays)
+    real = points @ lens.camera.rotation.T + lens.camera.translation_m
+    seen = real[:, 2] > 0  # not where it is NaN
     found = np.full((size * size, 2), np.nan)
     if seen.any():
         found[seen] = lens.project(points[seen])
@@ -85,7 +72,7 @@ def source_pixels(
 
 
 def rectify(
-    image: np.ndarray, lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float]
+    image: np.ndarray, lens: LensCamera, crop: Camera, surface: Surface
 ) -> tuple[np.ndarray, float]:
     """The crop, each pixel the mean of the light that falls on it.
 
@@ -93,19 +80,19 @@ def rectify(
     ----------
     image : ndarray (rows, columns, 3) uint8
         The real image, sRGB, in any order of colours.
-    lens, crop, plane
+    lens, crop, surface
         As for `source_pixels`.
 
     Returns
     -------
     ndarray (pixels, pixels, 3) uint8
-        Black where the real image has nothing.
+        Beyond the real image its border is repeated; black where the crop looks past the surface.
     float
         Share of the crop that lies in the real image.
     """
-    rays = _rays_per_side(lens, crop, plane)
+    rays = _rays_per_side(lens, crop, surface)
     # Between the corners of a pixel the place is as good as linear.
-    corners = source_pixels(lens, crop, plane, np.arange(crop.pixels + 1) - 0.5)
+    corners = source_pixels(lens, crop, surface, np.arange(crop.pixels + 1) - 0.5)
     fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
     place = cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
     rows, columns = image.shape[:2]
@@ -117,17 +104,18 @@ def rectify(
     low = np.maximum(np.floor(place[inside].min(axis=0)).astype(int) - 2, 0)
     high = np.ceil(place[inside].max(axis=0)).astype(int) + 3
     part = LINEAR[image[low[1] : high[1], low[0] : high[0]]]
-    at = np.where(inside[..., None], place - low, -1e4).astype(np.float32)
+    known = np.isfinite(place).all(axis=-1)
+    at = np.where(known[..., None], np.nan_to_num(place) - low, -1e4).astype(np.float32)
     light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    light[~inside] = 0
+    light[~known] = 0
     light = cv2.resize(light, (crop.pixels, crop.pixels), interpolation=cv2.INTER_AREA)
     return encode_srgb(light), float(inside.mean())
 
 
-def _rays_per_side(lens: LensCamera, crop: Camera, plane: tuple[np.ndarray, float]) -> int:
+def _rays_per_side(lens: LensCamera, crop: Camera, surface: Surface) -> int:
     """So many that no pixel of the real image is jumped over."""
     coarse = crop.at_resolution(16)
-    place = source_pixels(lens, coarse, plane)
+    place = source_pixels(lens, coarse, surface)
     steps = np.concatenate([np.diff(place, axis=k).reshape(-1, 2) for k in (0, 1)])
     longest = np.nanmax(np.linalg.norm(steps, axis=1), initial=0.0) * 16 / crop.pixels
     return int(np.clip(math.ceil(longest), 1, _MOST_RAYS))

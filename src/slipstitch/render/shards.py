@@ -17,6 +17,7 @@ from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixe
 from slipstitch.render.bench_camera import BenchCamera, rectified, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
+from slipstitch.render.mean_cloth import lags_m
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
 from slipstitch.render.pose import POSE
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_pose
@@ -86,6 +87,8 @@ class Rectifier:
         Rotation and translation of the calibrated viewpoint.
     size_m : tuple of float
         Of the cloth.
+    lags_m : ndarray (T,)
+        Of the mean cloth's lower edge.
     """
 
     job: Job
@@ -93,12 +96,15 @@ class Rectifier:
     bench: BenchCamera | None
     viewpoint: tuple[np.ndarray, np.ndarray]
     size_m: tuple[float, float]
+    lags_m: np.ndarray
 
     @classmethod
     def of(cls, job: Job, trajectory: Trajectory) -> "Rectifier":
         """The rectifier of a job."""
         viewpoint = viewpoint_pose(job.viewpoint, job.settings)
-        return cls(job, trajectory, job.bench_camera, viewpoint, cloth_size(trajectory))
+        size_m = cloth_size(trajectory)
+        lags = lags_m(trajectory.stage_x_m, trajectory.stage_z_m, size_m[1])
+        return cls(job, trajectory, job.bench_camera, viewpoint, size_m, lags)
 
     def __call__(self, image: np.ndarray, shot: Shot) -> np.ndarray:
         """The image (pixels, pixels, 3) uint8 of a shot."""
@@ -110,6 +116,7 @@ class Rectifier:
             self.bench,
             self.viewpoint,
             self.trajectory,
+            self.lags_m,
             shot.row,
             self.job.settings,
             self.size_m,
