@@ -12,7 +12,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import file_digest, read_provenance
+from slipstitch.provenance import file_digest, read_provenance, write_sidecar
 from slipstitch.publish.publishing import INDEX, finished_files, publish
 from slipstitch.report.page import write_report
 from slipstitch.sample.manifest import read_manifest
@@ -25,7 +25,13 @@ CONFIG = synthetic_results.config()
 def run(tmp_path_factory):
     """Every file that a finished run has; weights that are none."""
     folder = tmp_path_factory.mktemp("results")
-    synthetic_results.write_all(CONFIG, folder)
+    with contextlib.chdir(folder.parent):  # records name files by their path from there
+        synthetic_results.write_all(CONFIG, folder)
+        for render in sorted((folder / "render").glob("m*_v*.parquet")):
+            simulated = f"{folder.name}/simulate/{render.stem.rpartition('_')[0]}.parquet"
+            write_sidecar(
+                render, {"stage": "render", "inputs": {simulated: file_digest(simulated)}}
+            )
     write_report(CONFIG, folder, folder / "report" / "index.html")
     for name in finished_files(CONFIG):
         path = folder / name
@@ -37,7 +43,7 @@ def run(tmp_path_factory):
 
 def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     out = tmp_path / "published" / "paper"
-    with contextlib.chdir(run.parent):  # records name files by their path from the working folder
+    with contextlib.chdir(run.parent):
         index = publish(CONFIG, run.name, out)
     assert not index["partial"] and index == json.loads((out / INDEX).read_text())
     there = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
@@ -54,6 +60,13 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     assert digests["files"] == {
         path.name: file_digest(path) for path in sorted((run / "sample").glob("m0*.parquet"))
     }
+    lineage = json.loads((out / "dataset" / "lineage.json").read_text())
+    shards = {f"{run.name}/sample/{name}" for name in digests["files"]}
+    assert shards <= set(lineage)
+    for name, inputs in lineage.items():
+        assert inputs == read_provenance(run.parent / name)["inputs"]
+    simulated = {name for name in lineage if name.startswith(f"{run.name}/simulate/")}
+    assert len(simulated) == len(simulations(CONFIG))
     assert not {name for name in there if name.startswith("render")}
     assert len(read_provenance(out / INDEX)["inputs"]) >= len(finished_files(CONFIG))
     cost = {row["stage"]: row for row in json.loads((out / "cost.json").read_text())}

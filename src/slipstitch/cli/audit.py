@@ -13,7 +13,13 @@ EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("release", type=Path, metavar="RELEASE_DIR", help="folder of a release")
+    parser.add_argument(
+        "release",
+        type=Path,
+        metavar="RELEASE_DIR",
+        help="folder of a release, or one that slipstitch publish wrote: its models are followed "
+        "to their simulations",
+    )
     add_config(
         parser,
         "current configuration, to report what it would change",
@@ -66,6 +72,7 @@ def _json_or_stdout(text: str) -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Return 0 for an intact release or an identical clip, else 1."""
     from slipstitch.audit.contents import read_contents
+    from slipstitch.audit.published import INDEX
     from slipstitch.errors import BadInput
 
     ignored = ("config", "expect", "verify", "allow_stale", "page")
@@ -83,6 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
             )
     if arguments.expect and not re.fullmatch(r"[0-9a-fA-F]{64}", arguments.expect):
         raise BadInput(f"--expect {arguments.expect}: must be a SHA-256, 64 hexadecimal digits")
+    if (arguments.release / INDEX).is_file():
+        refuse(arguments, ("explain", "rebuild", *ignored), "a published folder")
+        return _published(arguments)
     if arguments.explain:
         from slipstitch.audit.audit_page import printable
         from slipstitch.audit.explain import explain
@@ -117,6 +127,18 @@ def _rebuild(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         print(in_words(done))
     return 0 if done.same else 1
+
+
+def _published(arguments: argparse.Namespace) -> int:
+    import json
+
+    from slipstitch.audit.published import audit_published
+
+    audit = audit_published(arguments.release)
+    _write(json.dumps(audit.as_json(), indent=1), arguments.json)
+    if arguments.json != "-":
+        print(audit.as_text())
+    return 1 if audit.findings else 0
 
 
 def _audit(arguments: argparse.Namespace) -> int:

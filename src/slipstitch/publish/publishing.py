@@ -1,10 +1,11 @@
 """A run's results as a small folder to keep: scores, curves, page, costs, models, origin."""
 
+import contextlib
 import json
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,13 @@ import pandas
 from slipstitch.config import Config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
-from slipstitch.provenance import atomic_path, file_digest, provenance_record, start_clock
+from slipstitch.provenance import (
+    atomic_path,
+    file_digest,
+    provenance_record,
+    read_provenance,
+    start_clock,
+)
 from slipstitch.provenance.record import write_json
 from slipstitch.report.results import Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
@@ -123,6 +130,7 @@ def publish(
                 },
             }
             write_json(folder / "dataset" / "digests.json", dataset)
+            write_json(folder / "dataset" / "lineage.json", _lineage(found.folder, shards))
         index = {
             "name": config.publish.name,
             "partial": bool(missing),
@@ -135,6 +143,19 @@ def publish(
         }
         write_json(folder / INDEX, index, record)
     return index
+
+
+def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Artefact -> path and SHA-256 of what it was made from, from the files of images back."""
+    waiting = [f"{results.name}/sample/{file}" for file in sorted(shards)]
+    found: dict[str, dict[str, str]] = {}
+    for name in waiting:  # grows
+        if name not in found:
+            # What comes from outside, or is no longer there, has no record.
+            with contextlib.suppress(FileNotFoundError, BadInput, ValueError):
+                found[name] = read_provenance(results.parent / name)["inputs"]
+                waiting += found[name]
+    return found
 
 
 def _copy(source: Path, to: Path, missing: list[str]) -> None:

@@ -1,0 +1,239 @@
+"""The audit of a published folder: its files, and its models back to their simulations."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from slipstitch.audit.admission import check_entries, limited_memory
+from slipstitch.audit.audit_page import printable
+from slipstitch.audit.findings import Finding, Kind, sorted_findings
+from slipstitch.errors import BadInput, first_line
+from slipstitch.measure import SHIPPED
+from slipstitch.provenance import file_digest, read_json, read_metadata
+from slipstitch.sample.manifest import MANIFEST, read_manifest
+
+#: Of a folder that `slipstitch publish` wrote.
+INDEX = "published.json"
+_RECORD = ".provenance.json"
+_DIGESTS, _LINEAGE = "dataset/digests.json", "dataset/lineage.json"
+_SIMULATED = "/simulate/"
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What a published model comes from, as far as its records tell.
+
+    Attributes
+    ----------
+    weights, sha256 : str
+        Published file, and its digest.
+    shipped : bool
+        Whether these are the weights that come with Slipstitch.
+    shards : dict
+        Files of images that it was trained and calibrated on -> SHA-256.
+    behind : dict
+        Everything that these were made from -> SHA-256.
+    """
+
+    weights: str
+    sha256: str
+    shipped: bool
+    shards: dict[str, str]
+    behind: dict[str, str]
+
+    @property
+    def simulations(self) -> dict[str, str]:
+        """The simulations among it."""
+        return {name: digest for name, digest in self.behind.items() if _SIMULATED in name}
+
+
+@dataclass(frozen=True)
+class PublishedAudit:
+    """The outcome: ``intact`` without findings, else ``damaged``."""
+
+    name: str
+    files: int
+    findings: list[Finding]
+    chains: list[Chain]
+    notes: list[str]
+
+    @property
+    def verdict(self) -> str:
+        """``intact`` or ``damaged``."""
+        return "damaged" if self.findings else "intact"
+
+    def as_json(self) -> dict[str, Any]:
+        """The outcome as JSON can hold it."""
+        return {
+            "published": self.name,
+            "verdict": self.verdict,
+            "files": self.files,
+            "findings": [asdict(finding) for finding in self.findings],
+            "models": [asdict(chain) | {"simulations": chain.simulations} for chain in self.chains],
+            "notes": self.notes,
+        }
+
+    def as_text(self) -> str:
+        """The outcome as lines."""
+        lines = [f"{self.name}: {self.verdict}, {self.files} files checked"]
+        lines += [f"  {one.kind.value}: {one.where}: {one.what}" for one in self.findings]
+        for chain in self.chains:
+            ships = ", the instrument that ships" if chain.shipped else ""
+            lines.append(f"{chain.weights}: {chain.sha256}{ships}")
+            reached = f"the digests of {len(chain.simulations)} simulations"
+            lines.append(
+                f"  from {len(chain.shards)} files of images, from "
+                + (reached if chain.simulations else "simulations whose digests are not published")
+            )
+        return "\n".join(map(printable, [*lines, *(f"note: {note}" for note in self.notes)]))
+
+
+def audit_published(folder: Path) -> PublishedAudit:
+    """Audit a folder that `slipstitch publish` wrote.
+
+    Raises
+    ------
+    BadInput
+        If its index cannot be read, or the folder cannot be read without harm.
+    """
+    with limited_memory():
+        check_entries(folder)
+        return _Published(folder).audit()
+
+
+class _Published:
+    def __init__(self, folder: Path):
+        self.folder = folder
+        index = _mapping(read_json(folder / INDEX))
+        self.name = str(index.get("name"))
+        self.listed = _mapping(index.get("files"))
+        own = (INDEX, INDEX + _RECORD)
+        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        names = [path.relative_to(folder).as_posix() for path in paths]
+        self.digests = {name: file_digest(folder / name) for name in names if name not in own}
+        self.findings: list[Finding] = []
+
+    def audit(self) -> PublishedAudit:
+        self.check_files()
+        shards = self.check_dataset()
+        lineage = {name: _mapping(inputs) for name, inputs in self.json(_LINEAGE).items()}
+        chains = [
+            self.chain(name, shards, lineage)
+            for name in self.digests
+            if name.startswith("models/") and name.endswith(".safetensors")
+        ]
+        return PublishedAudit(
+            self.name,
+            len(self.digests),
+            sorted_findings(self.findings),
+            chains,
+            self.notes(chains, bool(lineage)),
+        )
+
+    def find(self, kind: Kind, where: str, what: str) -> None:
+        self.findings.append(Finding(kind, where, what))
+
+    def json(self, name: str) -> dict[str, Any]:
+        """Content of a published JSON file; a finding, and nothing, where it cannot be read."""
+        if name not in self.digests:
+            return {}
+        try:
+            return _mapping(read_json(self.folder / name))
+        except BadInput as problem:
+            self.find(Kind.ALTERED, name, first_line(problem))
+            return {}
+
+    def check_files(self) -> None:
+        for name in sorted({*self.listed, *self.digests}):
+            if name not in self.digests:
+                self.find(Kind.MISSING, name, f"listed in {INDEX}")
+            elif name not in self.listed:
+                self.find(Kind.UNEXPLAINED, name, f"not listed in {INDEX}")
+            elif self.digests[name] != self.listed[name]:
+                self.find(Kind.ALTERED, name, f"not the file listed in {INDEX}")
+        for name in [name for name in self.digests if name.endswith(_RECORD)]:
+            of = name.removesuffix(_RECORD)
+            if self.json(name).get("sha256") != self.digests.get(of):
+                self.find(Kind.BROKEN, of, "not the file that its record was written for")
+
+    def check_dataset(self) -> dict[str, str]:
+        """Digest of each file of images, by its name, as three files agree on it."""
+        noted = self.json(_DIGESTS)
+        shards = _mapping(noted.get("files"))
+        name = f"dataset/{MANIFEST}"
+        if name not in self.digests:
+            return shards
+        try:
+            _, digest = read_manifest(self.folder / "dataset")
+            record = _mapping(read_metadata(self.folder / name).get("provenance"))
+        except (BadInput, ValueError) as problem:
+            self.find(Kind.BROKEN, name, first_line(problem))
+            return shards
+        if digest != noted.get("digest"):
+            self.find(Kind.BROKEN, _DIGESTS, f"is of another dataset than {name}")
+        if _by_file(record) != shards:
+            self.find(Kind.BROKEN, _DIGESTS, f"names other files of images than {name}")
+        return shards
+
+    def chain(
+        self, weights: str, shards: dict[str, str], lineage: dict[str, dict[str, str]]
+    ) -> Chain:
+        """Follow a model to its images and, where their records are published, behind them."""
+        card = self.json(weights.replace(".safetensors", ".json"))
+        if card.get("weights_sha256") != self.digests[weights]:
+            self.find(Kind.BROKEN, weights, "not the weights that their card describes")
+        used = _by_file(self.json(weights + _RECORD))
+        for name, digest in used.items():
+            known = self.digests.get(f"dataset/{name}") if name == MANIFEST else shards.get(name)
+            if digest != known:
+                self.find(Kind.BROKEN, weights, f"trained on another {name} than the published")
+        if card.get("dataset_digest") != self.json(_DIGESTS).get("digest"):
+            self.find(Kind.BROKEN, weights, "trained on another dataset than the published one")
+        trained_on = {name: digest for name, digest in used.items() if name != MANIFEST}
+        return Chain(
+            weights,
+            self.digests[weights],
+            self.digests[weights] == file_digest(SHIPPED / "instrument.safetensors"),
+            trained_on,
+            self.behind(set(trained_on), lineage) if lineage else {},
+        )
+
+    def behind(self, shards: set[str], lineage: dict[str, dict[str, str]]) -> dict[str, str]:
+        waiting = [name for name in lineage if "/sample/" in name and Path(name).name in shards]
+        if missing := shards - {Path(name).name for name in waiting}:
+            self.find(Kind.BROKEN, _LINEAGE, f"does not say what {min(missing)} was made from")
+        for name in waiting:
+            renders = [_mapping(lineage.get(render)) for render in lineage[name]]
+            if not renders or not all(any(_SIMULATED in one for one in each) for each in renders):
+                self.find(Kind.BROKEN, _LINEAGE, f"does not lead from {name} to its simulation")
+        found: dict[str, str] = {}
+        while waiting:
+            for name, digest in lineage.get(waiting.pop(), {}).items():
+                if name not in found:
+                    waiting.append(name)
+                if found.setdefault(name, digest) != digest:
+                    self.find(Kind.BROKEN, _LINEAGE, f"has two digests of {name}")
+        return found
+
+    def notes(self, chains: list[Chain], followed: bool) -> list[str]:
+        notes = [
+            "only the digests of images, renders and simulations are published: they were compared "
+            "with each other, not with files"
+        ]
+        if chains and not followed:
+            notes.append(f"{_LINEAGE} is not published: the chain ends at the files of images")
+        records = {name: self.json(name) for name in self.digests if name.endswith(_RECORD)}
+        dirty = sorted({str(one.get("stage")) for one in records.values() if one.get("git_dirty")})
+        if dirty:
+            notes.append(f"made with uncommitted changes: {', '.join(dirty)}")
+        return notes
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return dict(value) if isinstance(value, Mapping) else {}
+
+
+def _by_file(record: Mapping[str, Any]) -> dict[str, str]:
+    """The inputs of a record by their file names."""
+    return {Path(name).name: digest for name, digest in _mapping(record.get("inputs")).items()}

@@ -1,0 +1,160 @@
+"""Published folders audited: as published, altered, and with what their images were made from."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from slipstitch.cli.main import main
+from slipstitch.provenance import file_digest, write_json
+from slipstitch.publish.publishing import INDEX
+
+PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
+MODELS = "models/by_simulation/instrument"
+LINEAGE = "dataset/lineage.json"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return shutil.copytree(PUBLISHED, tmp_path / "published")
+
+
+def listed(folder):
+    """The folder with an index of the files that it holds now, as a forger would write it."""
+    index = json.loads((folder / INDEX).read_text())
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    names -= {INDEX, f"{INDEX}.provenance.json"}
+    index["files"] = {name: file_digest(folder / name) for name in sorted(names)}
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    return folder
+
+
+def audited(folder, code):
+    out = folder.parent / "audit.json"
+    assert main(["audit", str(folder), "--json", str(out)]) == code
+    return json.loads(out.read_text())
+
+
+def with_lineage(folder, change=lambda lineage: None):
+    """The folder with a record of every file of images, render and simulation."""
+    lineage = {}
+    for name in json.loads((folder / "dataset/digests.json").read_text())["files"]:
+        render = f"results/render/{name}"
+        lineage[f"results/sample/{name}"] = {render: "a" * 64}
+        lineage[render] = {f"results/simulate/{name}": "b" * 64}
+    change(lineage)
+    write_json(folder / LINEAGE, lineage)
+    return listed(folder)
+
+
+def test_a_model_is_followed_to_the_digests_of_its_simulations(folder, capsys):
+    told = audited(with_lineage(folder), 0)
+    assert (told["verdict"], told["findings"]) == ("intact", [])
+    shipped = told["models"][0]
+    assert shipped["weights"] == f"{MODELS}/seed0/instrument.safetensors" and shipped["shipped"]
+    assert not told["models"][1]["shipped"]
+    record = json.loads((folder / f"{shipped['weights']}.provenance.json").read_text())
+    trained_on = set(record["inputs"]) - {"manifest.parquet"}
+    assert set(shipped["simulations"]) == {f"results/simulate/{name}" for name in trained_on}
+    assert set(shipped["simulations"].values()) == {"b" * 64}
+    said = capsys.readouterr().out
+    assert f"from the digests of {len(trained_on)} simulations" in said
+    assert "the instrument that ships" in said
+    assert "they were compared with each other, not with files" in said
+
+
+def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
+    (folder / LINEAGE).unlink(missing_ok=True)
+    told = audited(listed(folder), 0)
+    assert told["models"][0]["shards"] and not told["models"][0]["simulations"]
+    assert "the chain ends at the files of images" in capsys.readouterr().out
+
+
+def _lose(folder):
+    (folder / "metrics.json").unlink()
+
+
+def _add(folder):
+    (folder / "more.txt").write_text("more\n")
+
+
+def _edit_config(folder):
+    path = folder / "config.json"
+    path.write_text(path.read_text().replace("0", "1", 1))
+
+
+def _edit_scores(folder):
+    path = folder / "details.json"
+    path.write_text(path.read_text().replace("0.", "0.0", 1))
+    listed(folder)
+
+
+def _swap_weights(folder):
+    shutil.copy(
+        folder / MODELS / "seed1/instrument.safetensors",
+        folder / MODELS / "seed0/instrument.safetensors",
+    )
+    listed(folder)
+
+
+def _other_images(folder):
+    path = folder / "dataset/digests.json"
+    digests = json.loads(path.read_text())
+    digests["files"][min(digests["files"])] = "0" * 64
+    write_json(path, digests)
+    listed(folder)
+
+
+def _two_simulations(folder):
+    def change(lineage):
+        shards = [name for name in lineage if "/sample/" in name]
+        first, second = (next(iter(lineage[shard])) for shard in shards[:2])
+        lineage[second] = dict.fromkeys(lineage[first], "c" * 64)
+
+    with_lineage(folder, change)
+
+
+def _no_simulation(folder):
+    with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/render/" in n)))
+
+
+def _shard_without_origin(folder):
+    with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/sample/" in n)))
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "where", "what"),
+    [
+        (_lose, "missing", "metrics.json", "listed in published.json"),
+        (_add, "unexplained", "more.txt", "not listed in published.json"),
+        (_edit_config, "altered", "config.json", "not the file listed in published.json"),
+        (_edit_scores, "broken chain", "details.json", "not the file that its record"),
+        (
+            _swap_weights,
+            "broken chain",
+            "seed0/instrument.safetensors",
+            "that their card describes",
+        ),
+        (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
+        (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
+        (_two_simulations, "broken chain", LINEAGE, "has two digests of results/simulate/"),
+        (_no_simulation, "broken chain", LINEAGE, "does not lead from results/sample/"),
+        (_shard_without_origin, "broken chain", LINEAGE, "does not say what"),
+    ],
+)
+def test_what_was_changed_is_named(folder, change, kind, where, what):
+    change(folder)
+    told = audited(folder, 1)
+    assert told["verdict"] == "damaged"
+    found = [(one["kind"], one["where"], one["what"]) for one in told["findings"]]
+    assert any(k == kind and w.endswith(where) and what in why for k, w, why in found), found
+
+
+def test_an_index_that_is_none_and_options_of_a_release_are_refused_in_one_line(folder, capsys):
+    for words in (["--explain", "clip"], ["--page", "audit.html"]):
+        assert main(["audit", str(folder), *words]) == 2
+        assert "cannot be combined with a published folder" in capsys.readouterr().err
+    (folder / INDEX).write_text("{")
+    assert main(["audit", str(folder)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
