@@ -33,7 +33,7 @@ help:
 	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
 	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
 	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
-	@echo 'make shipped-instrument  copy the published instrument into the package'
+	@echo 'make shipped-instrument  copy the published instrument into the package, write its card'
 	@echo 'make figures    write the figures of README and docs that come from published files again'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
@@ -106,10 +106,13 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/dag.py --out results/published/scale/dag.json
 	$(BIN)/python benchmarks/scale.py
 
-shipped-instrument:
+shipped-instrument: setup
 	cp results/published/instrument/models/by_simulation/instrument/seed0/instrument.safetensors \
 	   results/published/instrument/models/by_simulation/instrument/seed0/instrument.json \
 	   results/published/instrument/config.json src/slipstitch/measure/shipped/
+	cd src/slipstitch/measure/shipped && \
+		sha256sum config.json instrument.json instrument.safetensors > SHA256SUMS
+	$(BIN)/python benchmarks/figures.py
 
 criticise-measured: setup
 	for case in paper_on_paper block_on_wood_board block_on_other_board; do \

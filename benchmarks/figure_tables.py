@@ -2,6 +2,7 @@
 
 import json
 
+import model_card
 import pandas
 from solver_cost_page import page
 
@@ -236,5 +237,6 @@ PAGES = {
     "docs/benchmarks.md": lambda root: page(
         _read(root, "benchmark/benchmark.json"),
         pandas.read_csv(root / "results/published/paper/simulations.csv"),
-    )
+    ),
+    model_card.PLACE: lambda root: model_card.page(root, instrument(root), instrument_parts(root)),
 }

@@ -25,6 +25,7 @@ import statistics
 import sys
 from pathlib import Path
 
+import model_card
 import pandas
 from figure_tables import PAGES, TABLES
 
@@ -178,8 +179,9 @@ def refused(words):
 
 
 def pages(root=ROOT):
-    """``(path from the root, text)`` of README and docs, but for the pages of measured cases."""
+    """``(path, text)`` of README, docs and model card, but for the pages of measured cases."""
     paths = [root / "README.md", root / "CONTRIBUTING.md", root / "config" / "README.md"]
+    paths.append(root / model_card.PLACE)
     for path in [*paths, *sorted((root / "docs").glob("*.md"))]:
         yield path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
 

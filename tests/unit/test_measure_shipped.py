@@ -1,6 +1,8 @@
 """The instrument that comes with Slipstitch, and the video to try it on."""
 
 import json
+import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from slipstitch.config import load_config
 from slipstitch.instrument import load_instrument
 from slipstitch.measure import SHIPPED
 from slipstitch.measure.example import EXAMPLE_FOLDER
+from slipstitch.provenance import file_digest
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results/published/instrument"
@@ -21,6 +24,30 @@ def test_it_is_the_published_one_and_small():
         assert (SHIPPED / name).read_bytes() == (models / name).read_bytes(), name
     assert (SHIPPED / "config.json").read_bytes() == (PUBLISHED / "config.json").read_bytes()
     assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 4e6
+
+
+def test_its_card_and_its_list_of_digests_are_of_these_files():
+    names = ("config.json", "instrument.json", "instrument.safetensors")
+    digests = {name: file_digest(SHIPPED / name) for name in names}
+    listed = "".join(f"{digest}  {name}\n" for name, digest in digests.items())
+    assert (SHIPPED / "SHA256SUMS").read_text() == listed
+    card = (SHIPPED / "MODEL_CARD.md").read_text()
+    for name, digest in digests.items():
+        assert f"| `{name}` | `{digest}` |" in card
+    assert load_instrument(SHIPPED).card["dataset_digest"] in card
+    packaged = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "shipped/*" in packaged["tool"]["setuptools"]["package-data"]["slipstitch.measure"]
+
+
+@pytest.mark.parametrize("name", ["config.json", "instrument.json", "instrument.safetensors"])
+def test_an_altered_one_is_refused_in_one_line(name, tmp_path, capsys):
+    model = shutil.copytree(SHIPPED, tmp_path / "model")
+    content = (model / name).read_bytes()
+    (model / name).write_bytes(content.replace(b"0", b"1", 1))
+    assert main(["measure", "--example", "--model", str(model)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"{model / name}: altered" in said
 
 
 def test_it_is_what_its_configuration_trains():

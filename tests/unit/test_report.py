@@ -152,6 +152,18 @@ def test_the_headline_has_its_interval_and_a_single_frame_beside_it(tmp_path):
     assert ["linear: one frame from the middle", "36"] in [row[:2] for row in rows]
 
 
+def test_the_headline_is_of_one_network_in_both_splits(tmp_path):
+    synthetic_results.write_evaluate(CONFIG, tmp_path)
+    path = tmp_path / "evaluate" / "metrics.json"
+    metrics = json.loads(path.read_text())
+    metrics["by_video"]["lrcn_baseline"]["friction_lt_0.1"] = 0.999
+    path.write_text(json.dumps(metrics))
+    write_sidecar(path, provenance_record("evaluate"))
+    text = text_of(page_of(tmp_path)).split("The result")[1]
+    assert "99.9 %" not in text.split("Is the simulator")[0]
+    assert "for 91.7 % of 36" in text.split("With videos held out")[1]
+
+
 def test_one_seed_is_said_to_be_one_beside_the_number_of_videos(page):
     assert table(page, "Table 2")[0][2:] == [
         f"ours, by {split} 36 videos of 6 simulations one seed only"

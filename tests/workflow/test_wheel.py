@@ -1,5 +1,6 @@
 """The wheel, in an empty environment and an empty folder: it brings the workflow with it."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -91,3 +92,12 @@ def test_the_whole_chain_is_planned_from_there(environment):
         "snakemake", "--cores", "1", "results/grid.parquet", *smoke, folder="here"
     )
     assert answer.returncode == 0, answer.stderr
+
+
+def test_the_example_is_measured_from_there(environment):
+    """Runs after the one above: video, camera and instrument come with the wheel."""
+    answer = environment.run("slipstitch", "measure", "--example", "--json", "measured.json")
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    measured = json.loads((environment.folder / "measured.json").read_text())
+    low, high = measured["interval_90"]
+    assert low <= measured["friction_coefficient"] <= high

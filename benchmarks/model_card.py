@@ -1,0 +1,193 @@
+"""The card of the instrument that ships, written from what is published of it alone."""
+
+import json
+import tomllib
+
+import pandas
+
+from slipstitch.instrument.poses import TITLES, shown
+from slipstitch.provenance import file_digest
+
+SHIPPED = "src/slipstitch/measure/shipped"
+PLACE = f"{SHIPPED}/MODEL_CARD.md"
+FILES = ("instrument.safetensors", "instrument.json", "config.json")
+RUN = "results/published/instrument"
+MODEL = "models/by_simulation/instrument/seed0"
+RECORD = f"{MODEL}/instrument.safetensors.provenance.json"
+# A part of the test is named among the limits beyond this many times the mean error.
+BAD = 1.5
+INPUTS = {
+    "reversed": "played backwards",
+    "protocol": "stage at half speed",
+    "frozen": "standing still",
+    "shuffled": "frames shuffled",
+    "empty": "no cloth",
+    "object": "another object",
+    "upside_down": "upside down",
+}
+
+
+def page(root, whole, parts):
+    """The card, with the tables of all trainings `whole` and `parts` as they are in the docs."""
+    run = root / RUN
+    read = {
+        name: json.loads((run / name).read_text(encoding="utf-8"))
+        for name in (
+            "config.json",
+            "details.json",
+            "dataset/digests.json",
+            f"{MODEL}/instrument.json",
+        )
+    }
+    card, config = read[f"{MODEL}/instrument.json"], read["config.json"]
+    found = read["details.json"]["by_simulation"]["instrument"]
+    sections = {
+        "": _what(card),
+        "Use": _use(card),
+        "Data": _data(card, config, pandas.read_parquet(run / "dataset/manifest.parquet")),
+        "Accuracy and coverage": _accuracy(card, found, whole, parts),
+        "Limits": _limits(card, config, found, (run / "captures/metrics.json").is_file()),
+        "Licence": _licence(root),
+        "Provenance": _provenance(root, card, read["dataset/digests.json"]),
+    }
+    text = "# The instrument that comes with Slipstitch\n"
+    for title, lines in sections.items():
+        text += (f"\n## {title}\n" if title else "") + "\n" + "\n".join(lines) + "\n"
+    return text
+
+
+def _what(card):
+    return [
+        f"`instrument.safetensors`: a network of {card['parameters']} parameters that estimates "
+        f"the friction coefficient μ of a cloth on a substrate from {card['frames']} frames of "
+        f"{card['pixels']} × {card['pixels']} pixels, with a 90 % interval, the fabric and an "
+        "alarm. Written from published files by `make shipped-instrument`."
+    ]
+
+
+def _use(card):
+    return [
+        "Videos of the drop-and-drag protocol, whole, with a camera file: `slipstitch measure "
+        "VIDEO --camera CAMERA.json`. Not for other protocols or objects, nor where a wrong μ can "
+        "do harm. The card of the weights says: " + card["use"] + "."
+    ]
+
+
+def _data(card, config, rows):
+    simulations = rows.drop_duplicates("simulation")
+    parts = simulations["split_by_simulation"].value_counts()
+    simulation = config["simulation"]
+    frictions = card["frictions"]
+    return [
+        f"- {len(rows)} simulated videos of {len(simulations)} simulations; {parts['train']} "
+        f"trained the network, {card['calibration_simulations']} calibrate the intervals and the "
+        f"alarm, {parts['test']} test. The network saw {card['training_videos']} of the videos.",
+        f"- Fabrics: {', '.join(card['materials'])}.",
+        f"- μ: {frictions[0]:g} to {frictions[-1]:g}, {len(frictions)} values.",
+        f"- Floors: {', '.join(sorted(rows['floor'].unique()))}; textures: "
+        f"{', '.join(sorted(rows['texture'].unique()))}.",
+        "- Camera, relative to the calibrated viewpoint:",
+        *(
+            f"  - {words}: {shown(name, low)} to {shown(name, high)} {unit}"
+            for name, (words, unit) in TITLES.items()
+            for low, high in [card["pose_range"][name]]
+        ),
+        f"- Standard deviations of the clamps' yaw {simulation['yaw_sd_deg']:g}°, of their height "
+        f"{simulation['height_sd_m']:g} m, of the fabric's parameters "
+        f"{simulation['fabric_sd_rel']:g} (relative); simulations of each pair: "
+        f"{config['grid']['replicates']}.",
+    ]
+
+
+def _accuracy(card, found, whole, parts):
+    own, alarms = found["seeds"][str(card["seed"])], found["alarms"][str(card["seed"])]
+    detected = [f"{words} {alarms[name]:.0%}" for name, words in INPUTS.items() if name in alarms]
+    return [
+        f"These weights, on {found['simulations']} simulations held out: mean error of μ "
+        f"{own['mean_absolute_error']:.3f}, {own['coverage_90']:.0%} of the intervals hold, their "
+        f"mean width is {own['interval_width']:.2f}; the fabric is right in "
+        f"{own['material_top1']:.0%}. Alarms: {alarms['good']:.1%} of good videos; "
+        f"{', '.join(detected)}.",
+        "",
+        f"Over the {len(found['seeds'])} trainings, of which these weights are one:",
+        "",
+        whole,
+        "",
+        parts,
+    ]
+
+
+def _limits(card, config, found, real):
+    error = found["mean"]["mean_absolute_error"]
+    promised = card["settings"]["coverage"]
+    worst = [
+        f"{words} {value}"
+        for kind, words in (
+            ("yaw_deg", "camera turned by"),
+            ("material", "fabric"),
+            ("friction", "μ ="),
+            ("floor", "floor"),
+        )
+        for value, part in found["by"][kind].items()
+        if part["mean_absolute_error"] > BAD * error or part["coverage_90"] < promised - 0.05
+    ]
+    untested = []
+    if not config["grid"]["test_materials"]:
+        untested.append("a fabric that it was not trained on")
+    if not config["grid"]["test_frictions"]:
+        untested.append("coefficients between those of the grid")
+    if not any(config["simulation"][name] for name in ("yaw_sd_deg", "height_sd_m")):
+        untested.append("clamps that hang askew")
+    if not real:
+        untested.append("a real bench")
+    lines = [
+        f"- The intervals promise {promised:.0%} on average over videos like these, not for each "
+        "fabric, μ or camera.",
+        "- `measure` refuses a camera beyond the poses above by more than a tolerance "
+        "(`slipstitch capture check`); what `--force` measures has no valid interval.",
+    ]
+    if worst:
+        lines.append(
+            f"- Mean error over {BAD:g} times the average, or fewer than "
+            f"{promised - 0.05:.0%} of the intervals hold: {', '.join(worst)}."
+        )
+    if untested:
+        lines.append(f"- Not tested: {', '.join(untested)}.")
+    return lines
+
+
+def _licence(root):
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return [f"{project['license']}, as the rest of Slipstitch."]
+
+
+def _provenance(root, card, dataset):
+    run = root / RUN
+    record = json.loads((run / RECORD).read_text(encoding="utf-8"))
+    changed = ", with uncommitted changes" if record["git_dirty"] else ""
+    shipped = root / SHIPPED
+    digests = {
+        **{f"`{name}`": shipped / name for name in FILES},
+        **{
+            f"{words}: `{RUN}/{name}`": run / name
+            for words, name in (
+                ("training", RECORD),
+                ("scores", "details.json"),
+                ("videos", "dataset/manifest.parquet"),
+                ("files of images", "dataset/digests.json"),
+                ("renders and simulations", "dataset/lineage.json"),
+            )
+            if (run / name).is_file()
+        },
+    }
+    return [
+        "| | SHA-256 |",
+        "| --- | --- |",
+        *(f"| {words} | `{file_digest(path)}` |" for words, path in digests.items()),
+        f"| dataset | `{card['dataset_digest']}` |",
+        f"| code of the training | `{record['code_digest']}` |",
+        "",
+        f"Trained at commit `{record['git_commit']}`{changed}, seed {record['seed']}, on "
+        f"{len(record['inputs']) - 1} of the {len(dataset['files'])} files of images. "
+        f"`slipstitch audit {RUN}` follows the weights to their origin.",
+    ]
