@@ -216,8 +216,8 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
     rows = round(_THUMBNAIL_PX * image.shape[0] / image.shape[1])
     size = (min(_THUMBNAIL_PX, image.shape[1]), max(min(rows, image.shape[0]), 1))
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return grey / max(float(grey.mean()), 1.0)
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return small / max(float(small.mean()), 1.0)
 
 
 def _correlation(patches: np.ndarray, template: np.ndarray) -> np.ndarray:
