@@ -29,5 +29,5 @@ def test_the_examples_run_and_are_short(tmp_path):
     assert abs(float(re.search(r"vertex (\S+) mm", fallen).group(1))) < 0.1  # on the floor
     measured, theory = map(float, acceleration.split())
     assert abs(measured - theory) < 1e-3 * theory
-    assert verdict.startswith("Nothing beyond plain Coulomb friction")
+    assert verdict.startswith("Between the runs nothing beyond plain Coulomb friction")
     assert pq.read_metadata(tmp_path / "drop_v00.parquet").num_rows == 3
