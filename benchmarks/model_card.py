@@ -136,6 +136,8 @@ def _limits(card, config, found, real):
         untested.append("a fabric that it was not trained on")
     if not config["grid"]["test_frictions"]:
         untested.append("coefficients between those of the grid")
+    if not config["simulation"]["fabric_sd_rel"]:
+        untested.append("fabrics that differ from their measured values")
     if not any(config["simulation"][name] for name in ("yaw_sd_deg", "height_sd_m")):
         untested.append("clamps that hang askew")
     if not real:
@@ -166,6 +168,8 @@ def _provenance(root, card, dataset):
     record = json.loads((run / RECORD).read_text(encoding="utf-8"))
     changed = ", with uncommitted changes" if record["git_dirty"] else ""
     shipped = root / SHIPPED
+    followed = (run / "dataset/lineage.json").is_file()
+    reached = "simulations" if followed else "files of images"
     digests = {
         **{f"`{name}`": shipped / name for name in FILES},
         **{
@@ -187,7 +191,7 @@ def _provenance(root, card, dataset):
         f"| dataset | `{card['dataset_digest']}` |",
         f"| code of the training | `{record['code_digest']}` |",
         "",
-        f"Trained at commit `{record['git_commit']}`{changed}, seed {record['seed']}, on "
+        f"Trained with that code{changed}, seed {record['seed']}, on "
         f"{len(record['inputs']) - 1} of the {len(dataset['files'])} files of images. "
-        f"`slipstitch audit {RUN}` follows the weights to their origin.",
+        f"`slipstitch audit {RUN}` follows the weights to the digests of their {reached}.",
     ]

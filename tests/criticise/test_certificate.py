@@ -124,6 +124,8 @@ def test_power_says_what_it_assumed_and_refuses_what_is_no_assumption(tmp_path):
     assert assumed["drag_stroke_mm"] == 70 and "drop_drag_stroke_mm" not in assumed
     with pytest.raises(BadInput, match=r"design\.stroke: unknown"):
         said(stroke=70)
+    with pytest.raises(BadInput, match=r"design\.mu_face: 30; must be between 0\.005 and 8"):
+        said(mu_face=30)
     with pytest.raises(BadInput, match=r"design\.mu_face: True; must be a positive number"):
         said(mu_face=True)
 

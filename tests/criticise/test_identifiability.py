@@ -63,7 +63,7 @@ def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_p
     assert verdict["causes"] == ["wear"]
     assert set(verdict["not_identified"]) == {"wear", "wear_r0"}
     assert set(verdict["not_exported"]) == {"wear"}
-    assert "The exported model leaves out wear" in said
+    assert "A model exported from this leaves out wear" in said
     exported = yaml.safe_load(model.read_text())
     assert (exported["causes"], set(exported["not_exported"])) == ([], {"wear"})
     law = exported["friction_law"]["face"]
@@ -73,7 +73,7 @@ def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_p
     for name in names:
         page = (tmp_path / name).read_text()
         assert page.count("not identified") == 2
-        assert "The exported model leaves out wear" in page
+        assert "A model exported from this leaves out wear" in page
 
 
 def test_a_tilt_that_is_known_is_exported_with_an_azimuth_within_a_turn(tmp_path):

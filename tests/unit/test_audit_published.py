@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from slipstitch.audit.published import audit_published
 from slipstitch.cli.main import main
 from slipstitch.provenance import file_digest, write_json
 from slipstitch.publish.publishing import INDEX
@@ -64,6 +65,14 @@ def test_a_model_is_followed_to_the_digests_of_its_simulations(folder, capsys):
     assert "they were compared with each other, not with files" in said
 
 
+@pytest.mark.parametrize("name", ["instrument", "paper"])
+def test_what_is_published_is_intact(name):
+    """Also networks that another one tells the fabric."""
+    audit = audit_published(PUBLISHED.with_name(name))
+    assert (audit.verdict, audit.findings) == ("intact", [])
+    assert all(len(chain.shards) >= 144 for chain in audit.chains)
+
+
 def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
     (folder / LINEAGE).unlink(missing_ok=True)
     told = audited(listed(folder), 0)
@@ -95,6 +104,11 @@ def _swap_weights(folder):
         folder / MODELS / "seed1/instrument.safetensors",
         folder / MODELS / "seed0/instrument.safetensors",
     )
+    listed(folder)
+
+
+def _no_training_record(folder):
+    (folder / MODELS / "seed0/instrument.safetensors.provenance.json").unlink()
     listed(folder)
 
 
@@ -136,6 +150,7 @@ def _shard_without_origin(folder):
             "seed0/instrument.safetensors",
             "that their card describes",
         ),
+        (_no_training_record, "broken chain", "seed0/instrument.safetensors", "has no record"),
         (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
         (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
         (_two_simulations, "broken chain", LINEAGE, "has two digests of results/simulate/"),

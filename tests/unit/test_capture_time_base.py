@@ -31,7 +31,13 @@ def bench(viewpoint="calibrated"):
 
 
 def follower_of(
-    rate=1.0, viewpoint="calibrated", noise=6.0, until_s=124.0, clock=lambda t: t, flicker=0.0
+    rate=1.0,
+    viewpoint="calibrated",
+    noise=6.0,
+    until_s=124.0,
+    clock=lambda t: t,
+    flicker=0.0,
+    seen=lambda image, time_s: image,
 ):
     """Has seen a film of the stage; its clock shows `clock` of the true time."""
     schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
@@ -39,7 +45,7 @@ def follower_of(
     random = np.random.default_rng(4)
     for time_s in np.arange(6.3, until_s, 0.34):
         if follower.wants(time_s):
-            image = bench(viewpoint).image(clock(rate * time_s))[..., ::-1]
+            image = seen(bench(viewpoint).image(clock(rate * time_s)), time_s)[..., ::-1]
             lamp = 1 + flicker * random.standard_normal()
             noisy = lamp * image + random.normal(0, noise, image.shape)
             follower.add(time_s, np.ascontiguousarray(np.clip(noisy, 0, 255).astype(np.uint8)))
@@ -83,15 +89,29 @@ def test_a_film_that_was_cut_is_noticed(missing_s):
 def test_a_stage_that_stops_is_noticed(stops_s, noise, flicker):
     seen = {"noise": noise, "flicker": flicker}
     stopped = follower_of(clock=lambda time_s: min(time_s, stops_s), **seen)
-    assert stopped.still_from_s() == pytest.approx(stops_s, abs=15.0)
-    assert follower_of(**seen).still_from_s() is None
+    assert stopped.still_from_s(stopped.time_base()) == pytest.approx(stops_s, abs=15.0)
+    moving = follower_of(**seen)
+    assert moving.still_from_s(moving.time_base()) is None
+
+
+def test_somebody_who_walks_past_stops_no_stage():
+    def with_a_bar(image, time_s):
+        if 60.0 <= time_s <= 70.0:
+            width = image.shape[1]
+            left = round((((time_s - 60.0) % 5.0) / 5.0 * 1.24 - 0.24) * width)
+            image[:, max(left, 0) : max(left + round(0.24 * width), 0)] = 20
+        return image
+
+    follower = follower_of(seen=with_a_bar)
+    assert follower.still_from_s(None) is not None  # by the brightness alone
+    assert follower.still_from_s(follower.time_base()) is None
 
 
 def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
     times_s = np.concatenate([np.arange(0, 6.0, 0.1), np.arange(6.0, START_S + 126.0, 0.34)])
     images = (bench().image(np.clip(time_s - START_S, 0.0, 30.0)) for time_s in times_s)
     path = stage.write_video(tmp_path / "stops.mp4", images, times_s, preset="ultrafast")
-    with pytest.raises(BadInput, match=r"from 3\d s after the start on nothing moves.* stop\?"):
+    with pytest.raises(BadInput, match=r"about 3\d s after the start on nothing moves.* stop\?"):
         read_stage_video(path, lens(), SCHEDULE)
 
 

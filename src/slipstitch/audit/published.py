@@ -17,7 +17,7 @@ from slipstitch.sample.manifest import MANIFEST, read_manifest
 INDEX = "published.json"
 _RECORD = ".provenance.json"
 _DIGESTS, _LINEAGE = "dataset/digests.json", "dataset/lineage.json"
-_SIMULATED = "/simulate/"
+_SIMULATED, _TRAINED = "/simulate/", "/train/"
 
 
 @dataclass(frozen=True)
@@ -183,14 +183,26 @@ class _Published:
         card = self.json(weights.replace(".safetensors", ".json"))
         if card.get("weights_sha256") != self.digests[weights]:
             self.find(Kind.BROKEN, weights, "not the weights that their card describes")
-        used = _by_file(self.json(weights + _RECORD))
-        for name, digest in used.items():
-            known = self.digests.get(f"dataset/{name}") if name == MANIFEST else shards.get(name)
+        inputs = _mapping(self.json(weights + _RECORD).get("inputs"))
+        if not inputs:
+            self.find(Kind.BROKEN, weights, "has no record of what it was trained on")
+        trained_on, others = {}, []
+        for path, digest in sorted(inputs.items()):
+            name = Path(path).name
+            if _TRAINED in path:  # the network that tells this one the fabric
+                known = self.digests.get(f"models/{path.rpartition(_TRAINED)[2]}")
+            elif name == MANIFEST:
+                known = self.digests.get(f"dataset/{name}")
+            else:
+                known, trained_on[name] = shards.get(name), digest
             if digest != known:
-                self.find(Kind.BROKEN, weights, f"trained on another {name} than the published")
+                others.append(name)
+        if others:
+            more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+            what = f"trained on another {others[0]}{more} than the published"
+            self.find(Kind.BROKEN, weights, what)
         if card.get("dataset_digest") != self.json(_DIGESTS).get("digest"):
             self.find(Kind.BROKEN, weights, "trained on another dataset than the published one")
-        trained_on = {name: digest for name, digest in used.items() if name != MANIFEST}
         return Chain(
             weights,
             self.digests[weights],

@@ -46,6 +46,8 @@ _FEWEST_PLACES = 12
 # cancel. Where the stage moves, it is 0.4 of the most or more (surrogate films); where it stands,
 # 0.01 or less, with noise of 12 of 255 and 5 % flicker too.
 _STILL_SHARE, _LAG, _THUMBNAIL_PX = 0.15, 4, 48
+# An edge this near to the fitted path is on it.
+_ON_PATH_M = 0.004
 
 
 @dataclass(frozen=True)
@@ -134,8 +136,11 @@ class StageFollower:
         self._seen.append((time_s, likeness))
         self._thumbnails.append(_thumbnail(image))
 
-    def still_from_s(self) -> float | None:
-        """When, in the film's time from the start, everything began to stand still for 10 s."""
+    def still_from_s(self, time_base: TimeBase | None) -> float | None:
+        """When, in the film's time from the start, everything began to stand still; None if never.
+
+        Not where the edge was seen on its path: something else that moves can hide its motion.
+        """
         if len(self._thumbnails) < _FEWEST_PLACES + _LAG:
             return None
         time_s = np.array([one for one, _ in self._seen])[_LAG:]
@@ -146,7 +151,12 @@ class StageFollower:
         )
         blocks = [block for block in _blocks(time_s) if len(block) >= 0.5 * _BLOCK_S / INTERVAL_S]
         moved = np.array([np.median((several - one)[block]) for block in blocks])
-        still = np.flatnonzero(moved <= _STILL_SHARE * moved.max(initial=0.0))
+        seen = np.zeros(0)
+        if time_base is not None:
+            seen = time_base.time_s[np.abs(time_base.offset_m) < _ON_PATH_M]
+        followed = np.array([np.isin(time_s[block], seen).mean() for block in blocks])
+        slow = moved <= _STILL_SHARE * moved.max(initial=0.0)
+        still = np.flatnonzero(slow & (followed < 0.5))
         return float(time_s[blocks[still[0]][0]]) if len(still) else None
 
     def _reach_m(self, time_s: float) -> float:

@@ -112,12 +112,12 @@ def read_stage_video(
     if schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
         follower = StageFollower(lens, schedule.crop(0.0), schedule.path)
     chosen, intervals = _choose(recording, schedule.time_s, start.time_s, follower)
-    if follower and (still_s := follower.still_from_s()) is not None:
+    time_base = follower.time_base() if follower else None
+    if follower and (still_s := follower.still_from_s(time_base)) is not None:
         raise BadInput(
-            f"{path}: from {still_s:.0f} s after the start on nothing moves for 10 s or more: "
+            f"{path}: about {still_s:.0f} s after the start on nothing moves for several seconds: "
             "did the stage stop?"
         )
-    time_base = follower.time_base() if follower else None
     rate = _checked_rate(path, time_base)
     if rate != 1.0:
         chosen, intervals = _choose(recording, schedule.time_s / rate, start.time_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def criticise_to_files(
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
     verdict["certificate"]["false_alarm_rate"] = _false_alarm_rate(
-        analysis.measurements,
+        replace(analysis.measurements, sound_sensors=False),
         analysis.null,
         analysis.null_state.scatters,
         campaigns,
@@ -110,6 +111,8 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
                 f"  {assumption.name}: {assumed[assumption.name]:g}{unit}, {assumption.meaning}"
             )
     lines.append(f"seen in {100 * shown['power']:.0f} of 100 campaigns like {case.name}, from")
+    if not shown["smallest_detectable"]:
+        lines[-1] = f"{case.name}: every reading would be only a bound: nothing can be seen"
     for name, entry in shown["smallest_detectable"].items():
         size = "never" if entry["size"] is None else f"{entry['size']:.3g} {entry['unit']}"
         lines.append(f"  {name}: {size}")

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.measurements import Measurements, assemble
+from slipstitch.criticise.measurements import COEFFICIENTS, Measurements, assemble
 from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
@@ -28,7 +28,7 @@ from slipstitch.errors import BadInput
 from slipstitch.friction_law import Contact, FrictionLaw
 
 USUAL_SPEED_MM_S, USUAL_QUIET_S = 10.0, 0.4
-MOST_READINGS = 20_000  # of a run of (e)
+MOST_READINGS = 20_000  # of a run
 LARGEST_SLOPE_DEG = 60.0  # of the incline
 LARGEST = 1e5
 
@@ -64,7 +64,7 @@ ASSUMPTIONS = (
     Assumption(
         "slider_texture_mm", 1.5, "mm", "length over which it is correlated", "spring_slider"
     ),
-    Assumption("push_travel_mm", 11.0, "mm", "way of the block", "push"),
+    Assumption("push_travel_mm", 11.0, "mm", "way of the block, where moved_mm is empty", "push"),
     Assumption("push_step_s", 0.01, "s", "time between readings", "push"),
     Assumption("push_texture_sd", 0.02, "1", "sd of friction along the way", "push"),
     Assumption("push_texture_mm", 1.5, "mm", "length over which it is correlated", "push"),
@@ -78,10 +78,12 @@ def assumptions_of(case: Case) -> dict[str, float]:
     Raises
     ------
     BadInput
-        If ``meta.json`` has under ``design`` what is no such assumption or no positive number.
+        If ``meta.json`` has under ``design`` what is no such assumption, no positive number, or a
+        coefficient of friction beyond what is looked for.
     """
     given = case.meta.get("design") or {}
     names = [assumption.name for assumption in ASSUMPTIONS]
+    limits = {c.name: (math.exp(c.lower), math.exp(c.upper)) for c in COEFFICIENTS}
     if not isinstance(given, Mapping):
         raise BadInput(f"{case.name}: meta.json: design: must be a mapping")
     for name, value in given.items():
@@ -91,6 +93,9 @@ def assumptions_of(case: Case) -> dict[str, float]:
         good = isinstance(value, int | float) and not isinstance(value, bool)
         if not good or not math.isfinite(value) or not 0 < value < LARGEST:
             raise BadInput(f"{where}: {value!r}; must be a positive number below {LARGEST:g}")
+        low, high = limits.get(name, (0.0, math.inf))
+        if not low < value < high:
+            raise BadInput(f"{where}: {value!r}; must be between {low:g} and {high:g}")
     own = case.protocols_of_runs
     return {
         a.name: float(given.get(a.name, a.value))
@@ -152,6 +157,7 @@ def _weights(runs: pd.DataFrame, nominal: Mapping[str, float]) -> np.ndarray:
 
 def _drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
     spring, step = nominal["k_tether_N_m"], assumed["drag_step_mm"]
+    step = max(step, assumed["drag_stroke_mm"] / MOST_READINGS)
     x = np.arange(0.0, assumed["drag_stroke_mm"] + 0.5 * step, step)
     levels = 1e3 * assumed["mu_face"] * _weights(runs, nominal)
     for level, u, speed in zip(levels, runs["u_force_mN"], runs["speed_mm_s"], strict=True):
@@ -188,7 +194,7 @@ def _drop_drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
     distance, flat = sliding_state(FrictionLaw(assumed["mu_face"]), *fabric, contact, False)
     lags = 1e3 * (distance - rest_state(*fabric)[0])
     advances, lifting = sticking_path(weight[0], bending[0], length[0], height)
-    step = assumed["drop_drag_step_mm"]
+    step = max(assumed["drop_drag_step_mm"], stroke / MOST_READINGS)
     out = np.arange(0.0, stroke + 0.5 * step, step)
     for i, (lag, u) in enumerate(zip(lags, runs["u_pos_mm"], strict=True)):
         # As far back as the edge has not moved yet.
@@ -233,13 +239,15 @@ def _spring_slider(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
 def _push(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
     quiet = runs["quiet_s"].fillna(USUAL_QUIET_S)
     way = runs["moved_mm"].fillna(assumed["push_travel_mm"])
-    weights, step = _weights(runs, nominal), assumed["push_step_s"]
+    weights = _weights(runs, nominal)
     columns = (quiet, way, runs["speed_mm_s"], runs["u_force_mN"])
     for weight, start, distance, speed, u in zip(weights, *columns, strict=True):
         slider = Slider(weight / GRAVITY_M_S2, USUAL_STIFFNESS_N_M, 1e-3 * speed)
         level = 1e3 * assumed["mu_face"] * weight
         slip = start + level / USUAL_STIFFNESS_N_M / speed
-        time = np.arange(0.0, slip + distance / speed, step)
+        duration = slip + distance / speed
+        step = max(assumed["push_step_s"], duration / MOST_READINGS)
+        time = np.arange(0.0, duration, step)
         uneven = level * _textured(rng, len(time), speed * step, assumed, "push")
         angle = np.sqrt(USUAL_STIFFNESS_N_M / slider.mass_kg) * np.maximum(time - slip, 0.0)
         fading = np.exp(-assumed["push_damping"] * angle) * np.sin(angle)

@@ -24,8 +24,10 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     model = verdict["models"][which]
     left_out = verdict["not_exported"] if which == "extended" else {}
     causes = [cause for cause in model["causes"] if cause not in left_out]
-    if not causes:
+    unknown = verdict.get("not_identified", {})
+    if left_out and not causes:
         model = verdict["models"]["null"]
+        unknown = {}  # those are of the fit with the causes
     values = dict(zip(model["parameters"], model["values"], strict=True))
     found = verdict.get("discrepancy") if which == "extended" else None
     table = {}
@@ -43,7 +45,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     laws = {
         side: FrictionLaw(float(np.exp(values[name])), mechanisms).to_dict()
         for side, name in (("face", "mu_face"), ("edge", "mu_edge"))
-        if name in values and name not in verdict.get("not_identified", {})
+        if name in values and name not in unknown
     }
     return {
         "case": verdict["case"],

@@ -75,5 +75,7 @@ def _at_bound(entry: dict, parameter: Parameter) -> bool:
 
 def _is_wide(entry: dict, null: float) -> bool:
     size = abs(entry["estimate"] - null)
-    low, high = sorted(np.sign(entry["estimate"] - null) * (end - null) for end in entry["ci95"])
-    return bool(high > LARGEST_FACTOR * size or size > LARGEST_FACTOR * max(low, 0.0))
+    side = -1.0 if entry["estimate"] < null else 1.0
+    low, high = sorted(side * (end - null) for end in entry["ci95"])
+    known = high <= LARGEST_FACTOR * size and size <= LARGEST_FACTOR * max(low, 0.0)
+    return not known  # also where the interval is no number

@@ -299,11 +299,12 @@ def sentence(verdict: dict) -> str:
     kind = verdict["verdict"]
     if kind == "none":
         within = departure(verdict.get("within_runs", {}))
-        nothing = "othing beyond plain Coulomb friction with scatter was found"
+        beyond = "beyond plain Coulomb friction with scatter was found"
         p = f"(family-wise p = {verdict['null']['global_p']:.2g})"
+        found = f"Nothing {beyond} in these measurements {p}."
         if within:
-            return f"Between the runs n{nothing} {p}; but within them {within}.{_scatter(verdict)}"
-        return f"N{nothing} in these measurements {p}.{_scatter(verdict)}"
+            found = f"Between the runs nothing {beyond} {p}; but within them {within}."
+        return found + _scatter(verdict)
     if kind == "insufficient":
         return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
     if kind == "unknown":
@@ -354,7 +355,7 @@ def _kept_back(verdict: dict) -> str:
     """The causes that the extended model has to do without."""
     left_out = verdict.get("not_exported") or {}
     why = "; ".join(f"{cause} ({why})" for cause, why in left_out.items())
-    return f" The exported model leaves out {why}." if why else ""
+    return f" A model exported from this leaves out {why}." if why else ""
 
 
 def _left(verdict: dict) -> str:

@@ -258,8 +258,9 @@ def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Pat
 def _check_listed(config_path: Path) -> None:
     """Damaged if the ``SHA256SUMS`` beside a configuration, where there is one, has another."""
     sums = config_path.with_name("SHA256SUMS")
-    lines = sums.read_text(encoding="utf-8").splitlines() if sums.is_file() else []
-    digests = [line.split()[0] for line in lines if line.split()[1:] == [config_path.name]]
+    text = sums.read_text(encoding="utf-8", errors="replace") if sums.is_file() else ""
+    named = ([config_path.name], [f"*{config_path.name}"])  # sha256sum, sha256sum -b
+    digests = [line.split()[0] for line in text.splitlines() if line.split()[1:] in named]
     if digests and file_digest(config_path) not in digests:
         raise Damaged(config_path, f"altered or damaged: not the file listed in {sums.name}")
 

@@ -130,7 +130,8 @@ def publish(
                 },
             }
             write_json(folder / "dataset" / "digests.json", dataset)
-            write_json(folder / "dataset" / "lineage.json", _lineage(found.folder, shards))
+            if lineage := _lineage(found.folder.resolve(), shards):
+                write_json(folder / "dataset" / "lineage.json", lineage)
         index = {
             "name": config.publish.name,
             "partial": bool(missing),
@@ -146,7 +147,10 @@ def publish(
 
 
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Artefact -> path and SHA-256 of what it was made from, from the files of images back."""
+    """Artefact -> path and SHA-256 of what it was made from, from the files of images back.
+
+    Empty where a render has no record any more: half a chain leads nowhere.
+    """
     waiting = [f"{results.name}/sample/{file}" for file in sorted(shards)]
     found: dict[str, dict[str, str]] = {}
     for name in waiting:  # grows
@@ -155,7 +159,8 @@ def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
             with contextlib.suppress(FileNotFoundError, BadInput, ValueError):
                 found[name] = read_provenance(results.parent / name)["inputs"]
                 waiting += found[name]
-    return found
+    rendered = {one for name in found if "/sample/" in name for one in found[name]}
+    return found if rendered <= set(found) else {}
 
 
 def _copy(source: Path, to: Path, missing: list[str]) -> None:

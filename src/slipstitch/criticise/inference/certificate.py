@@ -58,7 +58,7 @@ def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str
             continue
         parameter = MECHANISMS[test.mechanism].tested_parameters()[0]
         size, change = np.inf, np.inf
-        if information > 0:
+        if information > 1e-12:  # less is the rounding of a derivative that is zero
             threshold = float(chdtri(degrees, 10.0**-critical) * outcome.inflation[i])
             key = (degrees, round(threshold, 3))
             if key not in noncentrality:
