@@ -201,6 +201,21 @@ def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(
     assert f"snakemake --cores 2 all --forcerun {broken}" in capfd.readouterr().err
 
 
+def test_a_calibration_of_settings_leaves_the_configured_law_alone(tmp_path):
+    """Also one that states no law, as they used to."""
+    law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.25}}}
+    model, config, calibration = (tmp_path / f"{name}.json" for name in "mcs")
+    model.write_text(json.dumps({"friction_law": {"face": law}}))
+    small = {"vertices_per_side": 5, "frames": 2, "model": str(model)}
+    config.write_text(json.dumps({"simulation": small, "sample": {"frames": 2}}))
+    calibration.write_text(json.dumps({"settings": {"time_step_s": 0.05, "model": None}}))
+    words = ["--config", config, "--calibration", calibration, "--out", tmp_path / "x.parquet"]
+    assert run("simulate", "--material", "gray-interlock", "--friction", "0.3", *words) == 0
+    told = read_trajectory(tmp_path / "x.parquet").metadata
+    assert told["settings"]["time_step_s"] == 0.05
+    assert told["extended_model"]["law"]["mechanisms"] == law["mechanisms"]
+
+
 def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp_path, capfd):
     out = tmp_path / "flat.json"
     assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0

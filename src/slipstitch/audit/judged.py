@@ -93,7 +93,8 @@ def _calibration(content: Mapping[str, Any], config: Config) -> Iterator[str]:
     if content["met"] is not all(check.met for check in judged):
         yield "states wrongly that its requirements are met"
     strip = content["strip"]
-    if content["settings"] != verified_settings(chosen_simulation(simulation, strip)):
+    stated = {name: value for name, value in content["settings"].items() if name != "model"}
+    if stated != verified_settings(chosen_simulation(simulation, strip)):
         yield "its settings are not the configured ones combined with those chosen by the strip"
     yield from _strip(strip, config)
 

@@ -16,7 +16,7 @@ from slipstitch.errors import NotConverged
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
 
-# What an experiment does not exercise: the grid's mesh, what is recorded, and the bench.
+# What an experiment does not exercise: the grid's mesh, what is recorded, the bench, and the law.
 NOT_NUMERICAL = frozenset(
     {
         "vertices_per_side",
@@ -24,6 +24,7 @@ NOT_NUMERICAL = frozenset(
         "frame_rate_hz",
         "stage",
         "pins",
+        "model",
         "warp",
         "settle_s",
         "yaw_sd_deg",

@@ -49,7 +49,8 @@ def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
     settings = content.get("settings") if isinstance(content, dict) else None
     if not isinstance(settings, dict):
         raise Damaged(path, "not a calibration: it contains no settings")
-    return dict(settings)
+    # Calibrations used to state the law, which they do not exercise: it is the configuration's.
+    return {name: value for name, value in settings.items() if name != "model"}
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
