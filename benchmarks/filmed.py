@@ -1,0 +1,180 @@
+"""Small sets of simulations, filmed by benches that no instrument was trained on.
+
+A set is the instrument's configuration (config/paper.yaml, config/instrument.yaml) with changes.
+What is finished is not made again. Its cameras are `VIEWPOINTS`: the shipped instrument had others.
+"""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.config import load_config
+from slipstitch.config.grid import simulations
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.measuring import load_instrument
+from slipstitch.instrument.poses import poses_of
+from slipstitch.provenance import provenance_record, read_metadata, write_json
+from slipstitch.render.bench_camera import draw_bench_camera
+from slipstitch.render.pose import POSE
+from slipstitch.sample.shards import decode, read_shard
+
+ROOT = Path(__file__).parents[1]
+PUBLISHED = ROOT / "results" / "published" / "instrument"
+MODELS = PUBLISHED / "models" / "by_simulation" / "instrument"
+CONFIGS = ("config.yaml", "config/paper.yaml", "config/instrument.yaml")
+VIEWPOINTS = ["bench_5", "bench_6", "bench_7", "bench_8"]
+
+
+@dataclass(frozen=True)
+class FilmedSet:
+    """Simulations and cameras: a name, and what differs from the instrument's configuration."""
+
+    name: str
+    changes: dict = field(default_factory=dict)
+    model: dict | None = None  # of simulation.model
+    simulated_as: str = ""  # the set whose simulations these are, filmed by other cameras
+    yaw_deg: tuple = (0.0, 180.0)  # only cameras turned by so much, either way
+    cameras: int = len(VIEWPOINTS)
+
+
+def film(sets, folder, processes):
+    """Simulate and film what is missing; the configuration of each set."""
+    folder.mkdir(parents=True, exist_ok=True)
+    configs, jobs = {}, []
+    for one in sets:
+        place = folder / one.name
+        place.mkdir(exist_ok=True)
+        simulated = folder / (one.simulated_as or one.name)
+        changes = {key: dict(value) for key, value in one.changes.items() if key != "seed"}
+        changes.setdefault("render", {})["viewpoints"] = VIEWPOINTS
+        changes.setdefault("instrument", {})["viewpoints"] = VIEWPOINTS
+        if "seed" in one.changes:
+            changes["seed"] = one.changes["seed"]
+        if one.model is not None:
+            (place / "model.yaml").write_text(yaml.safe_dump(one.model))
+            changes.setdefault("simulation", {})["model"] = str(place / "model.yaml")
+        (place / "changes.yaml").write_text(yaml.safe_dump(changes))
+        files = [*(str(ROOT / name) for name in CONFIGS), str(place / "changes.yaml")]
+        configs[one.name] = load_config(*files)
+        config = configs[one.name]
+        for each in simulations(config):
+            turns = [
+                abs(draw_bench_camera(config.render, config.seed, each.id, name).yaw_deg)
+                for name in VIEWPOINTS[: one.cameras]
+            ]
+            low, high = one.yaw_deg
+            views = [f"v{k:02d}" for k, turn in enumerate(turns) if low <= turn <= high]
+            if views:
+                jobs.append((place, simulated, files, each.id, views))
+    with ThreadPoolExecutor(processes) as pool:
+        for number, _ in enumerate(pool.map(lambda job: _film_one(*job), jobs), 1):
+            print(f"{number} of {len(jobs)} simulations filmed", file=sys.stderr)
+    return configs
+
+
+def _film_one(place, simulated, files, simulation, views):
+    trajectory = simulated / f"{simulation}.parquet"
+    if all((place / "images" / f"{simulation}_{view}.parquet").exists() for view in views):
+        return
+    given = [word for file in files for word in ("--config", file)]
+    if not trajectory.exists():
+        calibrated = ["--calibration", str(PUBLISHED / "calibration.json")]
+        _slipstitch(
+            "simulate", "--config", *files, *calibrated, "--simulation", simulation,
+            "--out", str(trajectory),
+        )  # fmt: skip
+    packs = [place / "shading" / f"{simulation}_{view}.parquet" for view in views]
+    for view, pack in zip(views, packs, strict=True):
+        pack.parent.mkdir(exist_ok=True)
+        if not pack.exists():
+            _slipstitch(
+                "render", *given, "--trajectory", str(trajectory), "--viewpoint", view,
+                "--shading", str(pack),
+            )  # fmt: skip
+    (place / "images").mkdir(exist_ok=True)
+    _slipstitch(
+        "render", *given, "--trajectory", str(trajectory), "--from-shading", *map(str, packs),
+        "--out-dir", str(place / "images"),
+    )  # fmt: skip
+
+
+def _slipstitch(*words):
+    command = [str(Path(sys.executable).with_name("slipstitch")), *words]
+    done = subprocess.run(
+        command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True
+    )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words[:3])}: {done.stderr[-2000:]}")
+
+
+def instruments():
+    """Those published, one a seed."""
+    return [load_instrument(path) for path in sorted(MODELS.glob("seed*/*.safetensors"))]
+
+
+def publish(name, result, sets, rows):
+    """Write a result and its readings to results/published/camera, with the record of its origin.
+
+    The readings are rounded to 1e-4, a hundredth of the instruments' own step.
+    """
+    brief = [
+        {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
+        for row in rows
+    ]
+    used = [*sorted(MODELS.glob("seed*/*.safetensors")), PUBLISHED / "calibration.json"]
+    record = provenance_record(
+        "evaluate",
+        inputs=[path.relative_to(Path.cwd()) for path in used],
+        config={one.name: one.changes | {"model": one.model} for one in sets},
+    )
+    path = ROOT / "results" / "published" / "camera" / f"{name}.json"
+    write_json(path, result | {"readings": brief}, record, indent=None)
+
+
+def readings(configs, folder, measuring):
+    """One row a video and instrument: what is true of it, and what the instrument reads."""
+    rows = []
+    for name, config in configs.items():
+        frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
+        names = config.render.texture_ids()
+        for simulation in simulations(config):
+            for path in sorted((folder / name / "images").glob(f"{simulation.id}_*.parquet")):
+                known = read_metadata(path)
+                pose = known.get("pose") or dict.fromkeys(POSE, 0.0)
+                row = {
+                    "set": name,
+                    "simulation": f"{name} {simulation.id}",
+                    "material": simulation.material,
+                    "friction": simulation.friction,
+                    "floor": known["surroundings"]["floor"],
+                } | {f"pose_{key}": pose[key] for key in POSE}
+                for (_, texture, _), images in sorted(read_shard(path, frames).items()):
+                    video = np.stack(
+                        [decode(image.png, str(path), config.render.pixels) for image in images]
+                    )
+                    rows += [
+                        row
+                        | {"texture": names[texture], "seed": one.card["seed"]}
+                        | _reading(one, video, row)
+                        for one in measuring
+                    ]
+    return rows
+
+
+def _reading(instrument, video, row):
+    frames = phased(video[None], instrument.card["frames"], None)[0]
+    measured = instrument.measure(frames, pose=poses_of([row])[0])
+    low, high = measured.interval_90
+    return {
+        "reading": measured.friction_coefficient,
+        "low": low,
+        "high": high,
+        "alarm": measured.alarm,
+    }
