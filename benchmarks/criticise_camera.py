@@ -24,7 +24,8 @@ from slipstitch.cli.main import main as slipstitch
 CASE = ROOT / "data" / "cases" / "surrogate_anisotropic"
 HIDDEN = {"anisotropy": {"anisotropy": 0.25}}  # data/cases/README.md
 MATERIALS = ["gray-interlock", "navy-sparkle-sweat"]
-DIRECTIONS = {"warp": "u", "weft": "v"}
+# A cloth with its warp down is dragged along it (docs/physics.md).
+DIRECTIONS = {"warp": "v", "weft": "u"}
 
 
 def model_found():
