@@ -158,6 +158,53 @@ def instrument_parts(root):
     return _table(head.split("|"), rows)
 
 
+def reach(root):
+    """The published instruments where nothing was trained."""
+    found = _read(root, "camera/reach.json")
+    names = {
+        "off_grid": "coefficients between those of the grid",
+        "unseen_fabric": "unseen fabrics",
+        "unseen_texture": "an unseen texture, of all of these",
+        "far": "cameras 22.5 to 30° aside",
+    }
+    rows = []
+    for name, words in names.items():
+        part = found[name]
+        rows.append(
+            [
+                words,
+                f"{part['videos'] // found['instruments']} of {part['simulations']}",
+                f"{part['mean_absolute_error']:.3f}",
+                f"{part['within_0_1']:.0%}",
+                f"{part['coverage_90']:.0%} ± {part['coverage_90_error']:.0%}",
+                f"{part['interval_width']:.2f}",
+                f"{part['alarms']:.0%}",
+            ]
+        )
+    head = "|videos of simulations|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    return _table([*head.split("|"), "alarms"], rows)
+
+
+def hidden_effect(root):
+    """A camera's readings under the surrogate case's effect, before and after it is found."""
+    found = _read(root, "camera/hidden_effect.json")
+    rows = []
+    for direction in ("warp", "weft"):
+        for when, words in (("before", "as read"), ("after", "with the law found")):
+            part = found[direction][when]
+            rows.append(
+                [
+                    direction,
+                    words,
+                    f"{part['videos'] // found['instruments']} of {part['simulations']}",
+                    f"{part['mean_error']:+.3f} ± {part['standard_deviation']:.3f}",
+                    f"{part['mean_absolute_error']:.3f}",
+                ]
+            )
+    head = "dragged along|reading|videos of simulations|mean error of μ, simulations' deviation"
+    return _table([*head.split("|"), "mean size of the error"], rows)
+
+
 # Of the paper's tables: what each network is asked, and the metric's words.
 COUNTED = {
     "material_baseline": "fabric",
@@ -232,11 +279,15 @@ TABLES = {
     "graph": graph,
     "instrument": instrument,
     "instrument_parts": instrument_parts,
+    "reach": reach,
+    "hidden_effect": hidden_effect,
 }
 PAGES = {
     "docs/benchmarks.md": lambda root: page(
         _read(root, "benchmark/benchmark.json"),
         pandas.read_csv(root / "results/published/paper/simulations.csv"),
     ),
-    model_card.PLACE: lambda root: model_card.page(root, instrument(root), instrument_parts(root)),
+    model_card.PLACE: lambda root: model_card.page(
+        root, instrument(root), instrument_parts(root), reach(root)
+    ),
 }
