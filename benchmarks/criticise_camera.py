@@ -109,9 +109,12 @@ def main():
     for direction in DIRECTIONS:
         parts = {name: [r for r in rows if r["set"] == f"{name}_{direction}"] for name in
                  ("hidden", "found")}  # fmt: skip
+        curves = {
+            seed: curve([row for row in parts["found"] if row["seed"] == seed])
+            for seed in {row["seed"] for row in parts["found"]}
+        }
         for row in parts["hidden"]:
-            same = [one for one in parts["found"] if one["seed"] == row["seed"]]
-            row["after"] = line(*curve(same), row["reading"])
+            row["after"] = line(*curves[row["seed"]], row["reading"])
         result[direction] = {
             "before": errors(parts["hidden"], "reading"),
             "after": errors(parts["hidden"], "after"),

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,9 +18,9 @@ import yaml
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.config import load_config
 from slipstitch.config.grid import simulations
+from slipstitch.evaluate.instruments import measured
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import load_instrument
-from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import provenance_record, read_metadata, write_json
 from slipstitch.render.bench_camera import draw_bench_camera
 from slipstitch.render.pose import POSE
@@ -52,11 +53,9 @@ def film(sets, folder, processes):
         place = folder / one.name
         place.mkdir(exist_ok=True)
         simulated = folder / (one.simulated_as or one.name)
-        changes = {key: dict(value) for key, value in one.changes.items() if key != "seed"}
+        changes = deepcopy(one.changes)
         changes.setdefault("render", {})["viewpoints"] = VIEWPOINTS
         changes.setdefault("instrument", {})["viewpoints"] = VIEWPOINTS
-        if "seed" in one.changes:
-            changes["seed"] = one.changes["seed"]
         if one.model is not None:
             (place / "model.yaml").write_text(yaml.safe_dump(one.model))
             changes.setdefault("simulation", {})["model"] = str(place / "model.yaml")
@@ -169,12 +168,12 @@ def readings(configs, folder, measuring):
 
 
 def _reading(instrument, video, row):
-    frames = phased(video[None], instrument.card["frames"], None)[0]
-    measured = instrument.measure(frames, pose=poses_of([row])[0])
-    low, high = measured.interval_90
+    frames = phased(video[None], instrument.card["frames"], None)
+    (measurement,) = measured(instrument, frames, [row])
+    low, high = measurement.interval_90
     return {
-        "reading": measured.friction_coefficient,
+        "reading": measurement.friction_coefficient,
         "low": low,
         "high": high,
-        "alarm": measured.alarm,
+        "alarm": measurement.alarm,
     }

@@ -23,6 +23,7 @@ from slipstitch.calibrate.experiments import experiments
 from slipstitch.calibrate.sweep import variations
 from slipstitch.config import Config
 from slipstitch.config.calibrate import BASE, KEYS
+from slipstitch.config.load import without_law
 from slipstitch.errors import first_line
 from slipstitch.provenance import read_json
 from slipstitch.release.currency import CALIBRATION
@@ -93,8 +94,8 @@ def _calibration(content: Mapping[str, Any], config: Config) -> Iterator[str]:
     if content["met"] is not all(check.met for check in judged):
         yield "states wrongly that its requirements are met"
     strip = content["strip"]
-    stated = {name: value for name, value in content["settings"].items() if name != "model"}
-    if stated != verified_settings(chosen_simulation(simulation, strip)):
+    configured = verified_settings(chosen_simulation(simulation, strip))
+    if without_law(content["settings"]) != configured:
         yield "its settings are not the configured ones combined with those chosen by the strip"
     yield from _strip(strip, config)
 

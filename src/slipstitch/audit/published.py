@@ -11,11 +11,11 @@ from slipstitch.audit.findings import Finding, Kind, sorted_findings
 from slipstitch.errors import BadInput, first_line
 from slipstitch.measure import SHIPPED
 from slipstitch.provenance import file_digest, read_json, read_metadata
+from slipstitch.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 
 #: Of a folder that `slipstitch publish` wrote.
 INDEX = "published.json"
-_RECORD = ".provenance.json"
 _DIGESTS, _LINEAGE = "dataset/digests.json", "dataset/lineage.json"
 _SIMULATED, _TRAINED = "/simulate/", "/train/"
 
@@ -108,11 +108,12 @@ class _Published:
         index = _mapping(read_json(folder / INDEX))
         self.name = str(index.get("name"))
         self.listed = _mapping(index.get("files"))
-        own = (INDEX, INDEX + _RECORD)
+        own = (INDEX, INDEX + SIDECAR_SUFFIX)
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         names = [path.relative_to(folder).as_posix() for path in paths]
         self.digests = {name: file_digest(folder / name) for name in names if name not in own}
         self.findings: list[Finding] = []
+        self.contents: dict[str, dict[str, Any]] = {}
 
     def audit(self) -> PublishedAudit:
         self.check_files()
@@ -136,13 +137,13 @@ class _Published:
 
     def json(self, name: str) -> dict[str, Any]:
         """Content of a published JSON file; a finding, and nothing, where it cannot be read."""
-        if name not in self.digests:
-            return {}
-        try:
-            return _mapping(read_json(self.folder / name))
-        except BadInput as problem:
-            self.find(Kind.ALTERED, name, first_line(problem))
-            return {}
+        if name in self.digests and name not in self.contents:
+            try:
+                self.contents[name] = _mapping(read_json(self.folder / name))
+            except BadInput as problem:
+                self.find(Kind.ALTERED, name, first_line(problem))
+                self.contents[name] = {}
+        return self.contents.get(name, {})
 
     def check_files(self) -> None:
         for name in sorted({*self.listed, *self.digests}):
@@ -152,8 +153,8 @@ class _Published:
                 self.find(Kind.UNEXPLAINED, name, f"not listed in {INDEX}")
             elif self.digests[name] != self.listed[name]:
                 self.find(Kind.ALTERED, name, f"not the file listed in {INDEX}")
-        for name in [name for name in self.digests if name.endswith(_RECORD)]:
-            of = name.removesuffix(_RECORD)
+        for name in [name for name in self.digests if name.endswith(SIDECAR_SUFFIX)]:
+            of = name.removesuffix(SIDECAR_SUFFIX)
             if self.json(name).get("sha256") != self.digests.get(of):
                 self.find(Kind.BROKEN, of, "not the file that its record was written for")
 
@@ -183,7 +184,7 @@ class _Published:
         card = self.json(weights.replace(".safetensors", ".json"))
         if card.get("weights_sha256") != self.digests[weights]:
             self.find(Kind.BROKEN, weights, "not the weights that their card describes")
-        inputs = _mapping(self.json(weights + _RECORD).get("inputs"))
+        inputs = _mapping(self.json(weights + SIDECAR_SUFFIX).get("inputs"))
         if not inputs:
             self.find(Kind.BROKEN, weights, "has no record of what it was trained on")
         trained_on, others = {}, []
@@ -235,7 +236,7 @@ class _Published:
         ]
         if chains and not followed:
             notes.append(f"{_LINEAGE} is not published: the chain ends at the files of images")
-        records = {name: self.json(name) for name in self.digests if name.endswith(_RECORD)}
+        records = {name: self.json(name) for name in self.digests if name.endswith(SIDECAR_SUFFIX)}
         dirty = sorted({str(one.get("stage")) for one in records.values() if one.get("git_dirty")})
         if dirty:
             notes.append(f"made with uncommitted changes: {', '.join(dirty)}")

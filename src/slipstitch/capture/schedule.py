@@ -71,17 +71,19 @@ class Schedule:
     def crop(self, time_s: float | np.ndarray) -> Camera:
         """The image's camera at a time."""
         if not self.follows:
-            time_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
+            time_s = self._simulated_s
         room = cloth_room(*self.path.position_m(time_s), SIDE_M, SIDE_M)
         return crop_to(self.pose, room, self.pixels)
 
     def cloth(self, time_s: float) -> MeanCloth:
         """Where the cloth is at a time, on average."""
-        times_s, lags = self._lags
         x_m, z_m = (float(place) for place in self.path.position_m(time_s))
-        return MeanCloth(x_m, z_m, float(np.interp(time_s, times_s, lags)))
+        return MeanCloth(x_m, z_m, float(np.interp(time_s, self._simulated_s, self._lags_m)))
 
     @cached_property
-    def _lags(self) -> tuple[np.ndarray, np.ndarray]:
-        times_s = np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
-        return times_s, lags_m(*self.path.position_m(times_s), SIDE_M)
+    def _simulated_s(self) -> np.ndarray:
+        return np.arange(int(self.duration_s * self.frame_rate_hz) + 1) / self.frame_rate_hz
+
+    @cached_property
+    def _lags_m(self) -> np.ndarray:
+        return lags_m(*self.path.position_m(self._simulated_s), SIDE_M)

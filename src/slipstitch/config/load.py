@@ -49,7 +49,11 @@ def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
     settings = content.get("settings") if isinstance(content, dict) else None
     if not isinstance(settings, dict):
         raise Damaged(path, "not a calibration: it contains no settings")
-    # Calibrations used to state the law, which they do not exercise: it is the configuration's.
+    return without_law(settings)
+
+
+def without_law(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A calibration's settings but for the law: it used to state it, and does not exercise it."""
     return {name: value for name, value in settings.items() if name != "model"}
 
 

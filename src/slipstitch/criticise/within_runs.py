@@ -242,11 +242,19 @@ def track_step(finding: dict, model: str) -> dict:
     return next(entry for entry in finding["ladder"] if entry["model"] == model)
 
 
+def _certain_track(findings: dict) -> dict | None:
+    """What was found of the track, if it is beyond doubt that friction changes along it."""
+    track = findings.get("spring_slider")
+    if track is None or track_step(track, "track")["step_ci95"][0] <= 0:
+        return None
+    return track
+
+
 def departure(findings: dict) -> str:
     """What is beyond doubt within the runs and no plain friction, as a clause; or nothing."""
-    track, impact = findings.get("spring_slider"), findings.get("push")
+    impact = findings.get("push")
     found = []
-    if track is not None and track_step(track, "track")["step_ci95"][0] > 0:
+    if _certain_track(findings):
         found.append("friction changes along the track")
     if impact is not None and impact["excess_ci95"][0] > 0:
         found.append("the first peak is more than the impact")
@@ -256,8 +264,8 @@ def departure(findings: dict) -> str:
 def words(findings: dict) -> list[str]:
     """What the findings say, a sentence each; nothing where nothing is beyond doubt."""
     said = []
-    track, impact = findings.get("spring_slider"), findings.get("push")
-    if track is not None and track_step(track, "track")["step_ci95"][0] > 0:
+    impact = findings.get("push")
+    if track := _certain_track(findings):
         gains = [
             with_interval(entry["step"], entry["step_ci95"], 2)
             for entry in (track_step(track, "track"), track_step(track, "static"))
