@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slipstitch.bench.stage_path import StagePath
+from slipstitch.cloth import ClothSolver
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.simulate.drop_and_drag import _Bench, draw_perturbation, simulate_drop_and_drag
 
@@ -150,7 +151,7 @@ def test_a_step_to_the_other_side_is_refused_while_the_cloth_lands(monkeypatch):
 
     monkeypatch.setattr(_Bench, "_lands_on_one_side", both_ways)
     settings = SimulationSettings(
-        vertices_per_side=11, frames=5, settle_s=0.5, step_error_m=3e-4
+        vertices_per_side=11, frames=5, settle_s=0.5, step_error_m=3e-4, steady_step_s=0.08
     )  # so coarse that steps are accepted that could be halved
     simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
     assert decided and set(decided) == {(True, False)}
@@ -163,3 +164,51 @@ def test_a_step_that_is_not_confirmed_is_halved(monkeypatch):
     halved, _ = simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
     for count in ("steps", "refinements"):
         assert halved.metadata["solver"][count] > plain.metadata["solver"][count]
+
+
+def test_no_long_step_is_taken_while_the_cloth_lands(monkeypatch):
+    confirm = _Bench._lands_on_one_side
+    first_touch = []
+
+    def noted(bench, x, step_s):
+        answer = confirm(bench, x, step_s)
+        if x[:, 2].min() < 0 and not first_touch:
+            first_touch.append((step_s, answer))
+        return answer
+
+    monkeypatch.setattr(_Bench, "_lands_on_one_side", noted)
+    monkeypatch.setattr(ClothSolver, "foreseen_step_s", lambda solver: 10.0)
+    settings = SMALL.model_copy(update={"frames": 6, "step_error_m": np.inf, "steady_step_s": 0.42})
+    simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    step_s, confirmed = first_touch[0]
+    assert step_s > 2 * settings.step_used_s and not confirmed
+
+
+def test_steady_drag_takes_long_steps_and_goes_the_same_way():
+    """Implicit Euler is exact for steady translation: what is longer than that costs accuracy."""
+    settings = SimulationSettings(vertices_per_side=11, frames=96)
+    short = settings.model_copy(update={"steady_step_s": 0.08})
+    ours, columns = simulate_drop_and_drag("gray-interlock", 0.1, 0, settings)
+    theirs, _ = simulate_drop_and_drag("gray-interlock", 0.1, 0, short)
+    taken = ours.metadata["solver"]["steps"]
+    assert taken < 0.6 * theirs.metadata["solver"]["steps"]
+    apart_m = np.linalg.norm(ours.positions_m - theirs.positions_m, axis=2).mean(axis=1)
+    assert apart_m.mean() < 5e-5 and apart_m.max() < 1e-3
+    assert (columns["residual"] <= settings.friction_tolerance).all()
+    assert (columns["residual"] > 0).all()
+
+
+def test_frames_within_a_long_step_lie_between_its_ends():
+    coarse = SMALL.model_copy(update={"frames": 25, "frame_rate_hz": 2.4, "time_step_s": 0.084})
+    fine = coarse.model_copy(update={"frames": 24 * 5 + 1, "frame_rate_hz": 12.0})
+    few, few_columns = simulate_drop_and_drag("gray-interlock", 0.0, 0, coarse)
+    many, many_columns = simulate_drop_and_drag("gray-interlock", 0.0, 0, fine)
+    assert many.metadata["solver"]["steps"] < 24 * 5
+    assert few.positions_m == pytest.approx(many.positions_m[::5], abs=2e-5)
+    # In a long step of n frames the clamps are where the stage is, and all else moves evenly.
+    waiting = np.flatnonzero(many_columns["newton_iterations"][1:] == 0) + 1
+    inside = [one for one in waiting if many.time_s[one] < 6 and one < 24 * 5]
+    assert inside
+    x = many.positions_m[:, :, 2]
+    for frame in inside:
+        assert x[frame] == pytest.approx((x[frame - 1] + x[frame + 1]) / 2, abs=1e-6)

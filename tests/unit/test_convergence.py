@@ -12,7 +12,7 @@ from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
-from slipstitch.simulate.convergence import BUT_FOR_ITS_MOMENT, measured_convergence, step_of
+from slipstitch.simulate.convergence import BUT_FOR_ITS_MOMENT, measured_convergence
 from slipstitch.simulate.trajectory import Trajectory
 
 CONFIG = resolve_config(
@@ -69,7 +69,7 @@ def test_the_finest_run_has_all_of_stepping_finer_and_the_same_frames():
     finest = next(c for c in cases(CONFIG) if c.halvings == 2)
     chosen = SimulationSettings(time_step_s=0.02, step_error_m=1.6e-4, friction_tolerance=1.6e-4)
     settings = case_settings(finest, CONFIG, chosen)
-    assert settings.time_step_s == 0.005
+    assert settings.time_step_s == settings.steady_step_s == 0.005
     assert settings.step_error_m == settings.friction_tolerance == pytest.approx(1e-5)
     assert settings.bending_stiffness_at == "end"
     assert settings.frames == 241  # 20 s at 12 a second
@@ -250,7 +250,7 @@ def _record(tmp_path, material, friction, **settings):
     found = {"mean_m": 2e-4, "mean_largest_m": 1.5e-3, "shifted_largest_m": 4e-4}
     studied = SimulationSettings(time_step_s=0.02)
     table = {
-        "studied": {"time_step_s": step_of(studied), "window_s": 56.0, "mean_distance_m": 1e-3,
+        "studied": {"time_step_s": studied.step_used_s, "window_s": 56.0, "mean_distance_m": 1e-3,
                     "simulation": studied.model_dump(mode="json")},
         "cases": [
             {"material": name, "friction": mu, "time_step": found, "mesh": None, "verdict": verdict}
@@ -296,6 +296,7 @@ def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
         ({"vertices_per_side": 31}, ["vertices_per_side"]),
         ({"friction_tolerance": 0.5}, ["friction_tolerance"]),
         ({"step_error_m": 1e9}, ["step_error_m"]),
+        ({"steady_step_s": 0.9}, ["steady_step_s"]),
         ({"pins": "corner"}, ["pins"]),
         (
             {"bending_stiffness_at": "start", "damping_s": 0.0},

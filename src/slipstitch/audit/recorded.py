@@ -186,8 +186,6 @@ def _simulated(
 
     simulation = _simulation_of(artefact, grid)
     settings = calibrated_simulation(artefact, config, contents.calibrated)
-    frame_s = 1.0 / settings.frame_rate_hz
-    steps = ceil(frame_s / settings.time_step_s - 1e-9)
     across_m = np.linspace(0, SIDE_M, settings.vertices_per_side)
     inner_m = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
     held = np.flatnonzero((across_m <= inner_m) | (across_m >= SIDE_M - inner_m))
@@ -199,7 +197,7 @@ def _simulated(
         "settings": settings.model_dump(mode="json"),
         "perturbation": _plain(vars(draw_perturbation(settings, simulation.seed))),
         "stage_path": dict(settings.stage),
-        "step_s": frame_s / steps,
+        "step_s": settings.step_used_s,
         "pinned": held.tolist(),
         "convergence": measured_convergence(simulation.material, simulation.friction, settings),
     }
@@ -212,8 +210,10 @@ def _simulated(
     if not isinstance(device, str) or not 1 <= at_once <= len(grid):
         yield "does not state its device and batch size"
     yield from _differing(metadata, expected)
-    settled = ceil(settings.settle_s / (frame_s / steps) - 1e-9)
-    yield from _possible(solver, settings, settled + (settings.frames - 1) * steps)
+    settling = ceil(settings.settle_s / settings.step_used_s - 1e-9)
+    recorded = (settings.frames - 1) * settings.steps_a_frame
+    least = sum(ceil(steps / settings.steps_at_once) for steps in (settling, recorded))
+    yield from _possible(solver, settings, least)
 
 
 _IDS = ("material", "friction", "replicate")

@@ -43,6 +43,8 @@ EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
 REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
 TRUSTED_AFTER = 3  # iterations from which a step is given up that is clearly too long
 CLEARLY = 1.5  # times the error that is allowed
+FORESEEN_ERROR = 0.5  # of the error allowed: what a step longer than the last one aims at
+LEAST_ERROR_M = 1e-12
 COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
 
 
@@ -206,6 +208,7 @@ class ClothSolver:
         self.confirm: Callable[[np.ndarray, float], bool] | None = None
         self._accurate_step_s = np.inf
         self._last_step_s = 0.0
+        self._last_error_m = np.inf
         self._acceleration_m_s2 = np.zeros_like(self.positions_m)
 
         self.ground_curvature_per_m = ground_curvature_per_m
@@ -435,15 +438,16 @@ class ClothSolver:
 
     # -- stepping -------------------------------------------------------------------------
 
-    def _try_step(self, step_s, prescribed: np.ndarray | None, may_refine: bool) -> Outcome:
+    def _try_step(self, step_s, prescribed: Callable | None, may_refine: bool) -> Outcome:
         """Solve one implicit step; on success the state moves on."""
+        end_s = self.time_s + step_s
         target = self.positions_m + step_s * self.velocities_m_s
         self._target.assign(target)
         self._inverse_step_squared.fill_(1.0 / step_s**2)
         self._damping_ratio.fill_(self.settings.damping_s / step_s)
         guess = self._guess(target, step_s)
         if prescribed is not None:
-            guess[self.fixed] = prescribed[self.fixed]
+            guess[self.fixed] = prescribed(end_s)[self.fixed]
         self._give_up = None
         if may_refine:
             largest_m = CLEARLY * self.settings.step_error_m
@@ -466,7 +470,10 @@ class ClothSolver:
             self._accurate_step_s = step_s / 2
             return Outcome.INACCURATE
         self.record.largest_residual = max(self.record.largest_residual, error)
+        self._last_error_m = step_error_m
         self._accept(x, step_s)
+        self.time_s = end_s
+        self.record.steps += 1
         return Outcome.ACCEPTED
 
     def _step_error_m(self, x: np.ndarray, target: np.ndarray) -> float:
@@ -621,19 +628,13 @@ class ClothSolver:
         if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
             self._halve(duration_s, prescribed, halvings)
             return
-        end_s = self.time_s + duration_s
-        may_refine = halvings < REFINEMENTS_MAX
-        outcome = self._try_step(duration_s, prescribed(end_s) if prescribed else None, may_refine)
+        outcome = self._try_step(duration_s, prescribed, halvings < REFINEMENTS_MAX)
         if outcome is Outcome.ACCEPTED:
-            self.time_s = end_s
-            self.record.steps += 1
             return
+        self._count_failure(outcome)
         if outcome is Outcome.INACCURATE:
-            self.record.refinements += 1
             self._halve(duration_s, prescribed, halvings)
             return
-        self._tangent.factored = False
-        self.record.halvings += 1
         if halvings >= self.settings.halvings_max:
             raise NotConverged(
                 f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
@@ -650,6 +651,39 @@ class ClothSolver:
                 },
             )
         self._halve(duration_s, prescribed, halvings)
+
+    def try_step(
+        self, duration_s: float, prescribed: Callable[[float], np.ndarray] | None = None
+    ) -> bool:
+        """Move on by one step if it is accurate and converges; otherwise stay.
+
+        Parameters
+        ----------
+        duration_s, prescribed
+            As for :meth:`advance`.
+
+        Returns
+        -------
+        bool
+            Whether it moved.
+        """
+        outcome = self._try_step(duration_s, prescribed, may_refine=True)
+        self._count_failure(outcome)
+        return outcome is Outcome.ACCEPTED
+
+    def foreseen_step_s(self) -> float:
+        """Longest step to be accurate if the motion goes on as in the last step; 0 if none was."""
+        longest_s = self._last_step_s * sqrt(
+            FORESEEN_ERROR * self.settings.step_error_m / max(self._last_error_m, LEAST_ERROR_M)
+        )
+        return min(longest_s, self._accurate_step_s)
+
+    def _count_failure(self, outcome: Outcome) -> None:
+        if outcome is Outcome.INACCURATE:
+            self.record.refinements += 1
+        elif outcome is Outcome.UNSOLVED:
+            self._tangent.factored = False
+            self.record.halvings += 1
 
     def _halve(self, duration_s, prescribed, halvings: int) -> None:
         self.advance(duration_s / 2, prescribed, halvings + 1)

@@ -1,5 +1,6 @@
 """Settings of the simulate stage. Pydantic and the standard library only."""
 
+from math import ceil, floor
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -43,6 +44,14 @@ class SimulationSettings(Section):
         gt=0,
         le=0.1,
         description="largest time step; the step used divides the time between frames",
+    )
+    steady_step_s: float = Field(
+        0.42,
+        gt=0,
+        le=1,
+        description="largest time step where the motion is steady: several time steps are taken as "
+        "one where its error, foreseen from the step before, is at most half of step_error_m; not "
+        "more than time_step_s: never",
     )
     step_error_m: float = Field(
         1.0e-4,
@@ -146,6 +155,21 @@ class SimulationSettings(Section):
         if material not in self.bending_stiffness_at_end:
             return self
         return self.model_copy(update={"bending_stiffness_at": "end"})
+
+    @property
+    def steps_a_frame(self) -> int:
+        """Number of time steps between frames."""
+        return ceil(1.0 / self.frame_rate_hz / self.time_step_s - 1e-9)
+
+    @property
+    def step_used_s(self) -> float:
+        """Time step that divides the time between frames."""
+        return 1.0 / self.frame_rate_hz / self.steps_a_frame
+
+    @property
+    def steps_at_once(self) -> int:
+        """Number of time steps that may be taken as one where the motion is steady."""
+        return max(1, floor(self.steady_step_s / self.step_used_s + 1e-9))
 
     @property
     def recorded_s(self) -> float:

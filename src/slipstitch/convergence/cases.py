@@ -55,12 +55,15 @@ def case_settings(
         Those of the simulations, calibrated.
     """
     study = config.convergence
+    step_s = chosen.time_step_s / 2**case.halvings
     implicit = {"bending_stiffness_at": "end"} if case.halvings else {}
     return chosen.model_copy(
         update=implicit
         | {
             "vertices_per_side": case.vertices_per_side,
-            "time_step_s": chosen.time_step_s / 2**case.halvings,
+            "time_step_s": step_s,
+            # Among the finer steps none is long, however steady the motion.
+            "steady_step_s": step_s if case.halvings else chosen.steady_step_s,
             # Of second order in the step, as the error of one step of implicit Euler.
             "step_error_m": chosen.step_error_m / 4**case.halvings,
             "friction_tolerance": chosen.friction_tolerance / 4**case.halvings,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ NOT_CONVERGED = "not converged"
 # From what says most to what says least.
 VERDICTS = (CONVERGED, BUT_FOR_ITS_MOMENT, BUT_FOR_ITS_COURSE, NOT_CONVERGED)
 # Settings that may be finer than the studied ones; all others must be the same but for these.
-FINER = ("vertices_per_side", "step_error_m", "friction_tolerance")
+FINER = ("vertices_per_side", "steady_step_s", "step_error_m", "friction_tolerance")
 DO_NOT_MATTER = {
     "time_step_s",  # the step that is used divides a frame's interval: compared apart
     "frames",
@@ -43,18 +42,12 @@ def worst_verdict(verdicts: Sequence[str]) -> str | None:
     return max(verdicts, key=rank, default=None)
 
 
-def step_of(settings: SimulationSettings) -> float:
-    """The longest time step that is used, in s."""
-    frame_s = 1.0 / settings.frame_rate_hz
-    return frame_s / ceil(frame_s / settings.time_step_s - 1e-9)
-
-
 def studied_settings_that_differ(
     studied: Mapping[str, Any], settings: SimulationSettings
 ) -> list[str]:
     """Settings for which a study does not speak: other ones, or coarser."""
     own, theirs = settings.model_dump(mode="json"), studied["simulation"]
-    differ = [] if step_of(settings) <= studied["time_step_s"] * (1 + 1e-9) else ["time_step_s"]
+    differ = [] if settings.step_used_s <= studied["time_step_s"] * (1 + 1e-9) else ["time_step_s"]
     for name in sorted(set(own) - DO_NOT_MATTER):
         if name in FINER and name in theirs:
             finer = own[name] >= theirs[name] if name == FINER[0] else own[name] <= theirs[name]
