@@ -30,7 +30,8 @@ import pandas
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "results" / "published" / "benchmark" / "benchmark.json"
 GRID = ROOT / "results" / "published" / "paper" / "simulations.csv"
-PARTS = ("mesh", "side-by-side")
+PARTS = ("mesh", "side-by-side", "steady")
+STEADY_FRICTIONS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 0.2, 0.6)  # of the ten fabrics
 SIDES = (21, 41, 61, 81, 121, 161)
 MESH_WINDOW_S = 0.4
 STEP_S, SHORT_S, SETTLE_S = 1 / 12, 0.5, 1.0
@@ -94,6 +95,51 @@ def mesh_part():
     vertices = [row["vertices_per_side"] ** 2 for row in rows]
     slope, intercept = np.polyfit(np.log(vertices), np.log([row["cpu_s_per_s"] for row in rows]), 1)
     yield {"rows": rows, "exponent": float(slope), "cpu_s_per_s_at_1": float(np.exp(intercept))}
+
+
+def steady_part():
+    """The ten fabrics through the whole protocol, without long steps and with them."""
+    from slipstitch.config.convergence import ConvergenceSettings
+
+    rows = []
+    pairs = zip(ConvergenceSettings().materials, STEADY_FRICTIONS, strict=True)
+    for material, friction in pairs:
+        with get_context("spawn").Pool(1) as pool:
+            rows.append(pool.apply(_steady, (material, friction)))
+        before, after = rows[-1]["before"], rows[-1]["after"]
+        print(
+            f"{material:<20} friction {friction:<4g} {before['cpu_s']:6.1f} -> "
+            f"{after['cpu_s']:6.1f} CPU s, {before['steps']} -> {after['steps']} steps, apart "
+            f"{1e3 * rows[-1]['mean_m']:.3f} mm",
+            file=sys.stderr,
+            flush=True,
+        )
+        yield {"rows": rows}
+
+
+def _steady(material, friction):
+    from slipstitch.config.simulation import SimulationSettings
+    from slipstitch.convergence.study import compare
+    from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+
+    grid = SimulationSettings(yaw_sd_deg=0.0, height_sd_m=0.0, fabric_sd_rel=0.0, curl_side="same")
+    warm = grid.model_copy(update={"vertices_per_side": 5, "frames": 2, "settle_s": 0.0})
+    simulate_drop_and_drag(material, friction, 0, warm)
+    found, runs = {"material": material, "friction": friction}, []
+    for name, longest_s in (("before", grid.time_step_s), ("after", grid.steady_step_s)):
+        settings = grid.model_copy(update={"steady_step_s": longest_s})
+        began = time.process_time()
+        run, columns = simulate_drop_and_drag(material, friction, 0, settings)
+        solver = run.metadata["solver"]
+        found[name] = {
+            "cpu_s": time.process_time() - began,
+            "largest_residual": float(columns["residual"].max()),
+            **{key: solver[key] for key in ("steps", "newton_iterations", "factorisations")},
+        }
+        runs.append(run)
+    apart = compare(runs[1], runs[0], (grid.vertices_per_side,))
+    kept = ("mean_m", "mean_largest_m", "shifted_largest_m", "steady_largest_m")
+    return found | {name: apart[name] for name in kept}
 
 
 def _line(row):
@@ -258,7 +304,7 @@ def main():
     arguments = parser.parse_args()
     started = start_clock()
     result = json.loads(OUT.read_text()) if OUT.is_file() else {}
-    run = {"mesh": mesh_part, "side-by-side": side_by_side_part}
+    run = {"mesh": mesh_part, "side-by-side": side_by_side_part, "steady": steady_part}
     for part in arguments.only:
         for found in run[part]():
             result[part] = {**found, "load_average": round(os.getloadavg()[0], 1)}
