@@ -1,10 +1,10 @@
 """The command line: verbs, exit codes, one line for what is wrong."""
 
+import os
 import re
 import shutil
 import subprocess
 import sys
-import time
 import types
 from pathlib import Path
 
@@ -115,7 +115,7 @@ def test_a_job_of_the_workflow_states_its_cpu_time_last(verb, capsys, monkeypatc
     monkeypatch.setenv("SLIPSTITCH_CPU_TIME", "1")
     assert command.main([VERB]) == 0
     said = capsys.readouterr().err.removeprefix("done\n")
-    assert 0 < float(SAID_CPU_TIME.fullmatch(said.rstrip())[1]) <= time.process_time() + 60
+    assert 0 < float(SAID_CPU_TIME.fullmatch(said.rstrip())[1]) <= sum(os.times()[:4])
 
 
 @pytest.mark.parametrize("words", [["--size", "big"], ["--sise", "3"], ["stray"]])
