@@ -13,8 +13,8 @@ class ConvergenceSettings(Section):
 
     Every fabric and coefficient is simulated at the settings of the section ``simulation``, on
     finer meshes, and with everything finer that stepping in time depends on: the time step halved
-    so often, the error allowed to a step and the tolerance divided by four each time, and the
-    stiffness of folds implicit.
+    so often and never longer where the motion is steady, the error allowed to a step and the
+    tolerance divided by four each time, and the stiffness of folds implicit.
     """
 
     materials: Fabrics = Field(
