@@ -201,7 +201,7 @@ def test_steady_drag_takes_long_steps_and_goes_the_same_way():
 def test_frames_within_a_long_step_lie_between_its_ends():
     coarse = SMALL.model_copy(update={"frames": 25, "frame_rate_hz": 2.4, "time_step_s": 0.084})
     fine = coarse.model_copy(update={"frames": 24 * 5 + 1, "frame_rate_hz": 12.0})
-    few, few_columns = simulate_drop_and_drag("gray-interlock", 0.0, 0, coarse)
+    few, _ = simulate_drop_and_drag("gray-interlock", 0.0, 0, coarse)
     many, many_columns = simulate_drop_and_drag("gray-interlock", 0.0, 0, fine)
     assert many.metadata["solver"]["steps"] < 24 * 5
     assert few.positions_m == pytest.approx(many.positions_m[::5], abs=2e-5)
