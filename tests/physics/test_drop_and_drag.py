@@ -191,6 +191,9 @@ def test_steady_drag_takes_long_steps_and_goes_the_same_way():
     ours, columns = simulate_drop_and_drag("gray-interlock", 0.1, 0, settings)
     theirs, _ = simulate_drop_and_drag("gray-interlock", 0.1, 0, short)
     taken = ours.metadata["solver"]["steps"]
+    any_error = settings.model_copy(update={"frames": 6, "step_error_m": np.inf})
+    fixed, _ = simulate_drop_and_drag("gray-interlock", 0.1, 0, any_error)
+    assert fixed.metadata["solver"]["steps"] == 24 + 5 * 5
     assert taken < 0.6 * theirs.metadata["solver"]["steps"]
     apart_m = np.linalg.norm(ours.positions_m - theirs.positions_m, axis=2).mean(axis=1)
     assert apart_m.mean() < 5e-5 and apart_m.max() < 1e-3

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
-from math import sqrt
+from math import isfinite, sqrt
 from typing import Literal
 
 import numpy as np
@@ -44,7 +44,7 @@ REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
 TRUSTED_AFTER = 3  # iterations from which a step is given up that is clearly too long
 CLEARLY = 1.5  # times the error that is allowed
 FORESEEN_ERROR = 0.5  # of the error allowed: what a step longer than the last one aims at
-LEAST_ERROR_M = 1e-12
+LEAST_ERROR_M = 1e-12  # of a step: less is rounding
 COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
 
 
@@ -672,11 +672,15 @@ class ClothSolver:
         return outcome is Outcome.ACCEPTED
 
     def foreseen_step_s(self) -> float:
-        """Longest step to be accurate if the motion goes on as in the last step; 0 if none was."""
-        longest_s = self._last_step_s * sqrt(
-            FORESEEN_ERROR * self.settings.step_error_m / max(self._last_error_m, LEAST_ERROR_M)
-        )
-        return min(longest_s, self._accurate_step_s)
+        """Longest step to be accurate if the motion goes on as in the last step.
+
+        0 before the first step, and where any error is allowed.
+        """
+        allowed_m = self.settings.step_error_m
+        if not isfinite(allowed_m):
+            return 0.0
+        times = sqrt(FORESEEN_ERROR * allowed_m / max(self._last_error_m, LEAST_ERROR_M))
+        return min(times * self._last_step_s, self._accurate_step_s)
 
     def _count_failure(self, outcome: Outcome) -> None:
         if outcome is Outcome.INACCURATE:

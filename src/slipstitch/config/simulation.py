@@ -50,8 +50,8 @@ class SimulationSettings(Section):
         gt=0,
         le=1,
         description="largest time step where the motion is steady: several time steps are taken as "
-        "one where its error, foreseen from the step before, is at most half of step_error_m; not "
-        "more than time_step_s: never",
+        "one where its error, foreseen from the step before, is at most half of step_error_m; "
+        "never where that is .inf",
     )
     step_error_m: float = Field(
         1.0e-4,
