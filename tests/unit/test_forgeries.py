@@ -324,7 +324,7 @@ def small_residuals(forger):
 
 
 def few_steps(forger):
-    forger.edit_records("simulate/*", lambda one: one["metadata"]["solver"].update(steps=100))
+    forger.edit_records("simulate/*", lambda one: one["metadata"]["solver"].update(steps=4))
 
 
 def without_calibration(forger):
