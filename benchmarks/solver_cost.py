@@ -119,11 +119,11 @@ def steady_part():
 
 
 def _steady(material, friction):
-    from slipstitch.config.simulation import SimulationSettings
+    from slipstitch.config import load_config
     from slipstitch.convergence.study import compare
     from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
 
-    grid = SimulationSettings(yaw_sd_deg=0.0, height_sd_m=0.0, fabric_sd_rel=0.0, curl_side="same")
+    grid = load_config(ROOT / "config.yaml", ROOT / "config" / "paper.yaml").simulation
     warm = grid.model_copy(update={"vertices_per_side": 5, "frames": 2, "settle_s": 0.0})
     simulate_drop_and_drag(material, friction, 0, warm)
     found = {"material": material, "friction": friction, "simulated_s": grid.recorded_s}

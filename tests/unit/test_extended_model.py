@@ -69,6 +69,7 @@ def test_a_missing_file_is_named(tmp_path):
 def test_drop_and_drag_runs_with_the_model(tmp_path):
     # Frames every 4 s: the cloth is down after 7 s and dragged from then on.
     coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
     runs = {}
     for name, path in (("plain", None), ("extended", str(written(tmp_path)))):
         settings = SimulationSettings(**coarse, model=path)
@@ -85,6 +86,7 @@ def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
     law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.5}}}
     model = str(written(tmp_path, friction_law={"face": law}, bench={}))
     coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
     tail_m = {}
     for warp in ("u", "v"):
         settings = SimulationSettings(**coarse, model=model, warp=warp)
@@ -112,6 +114,7 @@ def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
 def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
     """A table of equal factors is another coefficient; one by place acts where the cloth lies."""
     coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
     plain = {"face": {"coefficient": 0.2, "mechanisms": {}}}
     even = {"covariate": "pos_x_mm", "knots": [-500.0, 500.0], "factors": [1.5, 1.5]}
     behind = {"covariate": "pos_x_mm", "knots": [-500.0, -300.0], "factors": [3.0, 1.5]}
@@ -128,6 +131,6 @@ def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
         run, _ = simulate_drop_and_drag("11oz-black-denim", friction, 0, settings)
         tails[name] = run.positions_m
     assert np.array_equal(tails["coulomb"], tails["plain"])  # bit by bit
-    np.testing.assert_allclose(tails["even"], tails["plain"], atol=1e-4)
-    np.testing.assert_allclose(tails["behind"], tails["plain"], atol=1e-4)
+    np.testing.assert_allclose(tails["even"], tails["plain"], atol=2e-5)
+    np.testing.assert_allclose(tails["behind"], tails["plain"], atol=2e-5)
     assert np.abs(tails["weak"] - tails["plain"]).max() > 1e-3

@@ -210,9 +210,8 @@ def _simulated(
     if not isinstance(device, str) or not 1 <= at_once <= len(grid):
         yield "does not state its device and batch size"
     yield from _differing(metadata, expected)
-    settling = ceil(settings.settle_s / settings.step_used_s - 1e-9)
-    recorded = (settings.frames - 1) * settings.steps_a_frame
-    least = sum(ceil(steps / settings.steps_at_once) for steps in (settling, recorded))
+    parts = settings.settle_steps, settings.recorded_steps
+    least = sum(ceil(steps / settings.steps_at_once) for steps in parts)
     yield from _possible(solver, settings, least)
 
 

@@ -167,6 +167,16 @@ class SimulationSettings(Section):
         return 1.0 / self.frame_rate_hz / self.steps_a_frame
 
     @property
+    def settle_steps(self) -> int:
+        """Number of time steps before the stage starts."""
+        return ceil(self.settle_s / self.step_used_s - 1e-9)
+
+    @property
+    def recorded_steps(self) -> int:
+        """Number of time steps from the first frame to the last."""
+        return (self.frames - 1) * self.steps_a_frame
+
+    @property
     def steps_at_once(self) -> int:
         """Number of time steps that may be taken as one where the motion is steady."""
         return max(1, floor(self.steady_step_s / self.step_used_s + 1e-9))

@@ -269,9 +269,8 @@ class _Bench:
         """Let the cloth settle, then go through the protocol."""
         solver, settings = self.solver, self.settings
         solver.start()
-        per_frame, step_s = settings.steps_a_frame, settings.step_used_s
-        settle_steps = ceil(settings.settle_s / step_s - 1e-9)
-        for _ in self._march(-settle_steps, 0, step_s):
+        per_frame = settings.steps_a_frame
+        for _ in self._march(-settings.settle_steps, 0):
             pass
         totals, solver.record = solver.record, StepRecord()
         times_s = np.arange(settings.frames) / settings.frame_rate_hz
@@ -281,7 +280,7 @@ class _Bench:
         positions[0] = solver.positions_m
         iterations[0], residuals[0] = totals.newton_iterations, totals.largest_residual
         frame_done()
-        for begun, ended, start_m in self._march(0, (settings.frames - 1) * per_frame, step_s):
+        for begun, ended, start_m in self._march(0, settings.recorded_steps):
             record, solver.record = solver.record, StepRecord()
             totals.add(record)
             # The frames that the step belongs to; all but perhaps the last are reached.
@@ -296,7 +295,7 @@ class _Bench:
         trajectory = self._trajectory(times_s, positions, totals)
         return trajectory, {"newton_iterations": iterations, "residual": residuals}
 
-    def _march(self, first: int, last: int, step_s: float) -> Iterator[tuple[int, int, np.ndarray]]:
+    def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:
         """Advance from one number of time steps to another, by several at once where it is steady.
 
         Yields
@@ -306,7 +305,7 @@ class _Bench:
         start_m : ndarray, shape (V, 3)
             Positions before.
         """
-        solver = self.solver
+        solver, step_s = self.solver, self.settings.step_used_s
         at_once = self.settings.steps_at_once
         while first < last:
             # Restated, so that rounding does not pile up over thousands of steps.
