@@ -77,6 +77,20 @@ def test_a_quadrilateral_is_met_by_the_same_rays_as_its_two_triangles():
 
 
 @pytest.mark.parametrize("tile", [4, 8])
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 301.0])
+def test_a_turned_quadrilateral_is_met_by_every_ray_inside_its_edges(tile, angle_deg):
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    corners = square(2.0, 1.3, (0.1, -0.2))
+    corners[:, :2] = corners[:, :2] @ np.array([[c, s], [-s, c]])
+    pixels = np.arange(64)
+    x, y = ray_places(*np.meshgrid(pixels, pixels), tile)
+    # Where the rays meet the plane of the square, turned back.
+    plane = np.stack([x - 31.5, y - 31.5], axis=-1) / 32 @ np.array([[c, -s], [s, c]])
+    expected = (np.abs(plane - [0.1, -0.2]) <= 0.65).all(axis=-1)
+    np.testing.assert_array_equal(sees_quad(corners, camera(), tile), expected)
+
+
+@pytest.mark.parametrize("tile", [4, 8])
 def test_the_rays_of_a_tile_share_no_row_and_no_column(tile):
     y, x = np.divmod(np.arange(tile**2), tile)
     for places in ray_places(x, y, tile):
