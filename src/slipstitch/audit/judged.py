@@ -244,7 +244,7 @@ def _photographed(
     shot = next(shot for shot in cameras.shots if shot.frame == one["frame"])
     if composed.shape[:2] != (shot.camera.rows or shot.camera.pixels, shot.camera.pixels):
         return False
-    expected = cameras.rectify(composed, shot)
+    expected = cameras.rectify.at(shot)(composed)
     words = (row["simulation"], row["texture"], row["viewpoint"])
     camera = draw_augmentation(config.render.augmentation, config.seed, *words)
     if camera.noise == 0 and camera.jpeg_quality == 100:

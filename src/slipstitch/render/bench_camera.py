@@ -17,7 +17,7 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.render.camera import AIM_M, Camera, cloth_room, crop_to
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.mean_cloth import MeanCloth, cloth_surface, stage_plane
-from slipstitch.render.rectification import rectify
+from slipstitch.render.rectification import fine_source_pixels
 from slipstitch.render.surroundings import drawn_by, generator
 from slipstitch.simulate.trajectory import Trajectory
 
@@ -157,8 +157,7 @@ def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray
     return np.concatenate([room_m, stage_plane(seen, stage_x_m).seen(eye, rays)])
 
 
-def rectified(
-    image: np.ndarray,
+def bench_pixels(
     camera: Camera,
     bench: BenchCamera,
     viewpoint: tuple[np.ndarray, np.ndarray],
@@ -168,13 +167,12 @@ def rectified(
     settings: RenderSettings,
     size_m: tuple[float, float],
 ) -> np.ndarray:
-    """A bench camera's image as the calibrated viewpoint would have it, (pixels, pixels, 3) uint8.
+    """Where a bench camera's image shows what the calibrated viewpoint would see.
 
     Parameters
     ----------
-    image : ndarray (rows, columns, 3) uint8
     camera : Camera
-        That made it.
+        Of the image.
     bench : BenchCamera
         What is told wrongly of it.
     viewpoint : tuple of ndarray
@@ -187,6 +185,11 @@ def rectified(
     settings : RenderSettings
     size_m : tuple of float
         Width and length of the cloth.
+
+    Returns
+    -------
+    ndarray (rays pixels, rays pixels, 2) float32
+        As of `slipstitch.render.rectification.fine_source_pixels`.
     """
     time_s = trajectory.time_s[row] + bench.start_error_s
     x_m, z_m, lag_m = (
@@ -200,7 +203,7 @@ def rectified(
     seen = crop_to(viewpoint, room, settings.pixels)
     lens = LensCamera(bench.stated(camera), _NO_DISTORTION)
     cloth = MeanCloth(x_m, z_m, lag_m)
-    return rectify(image, lens, seen, cloth_surface(seen, cloth))[0]
+    return fine_source_pixels(lens, seen, cloth_surface(seen, cloth))
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:

@@ -71,6 +71,20 @@ def source_pixels(
     return found.reshape(size, size, 2)
 
 
+def fine_source_pixels(lens: LensCamera, crop: Camera, surface: Surface) -> np.ndarray:
+    """`source_pixels`, so close together that no pixel of the real image is jumped over.
+
+    Returns
+    -------
+    ndarray (rays pixels, rays pixels, 2) float32
+    """
+    rays = _rays_per_side(lens, crop, surface)
+    # Between the corners of a pixel the place is as good as linear.
+    corners = source_pixels(lens, crop, surface, np.arange(crop.pixels + 1) - 0.5)
+    fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
+    return cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
+
+
 def rectify(
     image: np.ndarray, lens: LensCamera, crop: Camera, surface: Surface
 ) -> tuple[np.ndarray, float]:
@@ -90,16 +104,24 @@ def rectify(
     float
         Share of the crop that lies in the real image.
     """
-    rays = _rays_per_side(lens, crop, surface)
-    # Between the corners of a pixel the place is as good as linear.
-    corners = source_pixels(lens, crop, surface, np.arange(crop.pixels + 1) - 0.5)
-    fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
-    place = cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
+    return resample(image, fine_source_pixels(lens, crop, surface), crop.pixels)
+
+
+def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndarray, float]:
+    """As `rectify`, from what `fine_source_pixels` gave, for the images of one moment and camera.
+
+    Parameters
+    ----------
+    image : ndarray (rows, columns, 3) uint8
+    place : ndarray (rays pixels, rays pixels, 2) float32
+    pixels : int
+        Side of the crop.
+    """
     rows, columns = image.shape[:2]
     with np.errstate(invalid="ignore"):
         inside = ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
     if not inside.any():
-        return np.zeros((crop.pixels, crop.pixels, 3), np.uint8), 0.0
+        return np.zeros((pixels, pixels, 3), np.uint8), 0.0
     # Only the part of the image that is used is turned into linear light.
     low = np.maximum(np.floor(place[inside].min(axis=0)).astype(int) - 2, 0)
     high = np.ceil(place[inside].max(axis=0)).astype(int) + 3
@@ -108,7 +130,7 @@ def rectify(
     at = np.where(known[..., None], np.nan_to_num(place) - low, -1e4).astype(np.float32)
     light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     light[~known] = 0
-    light = cv2.resize(light, (crop.pixels, crop.pixels), interpolation=cv2.INTER_AREA)
+    light = cv2.resize(light, (pixels, pixels), interpolation=cv2.INTER_AREA)
     return encode_srgb(light), float(inside.mean())
 
 

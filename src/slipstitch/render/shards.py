@@ -1,7 +1,7 @@
 """From the light of a simulation from one viewpoint to its image shard: textures and cameras."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -14,12 +14,13 @@ from slipstitch.config import Config
 from slipstitch.config.grid import films
 from slipstitch.provenance import parquet_stream, provenance_record, read_metadata, start_clock
 from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixel_noise
-from slipstitch.render.bench_camera import BenchCamera, rectified, relative_pose
+from slipstitch.render.bench_camera import BenchCamera, bench_pixels, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.mean_cloth import lags_m
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
 from slipstitch.render.pose import POSE
+from slipstitch.render.rectification import resample
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_pose
 from slipstitch.render.textures import texture_file
 from slipstitch.simulate.trajectory import Trajectory
@@ -106,12 +107,11 @@ class Rectifier:
         lags = lags_m(trajectory.stage_x_m, trajectory.stage_z_m, size_m[1])
         return cls(job, trajectory, job.bench_camera, viewpoint, size_m, lags)
 
-    def __call__(self, image: np.ndarray, shot: Shot) -> np.ndarray:
-        """The image (pixels, pixels, 3) uint8 of a shot."""
+    def at(self, shot: Shot) -> Callable[[np.ndarray], np.ndarray]:
+        """Of a shot's images: what makes each of them (pixels, pixels, 3) uint8."""
         if self.bench is None:
-            return image
-        return rectified(
-            image,
+            return lambda image: image
+        place = bench_pixels(
             shot.camera,
             self.bench,
             self.viewpoint,
@@ -121,6 +121,7 @@ class Rectifier:
             self.job.settings,
             self.size_m,
         )
+        return lambda image: resample(image, place, self.job.settings.pixels)[0]
 
     def pose(self, shots: list[Shot]) -> dict[str, float]:
         """Pose of the camera relative to the calibrated viewpoint, according to its calibration."""
@@ -138,9 +139,10 @@ def composed_images(
     rectify = Rectifier.of(job, trajectory)
     for shot, shading, sight in pack.frames(trajectory):
         composed = compose_light(join(shading, sight), list(job.textures.values()))
+        rectified = rectify.at(shot)
         for (identity, name), light in zip(job.textures.items(), composed, strict=True):
             noise = pixel_noise(job.seed, job.simulation, name, job.viewpoint, shot.frame)
-            yield shot, identity, rectify(of[name].photograph(light, noise), shot)
+            yield shot, identity, rectified(of[name].photograph(light, noise))
 
 
 def render_shard(

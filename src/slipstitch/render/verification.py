@@ -116,7 +116,8 @@ def compare(
     camera = cameras(job)[name]
     (light,) = compose_light(join(shading, sight), [name])
     noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
-    again = Rectifier.of(job, trajectory)(camera.photograph(light, noise), shot)
+    rectified = Rectifier.of(job, trajectory).at(shot)
+    again = rectified(camera.photograph(light, noise))
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
     scene.wear(texture(name))
     # Another seed than the shading render's: the two share no noise.
