@@ -31,6 +31,8 @@ PUBLISHED = ROOT / "results" / "published" / "instrument"
 MODELS = PUBLISHED / "models" / "by_simulation" / "instrument"
 CONFIGS = ("config.yaml", "config/paper.yaml", "config/instrument.yaml")
 VIEWPOINTS = ["bench_5", "bench_6", "bench_7", "bench_8"]
+TEXTURES = ["checks", "tartan", "dots", "floral"]  # that trained all instruments published so far
+UNSEEN_TEXTURE = "chevron"
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ def film(sets, folder, processes):
         place.mkdir(exist_ok=True)
         simulated = folder / (one.simulated_as or one.name)
         changes = deepcopy(one.changes)
-        changes.setdefault("render", {})["viewpoints"] = VIEWPOINTS
+        shown = {"viewpoints": VIEWPOINTS, "textures": TEXTURES, "test_textures": [UNSEEN_TEXTURE]}
+        changes.setdefault("render", {}).update(shown)
         changes.setdefault("instrument", {})["viewpoints"] = VIEWPOINTS
         if one.model is not None:
             (place / "model.yaml").write_text(yaml.safe_dump(one.model))

@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import FilmedSet, film, instruments, publish, readings
+from filmed import UNSEEN_TEXTURE, FilmedSet, film, instruments, publish, readings
 
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.instrument.poses import outside
@@ -87,7 +87,7 @@ def main():
         if row["set"] == "far":
             parts["far"].append(row)
             refused.append(bool(outside(pose, tested)))
-        elif row["texture"] == "chevron":
+        elif row["texture"] == UNSEEN_TEXTURE:
             parts["unseen_texture"].append(row)
         else:
             parts["unseen_fabric" if "unseen" in row["set"] else "off_grid"].append(row)
