@@ -140,7 +140,7 @@ def _steady(part):
             "Simulations of the grid with steps of 83 ms at most (before) and with steps of up to",
             "0.42 s where the motion is steady (after, the default), one after the other in one",
             "process: the dearest of the grid, and one of every fabric. The published grid above",
-            "was made before. Together they cost",
+            "was made with the default, on another day. Together they cost",
             f"{np.sum([row['after']['cpu_s'] for row in rows]):.0f} instead of",
             f"{np.sum([row['before']['cpu_s'] for row in rows]):.0f} CPU s; ratios from",
             f"{min(ratios):.2f} to {max(ratios):.2f}, median {np.median(ratios):.2f}, that of",
