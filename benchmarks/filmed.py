@@ -88,7 +88,7 @@ def _film_one(place, simulated, files, simulation, views):
     given = [word for file in files for word in ("--config", file)]
     if not trajectory.exists():
         calibrated = ["--calibration", str(PUBLISHED / "calibration.json")]
-        _slipstitch(
+        run_slipstitch(
             "simulate", "--config", *files, *calibrated, "--simulation", simulation,
             "--out", str(trajectory),
         )  # fmt: skip
@@ -96,18 +96,19 @@ def _film_one(place, simulated, files, simulation, views):
     for view, pack in zip(views, packs, strict=True):
         pack.parent.mkdir(exist_ok=True)
         if not pack.exists():
-            _slipstitch(
+            run_slipstitch(
                 "render", *given, "--trajectory", str(trajectory), "--viewpoint", view,
                 "--shading", str(pack),
             )  # fmt: skip
     (place / "images").mkdir(exist_ok=True)
-    _slipstitch(
+    run_slipstitch(
         "render", *given, "--trajectory", str(trajectory), "--from-shading", *map(str, packs),
         "--out-dir", str(place / "images"),
     )  # fmt: skip
 
 
-def _slipstitch(*words):
+def run_slipstitch(*words):
+    """Run the command line in a process of one thread; ends the program where it fails."""
     command = [str(Path(sys.executable).with_name("slipstitch")), *words]
     done = subprocess.run(
         command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True

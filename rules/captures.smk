@@ -23,7 +23,7 @@ rule captures:
 
 rule surrogate_bench:
     output:
-        "results/captures/bench/camera.json",
+        expand("results/captures/bench/{file}", file=sorted(set(CONFIG.captures.camera_files()))),
         "results/captures/bench/captures.csv",
         "results/captures/bench/slip_angles.csv",
     log:
@@ -35,7 +35,7 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("seed", "captures", also=("render.camera",)),
+        *settings("seed", "captures", also=("render.camera", "render.bench_camera")),
         catalogue=entries(
             viewpoints=["calibrated"],
             floors={pair.substrate for pair in CONFIG.captures.pairs},
@@ -61,7 +61,12 @@ rule surrogate_film:
         mem_mb=job_memory_mb("render"),
         runtime=120,
     params:
-        *settings("seed", "simulation", "captures", also=("render.camera", "render.samples")),
+        *settings(
+            "seed",
+            "simulation",
+            "captures",
+            also=("render.camera", "render.bench_camera", "render.samples"),
+        ),
         fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
         catalogue=lambda wildcards: entries(
             viewpoints=["calibrated"],

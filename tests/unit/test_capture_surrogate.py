@@ -5,12 +5,14 @@ import csv
 import numpy as np
 import pytest
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.ingest.captures_table import read_captures
 from slipstitch.capture.ingest.dataset import read_known
 from slipstitch.capture.reference.angles import read_angles
 from slipstitch.capture.reference.estimate import estimate
 from slipstitch.capture.surrogate.bench import (
     calibrated_camera,
+    film_size,
     films,
     surrogate_simulation,
     true_camera,
@@ -20,7 +22,10 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
+from slipstitch.render.bench_camera import relative_pose
+from slipstitch.render.camera import cloth_room
 from slipstitch.render.camera_file import read_camera_file
+from slipstitch.render.shots import viewpoint_pose
 from slipstitch.sample.videos import read_videos
 
 CONFIG = resolve_config({"simulation": {"frames": 92}})
@@ -57,7 +62,8 @@ def test_repeats_differ_though_the_training_perturbs_nothing():
 def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
     write_bench(CONFIG, tmp_path)
     read = read_camera_file(tmp_path / "camera.json")
-    found, true = calibrated_camera(CONFIG), true_camera(CONFIG)
+    film = films(CONFIG)[0].id
+    found, true = calibrated_camera(CONFIG, film), true_camera(CONFIG, film)
     assert np.allclose(read.camera.matrix, found.camera.matrix)
     points = np.array([[x, y, z] for x in (0, 0.3) for y in (-0.1, 0.1) for z in (0, 0.15)])
     off_px = np.linalg.norm(found.project(points) - true.project(points), axis=1)
@@ -166,3 +172,27 @@ def test_an_unknown_film_is_one_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "unknown surrogate capture 'c09_r01'" in said
+
+
+def test_own_cameras_stand_apart_and_see_the_whole_travel(tmp_path):
+    """Each video is another bench's: its pose, its zoom, and the errors of its own calibration."""
+    config = resolve_config({"captures": {"own_cameras": True}})
+    write_bench(config, tmp_path)
+    rows = list(csv.DictReader((tmp_path / "captures.csv").open()))
+    assert [row["camera"] for row in rows] == [f"{film.id}.json" for film in films(config)]
+    path = StagePath(**dict(config.simulation.stage))
+    time_s = np.linspace(0, path.duration_s, 200)
+    room = cloth_room(*path.position_m(time_s), 0.2, 0.2)
+    width, height = film_size(config.captures)
+    viewpoint = viewpoint_pose("calibrated", config.render)
+    yaw_deg = []
+    for film in films(config):
+        true = true_camera(config, film.id)
+        x, y = true.project(room).T
+        assert x.min() > 0 and x.max() < width - 1 and y.min() > 0 and y.max() < height - 1
+        camera = true.camera
+        yaw_deg.append(relative_pose(camera.rotation, camera.translation_m, viewpoint)["yaw_deg"])
+        off_px = true.project(room) - read_camera_file(tmp_path / f"{film.id}.json").project(room)
+        assert 0.05 < np.linalg.norm(off_px, axis=1).max() < 3
+    assert min(yaw_deg) < -8 and max(yaw_deg) > 8
+    assert len(set(np.round(yaw_deg, 3))) > 10

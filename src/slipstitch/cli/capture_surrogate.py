@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--bench",
         type=output_folder_path,
         metavar="DIR",
-        help="folder for camera.json, slip_angles.csv and captures.csv",
+        help="folder for the camera files, slip_angles.csv and captures.csv",
     )
     what.add_argument("--film", metavar="ID", help="simulate and render one video: c00_r01 ...")
     parser.add_argument(

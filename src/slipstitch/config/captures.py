@@ -96,6 +96,11 @@ class CaptureSettings(Section):
     camera_turn_deg: float = Field(
         2.0, ge=0, le=15, description="surrogates: angle of the camera from the viewpoint"
     )
+    own_cameras: bool = Field(
+        False,
+        description="surrogates: every video has a camera of its own, of the family of "
+        "render.bench_camera, in place of one turned by camera_turn_deg",
+    )
     lens_k1: float = Field(
         -0.12, ge=-0.4, le=0.4, description="surrogates: distortion coefficient k1 of the lens"
     )
@@ -130,6 +135,10 @@ class CaptureSettings(Section):
         if len(set(names)) != len(names):
             raise ValueError("pairs: duplicate fabric on the same substrate")
         return self
+
+    def camera_files(self) -> list[str]:
+        """Camera file of each video, in the order of `surrogate_ids`."""
+        return [f"{i}.json" if self.own_cameras else "camera.json" for i in self.surrogate_ids()]
 
     def surrogate_ids(self) -> list[str]:
         """Ids of the videos, c00_r01 ... as in a captures table."""

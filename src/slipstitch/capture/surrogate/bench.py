@@ -19,6 +19,7 @@ from slipstitch.config.grid import simulation_seed
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import provenance_record, recorded_path, start_clock, write_sidecar
+from slipstitch.render.bench_camera import draw_bench_camera
 from slipstitch.render.camera import Camera, turned
 from slipstitch.render.camera_file import DISTORTION, LensCamera, write_camera_file
 from slipstitch.render.shots import viewpoint_pose
@@ -26,6 +27,8 @@ from slipstitch.render.surroundings import LAMP_POSITION_M, Surroundings, draw_l
 
 # With this focal length (in image widths) the whole travel is in the image.
 _FOCAL_WIDTHS = 1.72
+_ZOOM_MARGIN = 0.93  # so that it still is from 15 degrees aside
+_FAMILY_VIEWPOINT = "bench_1"
 _PLACES, _REPEATS = 4, 2
 _ORIENTATIONS = {"warp": 0.01, "weft": -0.01}
 _ANGLE_SCATTER = 0.02
@@ -100,23 +103,32 @@ def film_size(settings: CaptureSettings) -> tuple[int, int]:
     return settings.width_px // 2 * 2, settings.width_px * 3 // 8 * 2
 
 
-def true_camera(config: Config) -> LensCamera:
-    """The true camera."""
+def true_camera(config: Config, film: str) -> LensCamera:
+    """The true camera of the video with id `film`."""
     settings = config.captures
     place = viewpoint_pose("calibrated", config.render)
-    place = turned(*place, settings.camera_turn_deg)
     width, height = film_size(settings)
     focal = _FOCAL_WIDTHS * width
+    if settings.own_cameras:
+        # A seed apart from the training's: cameras that no network has seen.
+        bench = draw_bench_camera(
+            config.render, config.seed + 1, f"surrogate {film}", _FAMILY_VIEWPOINT
+        )
+        place = bench.pose(*place)
+        focal *= _ZOOM_MARGIN * bench.distance
+    else:
+        place = turned(*place, settings.camera_turn_deg)
     matrix = np.array([[focal, 0, 0.49 * width], [0, 1.006 * focal, 0.51 * height], [0, 0, 1.0]])
     k1 = settings.lens_k1
     distortion = np.array([k1, -0.4 * k1, 0.0008, -0.0006, 0.0])
     return LensCamera(Camera(*place, matrix, width, height), distortion)
 
 
-def calibrated_camera(config: Config) -> LensCamera:
+def calibrated_camera(config: Config, film: str) -> LensCamera:
     """The same camera as a calibration would find it, with a calibration's errors."""
-    true = true_camera(config)
-    rng = generator(config.seed, "surrogate", "calibration")
+    true = true_camera(config, film)
+    own = [film] if config.captures.own_cameras else []
+    rng = generator(config.seed, "surrogate", "calibration", *own)
     error_m = config.captures.camera_error_m
     camera = true.camera
     eye = -camera.rotation.T @ camera.translation_m + error_m * rng.standard_normal(3)
@@ -175,39 +187,42 @@ def captures_rows(config: Config) -> list[dict]:
             "mu_ref": "",
             "mu_ref_error": "",
             "reflective": "yes" if FLOORS[film.pair.substrate].reflects_plainly else "no",
-            "camera": "camera.json",
+            "camera": camera,
             "surrogate": "yes",
         }
-        for film in films(config)
+        for film, camera in zip(films(config), config.captures.camera_files(), strict=True)
     ]
 
 
 def write_bench(config: Config, folder: str | os.PathLike) -> None:
-    """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
+    """Write camera files, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
     started = start_clock()
     folder = Path(folder)
     tables = {"slip_angles.csv": slip_angles(config), "captures.csv": captures_rows(config)}
-    lens = calibrated_camera(config)
-    camera = lens.camera
-    write_camera_file(
-        folder / "camera.json",
-        {
-            "image_size_px": [camera.pixels, camera.rows],
-            "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
-            "principal_point_px": camera.matrix[:2, 2].tolist(),
-            "distortion": dict(zip(DISTORTION, lens.distortion, strict=True)),
-            "rotation": camera.rotation.tolist(),
-            "translation_m": camera.translation_m.tolist(),
-            "surrogate": True,
-        },
-    )
     record = provenance_record(
         "capture",
         config=config.model_dump(mode="json", include={"seed", "captures"}),
         seed=config.seed,
         started=started,
     )
-    write_sidecar(folder / "camera.json", record)
+    settings = config.captures
+    of_file = dict(zip(settings.camera_files(), settings.surrogate_ids(), strict=True))
+    for name, film in of_file.items():
+        write_camera_file(folder / name, _camera_file(calibrated_camera(config, film)))
+        write_sidecar(folder / name, record)
     for name, rows in tables.items():
         with recorded_path(folder / name, record) as temporary:
             pandas.DataFrame(rows).to_csv(temporary, index=False)
+
+
+def _camera_file(lens: LensCamera) -> dict:
+    camera = lens.camera
+    return {
+        "image_size_px": [camera.pixels, camera.rows],
+        "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
+        "principal_point_px": camera.matrix[:2, 2].tolist(),
+        "distortion": dict(zip(DISTORTION, lens.distortion, strict=True)),
+        "rotation": camera.rotation.tolist(),
+        "translation_m": camera.translation_m.tolist(),
+        "surrogate": True,
+    }

@@ -77,7 +77,7 @@ def _lens_images(
     config: Config, film: Film, trajectory: Trajectory, progress
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Time and linear light (rows, columns, 3) of the recorded frames, as projected by the lens."""
-    lens = true_camera(config)
+    lens = true_camera(config, film.id)
     pinhole, place = _pinhole(lens)
     dense = trajectory.time_s <= _START_S
     later = (np.arange(len(trajectory.frame)) % config.captures.later_every == 0) | dense
