@@ -67,6 +67,8 @@ TEXTURES: dict[str, int] = {
     "chevron": 109,
 }
 TEST_ONLY_TEXTURES: frozenset[str] = frozenset({"chevron"})
+#: Textures drawn anew for every film: pattern, scale, colours and contrast.
+TEXTURE_FAMILY: tuple[str, ...] = tuple(f"cloth_{member}" for member in range(1, 9))
 
 
 def is_texture_file(name: str) -> bool:

@@ -183,3 +183,23 @@ def test_table_reads_back_with_its_provenance(tmp_path):
     assert of_simulations[1]["friction"] == 0.4
     assert of_simulations[1]["seed"] == simulations(config)[1].seed
     assert read_provenance(path)["config"]["grid"]["frictions"] == [0.1, 0.4]
+
+
+BENCHES = {"render": {"viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}}
+
+
+def test_benches_are_shared_by_the_coefficients_unless_each_has_its_own():
+    grid = {"materials": ["royal-target"], "frictions": [0.1, 0.2], "replicates": 2}
+    shared = simulations(resolve_config({"grid": grid} | BENCHES))
+    own = simulations(resolve_config({"grid": grid | {"own_benches": True}} | BENCHES))
+    assert [one.id for one in own] == [one.id for one in shared]
+    assert len({one.seed for one in shared}) == 2
+    assert len({one.seed for one in own}) == 4
+    longer = grid | {"own_benches": True, "frictions": [0.1, 0.15, 0.2]}
+    more = {one.id: one.seed for one in simulations(resolve_config({"grid": longer} | BENCHES))}
+    assert all(more[one.id] == one.seed for one in own)
+
+
+def test_own_benches_are_refused_where_they_would_tell_the_coefficient():
+    with pytest.raises(BadInput, match=r"grid\.own_benches: a bench of one coefficient tells it"):
+        resolve_config({"grid": {"own_benches": True}})

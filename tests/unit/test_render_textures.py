@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from slipstitch.catalogue import TEXTURES
+from slipstitch.catalogue import TEXTURE_FAMILY, TEXTURES
 from slipstitch.errors import BadInput
-from slipstitch.render.textures import texture
+from slipstitch.render.textures import texture, worn_texture
 
 
 @pytest.mark.parametrize("name", TEXTURES)
@@ -32,3 +32,32 @@ def test_textures_differ():
 def test_a_texture_that_is_not_there_is_bad_input():
     with pytest.raises(BadInput, match="unknown texture 'plaid'; known: stripes"):
         texture("plaid")
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_drawn_cloths_have_albedos_that_cloth_can_have(number):
+    albedo = texture(f"cloth_1:{number}")
+    assert albedo.shape == (512, 512, 3) and albedo.dtype == np.float32
+    assert np.float32(0.02) <= albedo.min() and albedo.max() <= np.float32(0.8)
+    np.testing.assert_array_equal(texture.__wrapped__(f"cloth_1:{number}"), albedo)
+
+
+def test_every_film_wears_a_cloth_of_its_own():
+    """No two films share one, so that none is known by heart; a film's frames do."""
+    names = {
+        worn_texture(name, 0, simulation, viewpoint)
+        for name in TEXTURE_FAMILY
+        for simulation in ("m00_f0100_r00", "m00_f0150_r00", "m01_f0100_r00")
+        for viewpoint in ("bench_1", "bench_2")
+    }
+    assert len(names) == 8 * 3 * 2
+    first = worn_texture("cloth_3", 0, "m00_f0100_r00", "bench_1")
+    assert first == worn_texture("cloth_3", 0, "m00_f0100_r00", "bench_1")
+    assert first != worn_texture("cloth_3", 1, "m00_f0100_r00", "bench_1")
+    pictures = np.array([texture(name)[::16, ::16].ravel() for name in sorted(names)])
+    apart = np.abs(pictures[:, None] - pictures[None]).mean(axis=-1)
+    assert apart[~np.eye(len(pictures), dtype=bool)].min() > 0.005
+
+
+def test_textures_of_the_catalogue_are_the_same_in_every_film():
+    assert worn_texture("denim", 0, "m00_f0100_r00", "bench_1") == "denim"

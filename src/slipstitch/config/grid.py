@@ -57,6 +57,12 @@ class GridSettings(Section):
         "`frictions`",
     )
     test_replicates: int = Field(1, ge=1, le=100, description="simulations of each test-only pair")
+    own_benches: bool = Field(
+        False,
+        description="every simulation has clamps, curl and fabric of its own, shared with none at "
+        "another coefficient; only where its cameras are its own as well (viewpoints bench_1 "
+        "...), so that whole simulations are held out",
+    )
 
     @property
     def classes(self) -> dict[str, list]:
@@ -116,15 +122,15 @@ def friction_id(friction: float) -> str:
     return f"f{round(1000 * friction):04d}"
 
 
-def simulation_seed(seed: int, material: str, replicate: int) -> int:
+def simulation_seed(seed: int, bench: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
     A hash of the parameters of the bench, not of its position in the grid: adding a material or a
-    replicate leaves the others as they are. The friction coefficient is no part of it: the bench is
-    the same at every coefficient (common random numbers), so that nothing but contact tells them
-    apart.
+    replicate leaves the others as they are. The friction coefficient is no part of it: the bench,
+    named by its material, is the same at every coefficient (common random numbers), so that nothing
+    but contact tells them apart. With `GridSettings.own_benches` the coefficient is in its name.
     """
-    return int.from_bytes(_digest(seed, material, replicate)[:4], "big") & 0x7FFFFFFF
+    return int.from_bytes(_digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
 
 
 def bench_of(simulation: str) -> str:
@@ -141,8 +147,16 @@ def simulations(config: Config) -> list[Simulation]:
 
     Those for testing only come last.
     """
+    own = config.grid.own_benches
     return [
-        Simulation(**place, seed=simulation_seed(config.seed, place["material"], replicate))
+        Simulation(
+            **place,
+            seed=simulation_seed(
+                config.seed,
+                place["material"] + (f" {place['friction_id']}" if own else ""),
+                replicate,
+            ),
+        )
         for place, replicate in _places(config)
     ]
 

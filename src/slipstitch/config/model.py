@@ -75,6 +75,11 @@ class Config(Section):
                     "it in render.viewpoints, whole simulations are held out for testing"
                 )
         drawn = [name for name in self.render.viewpoints if VIEWPOINTS[name].drawn]
+        if self.grid.own_benches and len(drawn) < len(self.render.viewpoints):
+            raise ValueError(
+                "grid.own_benches: a bench of one coefficient tells it; allowed only with "
+                "render.viewpoints of the family bench_1 ..., where whole simulations are held out"
+            )
         others = [split for split in self.train.splits if split != BY_SIMULATION]
         if drawn and others:
             raise ValueError(

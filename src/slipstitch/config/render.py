@@ -4,7 +4,14 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.catalogue import FLOORS, TEST_ONLY_TEXTURES, TEXTURES, VIEWPOINTS, is_texture_file
+from slipstitch.catalogue import (
+    FLOORS,
+    TEST_ONLY_TEXTURES,
+    TEXTURE_FAMILY,
+    TEXTURES,
+    VIEWPOINTS,
+    is_texture_file,
+)
 from slipstitch.config.section import Section
 
 
@@ -102,7 +109,7 @@ class RenderSettings(Section):
         ["stripes", "tartan", "floral"],
         min_length=1,
         description="cloth textures of the training data, by name, or image files; ids t00.. in "
-        "this order",
+        "this order; cloth_1 ... cloth_8 are drawn anew for every simulation and viewpoint",
     )
     test_textures: list[str] = Field(
         [], description="textures for testing only; their ids follow those of `textures`"
@@ -155,7 +162,7 @@ class RenderSettings(Section):
     @classmethod
     def _textures_exist(cls, names: list[str]) -> list[str]:
         drawn = [name for name in names if not is_texture_file(name)]
-        _known(drawn, TEXTURES, "texture")
+        _known(drawn, TEXTURES | dict.fromkeys(TEXTURE_FAMILY, 0), "texture")
         return _once(names, "texture")
 
     @field_validator("floors", "reflective_floors")

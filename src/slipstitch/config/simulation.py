@@ -134,7 +134,7 @@ class SimulationSettings(Section):
     fabric_sd_rel: float = Field(
         0.03,
         ge=0,
-        le=0.3,
+        le=1,
         description="replicates: relative standard deviation of areal density, stretching and "
         "bending",
     )

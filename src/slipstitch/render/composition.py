@@ -8,7 +8,7 @@ shading render and whose texture from `slipstitch.render.mirrored_texture`. No B
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ import warp as wp
 from slipstitch.render.encoding import encode_srgb
 from slipstitch.render.mirrored_texture import MirroredRays, mirrored_albedo, mirrored_rays
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight
-from slipstitch.render.textures import TEXELS, texture
+from slipstitch.render.textures import KEPT, TEXELS, texture
 from slipstitch.render.warp_arrays import warp_array
 
 # What lit a fold lies about this far away on the cloth.
@@ -88,7 +88,7 @@ def _texture_blur(rays: int) -> float:
     return min(_TEXTURE_BLURS, key=lambda blur: abs(blur - wanted))
 
 
-@cache
+@lru_cache(2 * KEPT)
 def _prepared(name: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A texture's texels (M, 3), its neighbourhood means (64^2, 3) and its mean (3,)."""
     full = texture(name)

@@ -22,7 +22,7 @@ from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_tr
 from slipstitch.render.pose import POSE
 from slipstitch.render.rectification import resample
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_pose
-from slipstitch.render.textures import texture_file
+from slipstitch.render.textures import texture_file, worn_texture
 from slipstitch.simulate.trajectory import Trajectory
 
 SCHEMA = pa.schema(
@@ -63,6 +63,10 @@ class FilmJob(Job):
         job = Job.of_view(config, trajectory_path, viewpoint_id, viewpoint)
         worn = films(config).get((job.simulation, viewpoint_id)) or config.render.texture_ids()
         return cls(**vars(job), textures=worn)
+
+    def worn(self, name: str) -> str:
+        """What the cloth wears for a texture of this name, as `textures.texture` takes it."""
+        return worn_texture(name, self.seed, self.simulation, self.viewpoint)
 
 
 def cameras(job: FilmJob) -> dict[str, Augmentation]:
@@ -138,7 +142,7 @@ def composed_images(
     of = cameras(job)
     rectify = Rectifier.of(job, trajectory)
     for shot, shading, sight in pack.frames(trajectory):
-        composed = compose_light(join(shading, sight), list(job.textures.values()))
+        composed = compose_light(join(shading, sight), list(map(job.worn, job.textures.values())))
         rectified = rectify.at(shot)
         for (identity, name), light in zip(job.textures.items(), composed, strict=True):
             noise = pixel_noise(job.seed, job.simulation, name, job.viewpoint, shot.frame)

@@ -5,29 +5,56 @@ is 20 cm wide, so that 0.05 is a centimetre. Patterns are drawn with edges of a 
 repeat nothing finer than about 4 mm, which the images can still resolve.
 """
 
-from functools import cache
+import colorsys
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from slipstitch.catalogue import TEXTURES, is_texture_file
+from slipstitch.catalogue import TEXTURE_FAMILY, TEXTURES, is_texture_file
 from slipstitch.errors import BadInput
 from slipstitch.provenance import image_bytes
+from slipstitch.render.surroundings import generator
 
 TEXELS = 512
 # Cloth is neither black nor a mirror of all light; the interreflection is resolved up to 0.8.
 _DARKEST, _LIGHTEST = 0.02, 0.80
+#: Textures kept in memory: those of a simulation's film from two viewpoints.
+KEPT = 16
 
 
-@cache
+def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
+    """The texture that the cloth wears in a film: of a member of the family, the film's own.
+
+    Parameters
+    ----------
+    name : str
+        As the configuration has it.
+    seed : int
+        The configuration's.
+    simulation, viewpoint : str
+        Id of the simulation, name of the viewpoint.
+
+    Returns
+    -------
+    str
+        What `texture` takes: the name, for a member with the number that it is drawn by.
+    """
+    if name not in TEXTURE_FAMILY:
+        return name
+    return f"{name}:{generator(seed, simulation, viewpoint, name, 'cloth').integers(2**32)}"
+
+
+@lru_cache(KEPT)
 def texture(name: str) -> np.ndarray:
     """Linear albedo of a texture.
 
     Parameters
     ----------
     name : str
-        One of `slipstitch.catalogue.TEXTURES`, or an image file (sRGB).
+        One of `slipstitch.catalogue.TEXTURES`, an image file (sRGB), or what `worn_texture`
+        makes of a member of the family.
 
     Returns
     -------
@@ -40,12 +67,14 @@ def texture(name: str) -> np.ndarray:
     BadInput
         If there is no texture of this name, or its file is no image.
     """
-    file = texture_file(name)
-    if file:
+    member, _, number = name.partition(":")
+    centres = (np.arange(TEXELS) + 0.5) / TEXELS
+    u, v = np.meshgrid(centres, centres)
+    if member in TEXTURE_FAMILY:
+        srgb = _drawn_cloth(u, v, np.random.default_rng(int(number)))
+    elif file := texture_file(name):
         srgb = _read(file)
     else:
-        centres = (np.arange(TEXELS) + 0.5) / TEXELS
-        u, v = np.meshgrid(centres, centres)
         srgb = _DRAWINGS[name](u, v, np.random.default_rng(TEXTURES[name]))
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     albedo = np.clip(linear, _DARKEST, _LIGHTEST).astype(np.float32)
@@ -55,7 +84,7 @@ def texture(name: str) -> np.ndarray:
 
 def texture_file(name: str) -> Path | None:
     """The image file that a texture is read from, None if it is drawn; BadInput if neither."""
-    if name in TEXTURES:
+    if name in TEXTURES or name in TEXTURE_FAMILY:
         return None
     path = Path(name)
     if not is_texture_file(name):
@@ -193,6 +222,84 @@ def _chevron(u, v, rng):
     cloth = _mix(_colour("e6e1d3"), _colour("5b2a6e"), _wave(v + zigzag, 0.11))
     return _mix(cloth, _colour("2a8f92"), _wave(v + zigzag + 0.02, 0.22, 0.16))
 
+
+def _drawn_cloth(u, v, rng):
+    """A cloth of random pattern: one, or two over one another, on a mottled ground."""
+    cloth = np.broadcast_to(_drawn_colour(rng), (*u.shape, 3))
+    mottle = _noise(rng, *rng.integers(3, 80, 2)) + _noise(rng, *rng.integers(3, 80, 2))
+    cloth = _mix(cloth, _drawn_colour(rng), 0.5 * rng.uniform(0, 0.25) * (1 + mottle))
+    for _ in range(rng.choice(3, p=[0.15, 0.55, 0.3])):
+        share = _PATTERNS[rng.integers(len(_PATTERNS))](*_turned(u, v, rng), rng)
+        cloth = _mix(cloth, _drawn_colour(rng), rng.uniform(0.15, 1) * share)
+    return cloth
+
+
+def _drawn_colour(rng):
+    # Cloth is often grey, seldom saturated.
+    hue, saturation, value = rng.uniform(), rng.uniform() ** 1.5, rng.uniform(0.08, 0.97)
+    return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
+
+
+def _turned(u, v, rng):
+    """Coordinates along the threads, or across the cloth at any angle, from any origin."""
+    angle = rng.choice([0, np.pi / 2, rng.uniform(0, np.pi)])
+    cos, sin = np.cos(angle), np.sin(angle)
+    return cos * u + sin * v + rng.uniform(), cos * v - sin * u + rng.uniform()
+
+
+def _period(rng, least=0.03, most=0.35):
+    return np.exp(rng.uniform(np.log(least), np.log(most)))
+
+
+def _drawn_stripes(x, y, rng):
+    return _wave(x, _period(rng), rng.uniform(0.1, 0.6))
+
+
+def _drawn_checks(x, y, rng):
+    duty = rng.uniform(0.1, 0.6)
+    across = _period(rng)
+    down = across if rng.uniform() < 0.7 else _period(rng)
+    return (_wave(x, across, duty) + _wave(y, down, duty)) / 2
+
+
+def _drawn_dots(x, y, rng):
+    pitch, radius = _period(rng, 0.04), rng.uniform(0.15, 0.42)
+    offset = rng.choice([0, 0.5]) * np.mod(np.floor(y / pitch), 2)
+    from_centre = np.hypot(np.mod(x / pitch + offset, 1) - 0.5, np.mod(y / pitch, 1) - 0.5)
+    return _step(radius - from_centre, 1.5 / TEXELS / pitch)
+
+
+def _drawn_zigzag(x, y, rng):
+    period = _period(rng, 0.06)
+    zigzag = rng.uniform(0.2, 0.8) * period * np.abs(np.mod(x / _period(rng), 1) * 2 - 1)
+    return _wave(y + zigzag, period, rng.uniform(0.2, 0.6))
+
+
+def _drawn_blotches(x, y, rng):
+    """Islands of noise, with hard edges or soft."""
+    cells = rng.integers(4, 24)
+    shape = _noise(rng, cells, rng.integers(4, 24)) + 0.5 * _noise(rng, 2 * cells, 2 * cells)
+    return _step(shape - rng.uniform(-0.2, 0.5), rng.uniform(0.05, 0.8))
+
+
+def _drawn_weave(x, y, rng):
+    """A twill or tweed of coarse threads."""
+    thread = _period(rng, 0.02, 0.05)
+    i, j = np.floor(x / thread).astype(int), np.floor(y / thread).astype(int)
+    repeat = rng.integers(2, 9)
+    warp_on_top = np.mod(i + j, rng.integers(2, 5)) < 1 + rng.integers(2)
+    half = repeat / 2
+    return np.where(warp_on_top, np.mod(i, repeat) < half, np.mod(j, repeat) < half).astype(float)
+
+
+_PATTERNS = [
+    _drawn_stripes,
+    _drawn_checks,
+    _drawn_dots,
+    _drawn_zigzag,
+    _drawn_blotches,
+    _drawn_weave,
+]
 
 _DRAWINGS = {
     "stripes": _stripes,

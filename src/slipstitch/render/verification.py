@@ -114,12 +114,12 @@ def compare(
         frame for frame in pack.frames(trajectory) if frame[0].frame == stored["frame"]
     )
     camera = cameras(job)[name]
-    (light,) = compose_light(join(shading, sight), [name])
+    (light,) = compose_light(join(shading, sight), [job.worn(name)])
     noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
     rectified = Rectifier.of(job, trajectory).at(shot)
     again = rectified(camera.photograph(light, noise))
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
-    scene.wear(texture(name))
+    scene.wear(texture(job.worn(name)))
     # Another seed than the shading render's: the two share no noise.
     positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
     samples = SAMPLES[pack.surroundings.reflects]
