@@ -7,6 +7,15 @@ SLIP_ANGLES = CONFIG.captures.angles or (
 FILMS = [] if CONFIG.captures.table else CONFIG.captures.surrogate_ids()
 
 
+SURROGATE_CAMERA = (
+    "render.camera",
+    *(
+        f"render.bench_camera.{reach}"
+        for reach in ("yaw_deg", "pitch_deg", "roll_deg", "distance", "aim_m", "calibrated_share")
+    ),
+)
+
+
 def pair_of(film):
     """The fabric and floor of a surrogate video."""
     return CONFIG.captures.pairs[int(film[1:3])]
@@ -35,7 +44,7 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("seed", "captures", also=("render.camera", "render.bench_camera")),
+        *settings("seed", "captures", also=SURROGATE_CAMERA),
         catalogue=entries(
             viewpoints=["calibrated"],
             floors={pair.substrate for pair in CONFIG.captures.pairs},
@@ -65,7 +74,7 @@ rule surrogate_film:
             "seed",
             "simulation",
             "captures",
-            also=("render.camera", "render.bench_camera", "render.samples"),
+            also=(*SURROGATE_CAMERA, "render.samples"),
         ),
         fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
         catalogue=lambda wildcards: entries(
