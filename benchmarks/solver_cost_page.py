@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 ARGUS_STEP_S, ARGUS_STEPS_PER_S = (0.098, 0.122), 2000
 ARGUS_TARGET, ARGUS_TARGET_EACH, DESCENT_TARGET = 400, 200, 20
 RUN_TARGET_S = 40
-GRID = 160  # ten fabrics at sixteen friction coefficients
 COUNTS = ("newton_iterations", "factorisations", "halvings", "memory_mib")
 
 
@@ -84,7 +83,7 @@ def _grid(grid):
     counted = grid[["steps", *COUNTS]].median()
     dearest = grid.groupby("material")["cpu_s"].median().max()
     lines = [
-        f"## The paper's grid: {len(grid)} of {GRID} simulations of "
+        f"## The grid of the published instrument: {len(grid)} simulations of "
         f"{grid['simulated_s'].median():.0f} s, "
         "41 × 41 vertices",
         "",
