@@ -185,6 +185,34 @@ def reach(root):
     return _table([*head.split("|"), "alarms"], rows)
 
 
+def surrogates(root):
+    """The published instruments on surrogate videos, each from a camera of its own."""
+    found = _read(root, "camera/surrogates.json")
+    names = {
+        "all": "all",
+        "matte": "on floors that hardly reflect",
+        "reflective": "on metals and mirrors",
+        "shipped": "all, by the one that ships",
+    }
+    rows = []
+    for name, words in names.items():
+        part = found[name]
+        rows.append(
+            [
+                words,
+                str(part["simulations"]),
+                f"{part['mean_absolute_error']:.3f}",
+                f"{part['within_0_1']:.0%}",
+                f"{part['coverage_90']:.0%} ± {part['coverage_90_error']:.0%}",
+                f"{part['interval_width']:.2f}",
+                f"{part['fabric_right']:.0%}",
+                f"{part['alarms']:.0%}",
+            ]
+        )
+    head = "surrogate videos|number|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    return _table([*head.split("|"), "fabric right", "alarms"], rows)
+
+
 def hidden_effect(root):
     """A camera's readings under the surrogate case's effect, before and after it is found."""
     found = _read(root, "camera/hidden_effect.json")
@@ -280,6 +308,7 @@ TABLES = {
     "instrument": instrument,
     "instrument_parts": instrument_parts,
     "reach": reach,
+    "surrogates": surrogates,
     "hidden_effect": hidden_effect,
 }
 PAGES = {
