@@ -158,6 +158,16 @@ def instrument_parts(root):
     return _table(head.split("|"), rows)
 
 
+def _scores(part):
+    """Cells of what benchmarks/instrument_reach.py finds: error, within 0.1, coverage, width."""
+    return [
+        f"{part['mean_absolute_error']:.3f}",
+        f"{part['within_0_1']:.0%}",
+        f"{part['coverage_90']:.0%} ± {part['coverage_90_error']:.0%}",
+        f"{part['interval_width']:.2f}",
+    ]
+
+
 def reach(root):
     """The published instruments where nothing was trained."""
     found = _read(root, "camera/reach.json")
@@ -174,10 +184,7 @@ def reach(root):
             [
                 words,
                 f"{part['videos'] // found['instruments']} of {part['simulations']}",
-                f"{part['mean_absolute_error']:.3f}",
-                f"{part['within_0_1']:.0%}",
-                f"{part['coverage_90']:.0%} ± {part['coverage_90_error']:.0%}",
-                f"{part['interval_width']:.2f}",
+                *_scores(part),
                 f"{part['alarms']:.0%}",
             ]
         )
@@ -201,10 +208,7 @@ def surrogates(root):
             [
                 words,
                 str(part["simulations"]),
-                f"{part['mean_absolute_error']:.3f}",
-                f"{part['within_0_1']:.0%}",
-                f"{part['coverage_90']:.0%} ± {part['coverage_90_error']:.0%}",
-                f"{part['interval_width']:.2f}",
+                *_scores(part),
                 f"{part['fabric_right']:.0%}",
                 f"{part['alarms']:.0%}",
             ]
