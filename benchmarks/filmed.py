@@ -31,8 +31,8 @@ PUBLISHED = ROOT / "results" / "published" / "instrument"
 MODELS = PUBLISHED / "models" / "by_simulation" / "instrument"
 CONFIGS = ("config.yaml", "config/paper.yaml", "config/instrument.yaml")
 VIEWPOINTS = ["bench_5", "bench_6", "bench_7", "bench_8"]
-TEXTURES = ["checks", "tartan", "dots", "floral"]  # that trained all instruments published so far
-UNSEEN_TEXTURE = "chevron"
+TEXTURES = ["checks", "tartan", "dots", "floral"]
+UNSEEN_TEXTURE = "chevron"  # that no instrument published so far was trained in
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,12 @@ def film(sets, folder, processes):
         place.mkdir(exist_ok=True)
         simulated = folder / (one.simulated_as or one.name)
         changes = deepcopy(one.changes)
-        shown = {"viewpoints": VIEWPOINTS, "textures": TEXTURES, "test_textures": [UNSEEN_TEXTURE]}
+        shown = {
+            "viewpoints": VIEWPOINTS,
+            "textures": TEXTURES,
+            "test_textures": [UNSEEN_TEXTURE],
+            "interpolation": {"share": 0.0},
+        }
         changes.setdefault("render", {}).update(shown)
         changes.setdefault("instrument", {})["viewpoints"] = VIEWPOINTS
         if one.model is not None:

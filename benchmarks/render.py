@@ -22,7 +22,7 @@ from support import synthetic_cloth
 from slipstitch.config.render import RenderSettings
 from slipstitch.render import blender
 from slipstitch.render.encoding import encode_png
-from slipstitch.render.packing import Job, read_pack, usable_trajectory, write_pack
+from slipstitch.render.packing import Job, read_pack, write_pack
 from slipstitch.render.shards import composed_images, render_shard
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 
@@ -84,9 +84,9 @@ def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
         start, watch.spent_s = cpu_s(), 0.0
         write_pack(one, folder / "pack.parquet")
         shaded, traced = cpu_s() - start, watch.spent_s
-        pack = read_pack(folder / "pack.parquet", path)
+        pack = read_pack(folder / "pack.parquet", one, one.trajectory())
         start, made = cpu_s(), 0
-        for _, _, image in composed_images(one, pack, usable_trajectory(path)):
+        for _, _, image in composed_images(one, pack, one.trajectory()):
             encode_png(image)
             made += 1
         composed = cpu_s() - start

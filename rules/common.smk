@@ -9,6 +9,7 @@ from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
 from slipstitch.config.grid import batches, films, grid_rows, simulations, viewpoints
+from slipstitch.config.interpolation import interpolations
 from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest, fabric_names
@@ -43,6 +44,8 @@ os.environ["SLIPSTITCH_CPU_TIME"] = "1"
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}
 VIEWPOINTS = {viewpoint["id"]: viewpoint for viewpoint in viewpoints(CONFIG)}
 SHOWN = films(CONFIG)
+# Films of cloths between the simulated ones.
+INTERPOLATIONS = interpolations(CONFIG)
 SHARDS = [f"{simulation}_{viewpoint}" for simulation, viewpoint in SHOWN]
 # Viewpoints from which every simulation is filmed; from the others only some are.
 FULL_VIEWPOINTS = [

@@ -36,6 +36,18 @@ def camera_file(wildcards):
     return CONFIG.render.camera_of(VIEWPOINTS[wildcards.viewpoint]["name"]) or []
 
 
+def filmed(simulation, viewpoints):
+    """The simulation, or the simulations between which the films of it lie, and their weights."""
+    shown = [INTERPOLATIONS.get((simulation, viewpoint)) for viewpoint in viewpoints]
+    return [one.weights if one else {simulation: 1.0} for one in shown]
+
+
+def trajectories(simulation, *viewpoints):
+    """The trajectories that films of a simulation show, its own first."""
+    names = [name for weights in filmed(simulation, viewpoints) for name in weights]
+    return [f"results/simulate/{name}.parquet" for name in dict.fromkeys([simulation, *names])]
+
+
 rule render:
     input:
         shards=expand("results/render/{shard}.parquet", shard=SHARDS),
@@ -49,7 +61,7 @@ rule render:
 
 rule render_shading:
     input:
-        trajectory="results/simulate/{simulation}.parquet",
+        trajectories=lambda wildcards: trajectories(wildcards.simulation, wildcards.viewpoint),
         camera=camera_file,
     output:
         "results/render/shading/{simulation}_{viewpoint}.parquet",
@@ -64,6 +76,7 @@ rule render_shading:
     params:
         *SHADING_SETTINGS,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
+        weights=lambda wildcards: filmed(wildcards.simulation, [wildcards.viewpoint]),
         floors=lambda wildcards: CONFIG.render.floors_of(wildcards.viewpoint),
         catalogue=lambda wildcards: entries(
             viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]],
@@ -74,13 +87,13 @@ rule render_shading:
     message:
         "Render the shading of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
-        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        "slipstitch render --config {params.config} --trajectory {input.trajectories[0]}"
         " --viewpoint {wildcards.viewpoint} --shading {output} > {log} 2>&1"
 
 
 rule render_images:
     input:
-        trajectory="results/simulate/{simulation}.parquet",
+        trajectories=lambda wildcards: trajectories(wildcards.simulation, *FULL_VIEWPOINTS),
         shading=expand(
             "results/render/shading/{{simulation}}_{viewpoint}.parquet",
             viewpoint=FULL_VIEWPOINTS,
@@ -104,14 +117,14 @@ rule render_images:
     message:
         "Compose the images of {wildcards.simulation}"
     shell:
-        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        "slipstitch render --config {params.config} --trajectory {input.trajectories[0]}"
         " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
 
 
 # Of viewpoints from which only some simulations are filmed, and in some textures.
 rule render_images_drawn:
     input:
-        trajectory="results/simulate/{simulation}.parquet",
+        trajectories=lambda wildcards: trajectories(wildcards.simulation, wildcards.viewpoint),
         shading="results/render/shading/{simulation}_{viewpoint}.parquet",
         textures=CONFIG.render.texture_files(),
     output:
@@ -138,7 +151,7 @@ rule render_images_drawn:
     message:
         "Compose the images of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
     shell:
-        "slipstitch render --config {params.config} --trajectory {input.trajectory}"
+        "slipstitch render --config {params.config} --trajectory {input.trajectories[0]}"
         " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
 
 

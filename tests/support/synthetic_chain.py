@@ -162,6 +162,8 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             **_cameras(config, view, trajectory_path, of_grid[simulation].seed),
             "smallest_share_of_cloth_in_image": 0.9,
             "trajectory_sha256": file_digest(trajectory_path),
+            "interpolation": None,
+            "interpolated_frames": None,
         }
         # As the render stage writes them: frame by frame, all textures of each.
         table = pq.read_table(path).sort_by([("frame", "ascending"), ("texture", "ascending")])

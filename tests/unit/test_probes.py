@@ -59,6 +59,7 @@ def grid_of_images(leak: float, seed: int = 0, viewpoint: str = "calibrated"):
                 rows.append(
                     {
                         "friction": 0.1 * f,
+                        "friction_id": f"f{100 * f:04d}",
                         "viewpoint": viewpoint,
                         "simulation": f"m{m}f{f}",
                         "split_by_video": side,

@@ -13,10 +13,16 @@ from support import synthetic_cloth
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
+from slipstitch.config import resolve_config
+from slipstitch.config.grid import simulations
+from slipstitch.config.interpolation import Interpolation, interpolations
+from slipstitch.config.render import RenderSettings
+from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_sidecar
-from slipstitch.render import shards
+from slipstitch.render import interpolation, shards
 from slipstitch.render.camera import pose
 from slipstitch.render.camera_file import write_camera_file
+from slipstitch.render.packing import Job
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
 
 FRAMES, SAMPLED = 12, 4
@@ -298,3 +304,70 @@ def test_an_impossible_preview_is_one_clear_line(work, capsys, monkeypatch, word
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert message in error
+
+
+def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monkeypatch):
+    """Pixel for pixel as a film of the mean trajectory; its label is the coefficient between."""
+    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
+    settings = {
+        "grid": {
+            "materials": ["gray-interlock", "ivory-rib-knit"],
+            "frictions": [0.1, 0.3, 0.5],
+            "replicates": 1,
+        },
+        "render": {
+            "pixels": 32,
+            "textures": ["dots"],
+            "viewpoints": ["bench_1"],
+            "interpolation": {"share": 1.0, "from_friction": 0.0},
+        },
+        "sample": {"frames": SAMPLED, "validation_fraction": 0.0, "test_fraction": 0.1},
+        "simulation": {"frames": FRAMES},
+        "train": {"splits": ["by_simulation"]},
+    }
+    config = resolve_config(settings)
+    (tmp_path / "config.json").write_text(json.dumps(settings))
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    for number, one in enumerate(simulations(config)):
+        aside = motion["positions_m"] + np.float32([0, 0.004 * number, 0])
+        write_trajectory(
+            tmp_path / f"{one.id}.parquet", Trajectory(**{**motion, "positions_m": aside})
+        )
+    (simulation, _), shown = next(
+        (film, shown) for film, shown in interpolations(config).items() if len(shown.weights) == 2
+    )
+    assert render(tmp_path, "--viewpoint", "v00", trajectory=f"{simulation}.parquet") == 0
+    metadata = read_metadata(tmp_path / "out.parquet")
+    assert metadata["interpolation"] == {"friction": shown.friction, "weights": shown.weights}
+    assert metadata["interpolated_frames"] == {"mixed": 0, "of_one_fabric": FRAMES, "simulated": 0}
+    assert set(metadata["provenance"]["inputs"]) == {f"{name}.parquet" for name in shown.weights}
+
+    mean = sum(
+        weight * read_trajectory(tmp_path / f"{name}.parquet").positions_m.astype(np.float64)
+        for name, weight in shown.weights.items()
+    )
+    write_trajectory(
+        tmp_path / f"{simulation}.parquet",
+        Trajectory(**{**motion, "positions_m": mean.astype(np.float32)}),
+    )
+    plain = json.loads((tmp_path / "config.json").read_text())
+    del plain["render"]["interpolation"]
+    (tmp_path / "config.json").write_text(json.dumps(plain))
+    words = ("--viewpoint", "v00")
+    assert render(tmp_path, *words, out="mean.parquet", trajectory=f"{simulation}.parquet") == 0
+    between, alone = (images(tmp_path / name) for name in ("out.parquet", "mean.parquet"))
+    for key, image in alone.items():
+        np.testing.assert_array_equal(between[key], image)
+
+
+def test_trajectories_that_do_not_fit_one_another_are_refused(tmp_path):
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    write_trajectory(tmp_path / "m00_a.parquet", Trajectory(**motion))
+    other = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.2)
+    write_trajectory(tmp_path / "m00_b.parquet", Trajectory(**other))
+    job = Job(
+        tmp_path / "m00_a.parquet", "v00", "bench_1", RenderSettings(), SAMPLED, 1,
+        Interpolation(0.2, {"m00_a": 0.5, "m00_b": 0.5}),
+    )  # fmt: skip
+    with pytest.raises(BadInput, match="m00_b: its time_s is not that of m00_a"):
+        job.trajectory()

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from slipstitch.bench.frames import sampled_frames
-from slipstitch.errors import BadInput
-from slipstitch.sample.splits import (
+from slipstitch.config.splits import (
     check_no_simulation_on_both_sides,
     split_by_simulation,
     split_by_video,
 )
+from slipstitch.errors import BadInput
 
 
 def grid(materials, frictions, replicates):

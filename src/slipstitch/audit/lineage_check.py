@@ -23,6 +23,7 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
 from slipstitch.config.grid import films, simulations, textures, viewpoints
+from slipstitch.config.interpolation import filmed_friction, interpolations
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest
 from slipstitch.material.fabrics import CATALOGUE
@@ -256,13 +257,15 @@ def _recomputed(
 def _labels(config: Config) -> dict[str, dict[str, Any]]:
     """Video -> its labels, as far as the grid gives them."""
     calibrated = VIEWPOINTS["calibrated"].azimuth_deg
-    shown = films(config)
+    shown, between = films(config), interpolations(config)
     return {
         f"{simulation.id}_{texture['id']}_{view['id']}": {
             "simulation": simulation.id,
             **{
                 key: value for key, value in asdict(simulation).items() if key not in ("id", "seed")
             },
+            "friction": filmed_friction(simulation, between.get((simulation.id, view["id"]))),
+            "interpolated": (simulation.id, view["id"]) in between,
             **{f"texture{part}": texture[key] for part, key in _PARTS.items()},
             **{f"viewpoint{part}": view[key] for part, key in _PARTS.items()},
             "floor_role": view["floor_role"],

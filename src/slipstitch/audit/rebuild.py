@@ -119,16 +119,21 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = _configuration(contents, contents.config, folder)
-        trajectory = folder / f"{row['simulation']}.parquet"
         shard = folder / "shard.parquet"
+        # Of an interpolated film all simulations that its cloth is made of.
+        trajectories = {one.path: folder / Path(one.path).name for one in simulated}
+        for trajectory in trajectories.values():
+            _run(
+                "simulate", "--config", str(config), "--simulation", trajectory.stem,
+                "--calibration", str(contents.folder / carried_file(calibrated[0].path)),
+                "--out", str(trajectory),
+            )  # fmt: skip
+        same_motion = all(
+            rows_digest(trajectories[one.path]) == one.rows_sha256 for one in simulated
+        )
         _run(
-            "simulate", "--config", str(config), "--simulation", row["simulation"],
-            "--calibration", str(contents.folder / carried_file(calibrated[0].path)),
-            "--out", str(trajectory),
-        )  # fmt: skip
-        same_motion = rows_digest(trajectory) == simulated[0].rows_sha256
-        _run(
-            "render", "--config", str(config), "--trajectory", str(trajectory),
+            "render", "--config", str(config),
+            "--trajectory", str(folder / f"{row['simulation']}.parquet"),
             "--viewpoint", row["viewpoint_id"], "--out", str(shard),
         )  # fmt: skip
         frames = np.array(_frames(contents, row))
@@ -137,8 +142,10 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         if key not in videos:
             raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
         again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
-        differing = (*_differing(simulated[0], trajectory), *_differing(of_view[0], shard))
-    return compare(clip, _released(contents, row), again, same_motion, differing)
+        differing = [*_differing(of_view[0], shard)]
+        for one in simulated:
+            differing += _differing(one, trajectories[one.path])
+    return compare(clip, _released(contents, row), again, same_motion, tuple(differing))
 
 
 def _differing(recorded: Artefact, made: Path) -> list[str]:

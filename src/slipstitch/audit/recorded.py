@@ -7,6 +7,7 @@ asked whether they are possible.
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations
+from slipstitch.config.interpolation import interpolations
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
@@ -139,14 +141,27 @@ def _inputs(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) 
     simulation = _simulation_of(artefact, grid).id
     return {
         "simulate": {f"results/calibrate/{CALIBRATION}"},
-        "render": {f"results/simulate/{simulation}.parquet"},
-        "render.packing": {f"results/simulate/{simulation}.parquet"},
+        "render": _filmed(simulation, path, config),
+        "render.packing": _filmed(simulation, path, config),
         "sample": {
             f"results/render/{name}_{view}.parquet"
             for name, view in films(config)
             if name == path.stem
         },
     }[artefact.stage]
+
+
+def _filmed(simulation: str, path: Path, config: Config) -> set[str]:
+    """The trajectories that a shard or its shading shows: its simulation's, or those between."""
+    shown = interpolations(config).get((simulation, path.stem.rpartition("_")[2]))
+    names = shown.weights if shown else [simulation]
+    return {f"results/simulate/{name}.parquet" for name in names}
+
+
+def _counts(found: Any, total: int) -> bool:
+    """Whether these are numbers of frames, of so many in all."""
+    numbers = list(found.values()) if isinstance(found, dict) else []
+    return all(isinstance(one, int) and one >= 0 for one in numbers) and sum(numbers) == total
 
 
 def _differing(found: Mapping[str, Any], expected: Mapping[str, Any]) -> Iterator[str]:
@@ -246,7 +261,11 @@ def _rendered(
     simulation = _simulation_of(artefact, grid)
     view = Path(artefact.path).stem.split("_")[3]
     name = config.render.viewpoint_ids()[view]
-    trajectory = f"results/simulate/{simulation.id}.parquet"
+    shown = interpolations(config).get((simulation.id, view))
+    digests = {
+        name: artefact.inputs.get(f"results/simulate/{name}.parquet")
+        for name in (shown.weights if shown else [simulation.id])
+    }
     cameras = Cameras(contents.folder, config, simulation, view)
     textures = dict(cameras.job.textures)
     drawn = draw_surroundings(config.render, config.seed, simulation.id, view)
@@ -255,7 +274,8 @@ def _rendered(
         "viewpoint": {"id": view, "name": name},
         "surroundings": drawn.record(),
         "camera": cameras.record(),
-        "trajectory_sha256": artefact.inputs.get(trajectory),
+        "trajectory_sha256": digests if shown else digests[simulation.id],
+        "interpolation": asdict(shown) if shown else None,
     }
     if artefact.stage == "render":
         settings = config.render.augmentation
@@ -271,4 +291,7 @@ def _rendered(
     share = metadata.pop("smallest_share_of_cloth_in_image", None)
     if not isinstance(share, int | float) or not 0 <= share <= 1:
         yield "does not state the share of the cloth in its images"
+    counts = metadata.pop("interpolated_frames", None)
+    if counts is not None if shown is None else not _counts(counts, config.simulation.frames):
+        yield "does not state which of its frames are interpolated"
     yield from _differing(metadata, _plain(expected))

@@ -61,6 +61,12 @@ class Config(Section):
                     f"instrument.viewpoints: {name!r} is in render.test_viewpoints, must not be "
                     "used for training"
                 )
+        for name in self.sample.validation_materials:
+            if name not in self.grid.materials:
+                raise ValueError(
+                    f"sample.validation_materials: {name!r} is not in grid.materials "
+                    f"({', '.join(self.grid.materials)})"
+                )
         self._benches_tell_no_coefficient()
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
@@ -79,6 +85,12 @@ class Config(Section):
             raise ValueError(
                 "grid.own_benches: a bench of one coefficient tells it; allowed only with "
                 "render.viewpoints of the family bench_1 ..., where whole simulations are held out"
+            )
+        if self.render.interpolation.share and not drawn:
+            raise ValueError(
+                "render.interpolation.share: only films of the family bench_1 ... show "
+                "interpolated cloths, and render.viewpoints has none of it "
+                f"({', '.join(self.render.viewpoints)})"
             )
         others = [split for split in self.train.splits if split != BY_SIMULATION]
         if drawn and others:

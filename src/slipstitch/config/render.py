@@ -89,6 +89,27 @@ class BenchCameraSettings(Section):
     )
 
 
+class InterpolationSettings(Section):
+    """Films of cloths between the simulated ones (`slipstitch.config.interpolation`)."""
+
+    share: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the films of bench_1 ... that show, where their simulation trains, "
+        "a cloth interpolated between simulations that train; 0: none",
+    )
+    from_friction: float = Field(
+        0.4,
+        ge=0,
+        description="smallest friction coefficient that is interpolated from: below, a cloth is "
+        "pushed ahead of its clamps, and does not change smoothly",
+    )
+    fabric: float = Field(
+        0.0, ge=0, le=0.5, description="largest weight of a second fabric in an interpolated cloth"
+    )
+
+
 class RenderSettings(Section):
     """Content and quality of the rendered images."""
 
@@ -144,6 +165,7 @@ class RenderSettings(Section):
     )
     augmentation: AugmentationSettings = Field(default_factory=AugmentationSettings)
     bench_camera: BenchCameraSettings = Field(default_factory=BenchCameraSettings)
+    interpolation: InterpolationSettings = Field(default_factory=InterpolationSettings)
     camera: str | None = Field(
         None,
         min_length=1,

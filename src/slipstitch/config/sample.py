@@ -24,6 +24,11 @@ class SampleSettings(Section):
     test_fraction: float = Field(
         0.1, gt=0.0, lt=1.0, description="share of the videos (or replicates) for testing"
     )
+    validation_materials: list[str] = Field(
+        [],
+        description="fabrics of the grid that by_simulation keeps from training and testing: all "
+        "their simulations are for validation, so that error bars allow for an unseen fabric",
+    )
     hold_out: Literal["auto", "replicate", "pair"] = Field(
         "auto",
         description="what by_simulation holds out: the last replicates of every "

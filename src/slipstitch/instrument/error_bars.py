@@ -92,7 +92,8 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     groups = [videos.rows[number]["simulation"] for number in held]
     friction = np.array([videos.rows[number]["friction"] for number in held])
     names = instrument.card["materials"]
-    material = np.array([names.index(videos.rows[number]["material"]) for number in held])
+    fabrics = [videos.rows[number]["material"] for number in held]
+    known = [k for k, fabric in enumerate(fabrics) if fabric in names]
 
     width = fitted_spread(answers.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
@@ -101,7 +102,11 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     )
     bars = ErrorBars(
         spread=width,
-        material_temperature=fitted_material_temperature(answers.material_logits, material, groups),
+        material_temperature=fitted_material_temperature(
+            answers.material_logits[known],
+            np.array([names.index(fabrics[k]) for k in known]),
+            [groups[k] for k in known],
+        ),
         factor=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(
             describe(frames[training], trained.embedding),

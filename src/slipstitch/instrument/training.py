@@ -24,7 +24,7 @@ from slipstitch.instrument.poses import pose_range, poses_of, scaled
 from slipstitch.provenance import start_clock
 from slipstitch.sample.videos import Videos
 from slipstitch.train.checkpoint import Progress
-from slipstitch.train.classes import classes_of, labels_of
+from slipstitch.train.classes import classes_of
 from slipstitch.train.loop import (
     Phase,
     read_training_videos,
@@ -38,6 +38,7 @@ from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 GRADIENT_NORM_MAX = 1.0
+UNKNOWN = -1  # number of a fabric that does not train
 
 
 def _training_videos(
@@ -68,12 +69,13 @@ def _training_videos(
         raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
     trained = list(compress(videos.rows, training))
     for key, least in (("material", 1), ("friction", 2)):
-        found = {row[key] for row in trained}
+        found = {row[f"{key}_id"] for row in trained}
         if len(found) < least:
             raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
-        absent = {row[key] for row in videos.rows} - found
-        if absent:
-            raise BadInput(f"{dataset}: {key} {sorted(absent)[0]} has no training video")
+    # A fabric may be for the error bars alone (sample.validation_materials).
+    absent = [row["friction"] for row in videos.rows if row["friction_id"] not in found]
+    if absent:
+        raise BadInput(f"{dataset}: friction {min(absent)} has no training video")
     largest = max(row["friction"] for row in videos.rows)
     if largest > settings.friction_max:
         raise BadInput(
@@ -167,7 +169,7 @@ class InstrumentLearner:
         That the network sees of them.
     friction : float tensor, shape (n,)
     labels : int64 tensor, shape (n,)
-        Class numbers of the fabrics.
+        Class numbers of the fabrics; `UNKNOWN` for one that does not train.
     training : ndarray of bool, shape (n,)
         Which of the videos train; the others validate.
     poses : float tensor, shape (n, 4)
@@ -235,6 +237,7 @@ class InstrumentLearner:
             return {f"validation_{name}": math.nan for name in ("loss", "error", "accuracy")}
         self.network.eval()
         scores, errors, hits = [], [], []
+        known = self.labels[numbers] != UNKNOWN
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
                 views = standardised(phased(self.pixels[batch], self.frames, None))
@@ -248,7 +251,7 @@ class InstrumentLearner:
         return {
             "validation_loss": float(torch.cat(scores).mean()),
             "validation_error": float(torch.cat(errors).mean()),
-            "validation_accuracy": float(torch.cat(hits).mean()),
+            "validation_accuracy": float(torch.cat(hits)[known].mean()),
         }
 
     def columns(self, phase: Phase) -> dict[str, Any]:
@@ -317,7 +320,8 @@ def train_instrument(
     started = start_clock()
     set_up_torch(threads)
     videos, training = _training_videos(settings, dataset, split, viewpoints, frames, uses)
-    materials = classes_of(videos.rows, "material")
+    materials = classes_of(list(compress(videos.rows, training)), "material")
+    numbers = {entry["id"]: number for number, entry in enumerate(materials)}
     torch.manual_seed(seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
     learner = InstrumentLearner(
@@ -329,7 +333,7 @@ def train_instrument(
         pixels=videos.pixels,
         frames=frames,
         friction=torch.tensor([row["friction"] for row in videos.rows]),
-        labels=torch.from_numpy(labels_of(videos.rows, materials, "material")),
+        labels=torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows]),
         training=training,
         poses=scaled(poses_of(videos.rows)),
         bfloat16=computes_bfloat16(settings.precision),
@@ -354,7 +358,8 @@ def train_instrument(
         "pose_range": pose_range(poses_of(list(compress(videos.rows, training)))),
         "split": split,
         "seed": seed,
-        "frictions": sorted({row["friction"] for row in videos.rows}),
+        "frictions": sorted({row["friction"] for row in videos.rows if not row["interpolated"]}),
+        "interpolated_videos": sum(row["interpolated"] for row in videos.rows),
         "calibration_simulations": len(simulations(videos, ~training)),
         **training_facts(learner, videos, history),
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "

@@ -6,10 +6,10 @@ from typing import Any
 
 import yaml
 
+from slipstitch.config.splits import SIDES
 from slipstitch.page.templates import render
 from slipstitch.release.manifest import SAMPLED, described
 from slipstitch.release.splits import PREFIX, question
-from slipstitch.sample.splits import SIDES
 
 CARD = "README.md"
 _TEMPLATE = Path(__file__).with_name("card.md.j2")

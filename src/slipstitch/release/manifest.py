@@ -26,6 +26,8 @@ COLUMNS = {
     "material": "fabric (Wang, O'Brien and Ramamoorthi 2011)",
     "friction": "Coulomb friction coefficient between cloth and floor, and between layers of "
     "cloth if the simulation has self-contact",
+    "interpolated": "whether the cloth lies between simulated ones, its friction coefficient "
+    "between theirs; only videos that train",
     "texture": "texture of the cloth: its name in the manifest, its id in the shards",
     "viewpoint": "viewpoint: its name in the manifest, its id in the shards",
     "viewpoint_turn_deg": "azimuth of the viewpoint minus the calibrated one's, degrees",

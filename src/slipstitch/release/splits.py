@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.sample.splits import SIDES
+from slipstitch.config.splits import SIDES
 
 PREFIX = "split_"
 Row = Mapping[str, Any]

@@ -7,7 +7,7 @@ which compresses better. Packs are read and written frame by frame.
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from slipstitch.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config import Config
+from slipstitch.config.interpolation import Interpolation, interpolations
 from slipstitch.config.render import RenderSettings
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -27,6 +28,7 @@ from slipstitch.provenance import (
     start_clock,
 )
 from slipstitch.render.bench_camera import BenchCamera, draw_bench_camera
+from slipstitch.render.interpolation import interpolated
 from slipstitch.render.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
 from slipstitch.render.shots import (
     Shot,
@@ -69,6 +71,8 @@ class Job:
         How many frames the sample stage uses.
     seed : int
         The configuration's.
+    interpolation : Interpolation, optional
+        Of simulations in the trajectory's folder: the film shows it, not the trajectory as it is.
     """
 
     trajectory_path: str | os.PathLike
@@ -77,6 +81,7 @@ class Job:
     settings: RenderSettings
     frames_sampled: int
     seed: int
+    interpolation: Interpolation | None
 
     @classmethod
     def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> Self:
@@ -112,6 +117,7 @@ class Job:
             config.render,
             config.sample.frames_kept,
             config.seed,
+            interpolations(config).get((Path(trajectory_path).stem, viewpoint_id)),
         )
 
     @property
@@ -131,10 +137,31 @@ class Job:
         """The key of the floors that this viewpoint does not show."""
         return "floors" if self.settings.reflective(self.viewpoint_id) else "reflective_floors"
 
+    @property
+    def parents(self) -> list[Path]:
+        """Trajectories of the simulations that the film's cloth is made of."""
+        path = Path(self.trajectory_path)
+        if self.interpolation is None:
+            return [path]
+        return [path.with_stem(name) for name in self.interpolation.weights]
+
+    def trajectory(self) -> Trajectory:
+        """The motion that the film shows: the simulation's, or one between several.
+
+        Raises
+        ------
+        BadInput
+            If a trajectory cannot be rendered, or does not fit the others.
+        """
+        if self.interpolation is None:
+            return usable_trajectory(self.trajectory_path)
+        parents = {path.stem: usable_trajectory(path) for path in self.parents}
+        return interpolated(parents, self.interpolation.weights, self.simulation)
+
     def inputs(self) -> list:
         """The files that the light depends on."""
         camera = self.settings.camera_of(self.viewpoint)
-        return [self.trajectory_path, *([camera] if camera else [])]
+        return [*self.parents, *([camera] if camera else [])]
 
     def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
         """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
@@ -234,7 +261,9 @@ def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
         "smallest_share_of_cloth_in_image": min(
             share_in_image(trajectory, shot) for shot in wanted
         ),
-        "trajectory_sha256": file_digest(job.trajectory_path),
+        "trajectory_sha256": _digests(job),
+        "interpolation": job.interpolation and asdict(job.interpolation),
+        "interpolated_frames": trajectory.metadata.get("interpolated_frames"),
     }
     frames = render_shadings(trajectory, progress(wanted), settings, surroundings)
     return Pack(metadata, wanted, (_pack(shading, sight) for _, shading, sight in frames))
@@ -243,7 +272,7 @@ def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
 def write_pack(job: Job, out: str | os.PathLike, progress=iter) -> Pack:
     """Render the light of a simulation from a viewpoint into a file, atomically."""
     started = start_clock()
-    pack = shade_job(job, usable_trajectory(job.trajectory_path), progress)
+    pack = shade_job(job, job.trajectory(), progress)
     with parquet_stream(out, _SCHEMA) as stream:
         for shot, packed in zip(pack.shots, pack.shadings, strict=True):
             stream.write([{"frame": shot.frame, **packed}])
@@ -280,8 +309,15 @@ def _pack_record(job: Job, started: tuple[float, float]) -> dict:
     )
 
 
-def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pack:
+def read_pack(path: str | os.PathLike, job: Job, trajectory: Trajectory) -> Pack:
     """Read what `write_pack` wrote.
+
+    Parameters
+    ----------
+    path : path
+    job : Job
+    trajectory : Trajectory
+        The job's.
 
     Raises
     ------
@@ -292,10 +328,16 @@ def read_pack(path: str | os.PathLike, trajectory_path: str | os.PathLike) -> Pa
         metadata = read_metadata(file.schema_arrow)
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
             raise BadInput(f"{path}: not a shading pack")
-    if metadata["trajectory_sha256"] != file_digest(trajectory_path):
-        raise BadInput(f"{path}: not rendered from {trajectory_path}")
-    trajectory = usable_trajectory(trajectory_path)
+    if metadata["trajectory_sha256"] != _digests(job):
+        raise BadInput(f"{path}: not rendered from {', '.join(map(str, job.parents))}")
     return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(path))
+
+
+def _digests(job: Job) -> str | dict[str, str]:
+    """The digest of the trajectory, or of each that the film's cloth is made of, by name."""
+    if job.interpolation is None:
+        return file_digest(job.trajectory_path)
+    return {path.stem: file_digest(path) for path in job.parents}
 
 
 def _rows(path: str | os.PathLike) -> Iterator[dict]:

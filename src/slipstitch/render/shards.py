@@ -18,7 +18,7 @@ from slipstitch.render.bench_camera import BenchCamera, bench_pixels, relative_p
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.mean_cloth import lags_m
-from slipstitch.render.packing import Job, Pack, read_pack, shade_job, usable_trajectory
+from slipstitch.render.packing import Job, Pack, read_pack, shade_job
 from slipstitch.render.pose import POSE
 from slipstitch.render.rectification import resample
 from slipstitch.render.shots import Shot, cloth_size, viewpoint_pose
@@ -180,12 +180,12 @@ def render_shard(
     """
     started = start_clock()
     cv2.setNumThreads(job.settings.threads)
-    trajectory = usable_trajectory(job.trajectory_path)
+    trajectory = job.trajectory()
     files = [file for name in job.textures.values() if (file := texture_file(name))]
     if pack_path is None:
         pack = shade_job(job, trajectory, progress)
     else:
-        pack = read_pack(pack_path, job.trajectory_path)
+        pack = read_pack(pack_path, job, trajectory)
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
     images = 0

@@ -22,7 +22,7 @@ from slipstitch.provenance import (
 from slipstitch.render.augmentation import pixel_noise
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png, encode_srgb
-from slipstitch.render.packing import read_pack, usable_trajectory
+from slipstitch.render.packing import read_pack
 from slipstitch.render.preview import decode_image
 from slipstitch.render.shards import SCHEMA, FilmJob, Rectifier, cameras
 from slipstitch.render.surroundings import generator
@@ -108,8 +108,8 @@ def compare(
     settings = config.render
     job = FilmJob.of_view(config, trajectory_path, view["id"], view["name"])
     name = settings.texture_ids()[stored["texture"]]
-    trajectory = usable_trajectory(trajectory_path)
-    pack = read_pack(pack_path, trajectory_path)
+    trajectory = job.trajectory()
+    pack = read_pack(pack_path, job, trajectory)
     shot, shading, sight = next(
         frame for frame in pack.frames(trajectory) if frame[0].frame == stored["frame"]
     )

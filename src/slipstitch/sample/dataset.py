@@ -3,6 +3,7 @@
 import os
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,12 @@ from slipstitch.bench.frames import sampled_frames
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations, textures, viewpoints
+from slipstitch.config.interpolation import filmed_friction, interpolations
+from slipstitch.config.splits import (
+    check_no_simulation_on_both_sides,
+    sides_of_simulations,
+    split_by_video,
+)
 from slipstitch.errors import BadInput
 from slipstitch.progress import progress
 from slipstitch.provenance import provenance_record, read_metadata, start_clock
@@ -21,11 +28,6 @@ from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest
 from slipstitch.sample.probes import PIXELS, check_first_frames
 from slipstitch.sample.shards import decode, read_shard, simulations_of
-from slipstitch.sample.splits import (
-    check_no_simulation_on_both_sides,
-    split_by_simulation,
-    split_by_video,
-)
 from slipstitch.sample.videos import resized, takes_part
 
 
@@ -44,15 +46,7 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
         if "test" not in (simulation.material_role, simulation.friction_role)
     ]
     fractions = (config.sample.validation_fraction, config.sample.test_fraction)
-    of_simulation = split_by_simulation(
-        [
-            (simulation.material_id, simulation.friction_id, simulation.replicate_id)
-            for simulation in trained
-        ],
-        *fractions,
-        seed=config.seed,
-        hold_out=config.sample.hold_out,
-    )
+    of_simulation = sides_of_simulations(config)
     views = viewpoints(config)
     main = {view["name"]: view["id"] for view in reversed(views)}  # each name's first id
     trainable = [
@@ -64,16 +58,11 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     ]
     of_video = split_by_video(trainable, *fractions, seed=config.seed)
     names = {view["id"]: view["name"] for view in views}
-    simulated = {simulation.id: simulation for simulation in grid}
     sides = {}
     for (name, view), worn in films(config).items():
-        simulation = simulated[name]
-        side = of_simulation.get(
-            (simulation.material_id, simulation.friction_id, simulation.replicate_id), "test"
-        )
         for texture in worn:
             twin = f"{name}_{texture}_{main[names[view]]}"
-            sides[f"{name}_{texture}_{view}"] = (of_video.get(twin, "test"), side)
+            sides[f"{name}_{texture}_{view}"] = (of_video.get(twin, "test"), of_simulation[name])
     return sides
 
 
@@ -155,7 +144,9 @@ def _write_simulation(
 ) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
     """Write one simulation's frames; return its rows, sorted by video, and their first frames."""
     started = start_clock()
+    between = interpolations(config)
     videos: dict[tuple[str, str], list] = {}
+    frictions: dict[str, float] = {}
     floors: dict[str, dict[str, Any]] = {}
     poses: dict[str, dict[str, float]] = {}
     for path in paths:
@@ -172,6 +163,12 @@ def _write_simulation(
             videos[texture, view] = images
             poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
             floors[view] = floor
+            shown = between.get((simulation.id, view))
+            if metadata.get("interpolation") != (shown and asdict(shown)):
+                raise BadInput(
+                    f"{path}: interpolated otherwise than configured (render.interpolation)"
+                )
+            frictions[view] = filmed_friction(simulation, shown)
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
     rows, images, first = [], [], []
     file = f"{simulation.id}.parquet"
@@ -190,7 +187,7 @@ def _write_simulation(
                     "texture": texture,
                     "viewpoint": view,
                     "material": simulation.material,
-                    "friction": simulation.friction,
+                    "friction": frictions[view],
                     "position": position,
                     "frame": image.frame,
                     "time_s": image.time_s,
@@ -212,7 +209,8 @@ def _write_simulation(
                 "texture_id": texture,
                 "viewpoint_id": view,
                 "material": simulation.material,
-                "friction": simulation.friction,
+                "friction": frictions[view],
+                "interpolated": (simulation.id, view) in between,
                 "texture": catalogue[texture]["name"],
                 "viewpoint": view_name,
                 "material_role": simulation.material_role,

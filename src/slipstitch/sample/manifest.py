@@ -9,10 +9,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from slipstitch.config.splits import SIDES, check_no_simulation_on_both_sides
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import read_metadata, read_parquet, write_parquet
 from slipstitch.render.pose import POSE
-from slipstitch.sample.splits import SIDES, check_no_simulation_on_both_sides
 
 MANIFEST = "manifest.parquet"
 
@@ -27,6 +27,7 @@ MANIFEST_SCHEMA = pa.schema(
         ("viewpoint_id", pa.string()),
         ("material", pa.string()),
         ("friction", pa.float64()),
+        ("interpolated", pa.bool_()),
         ("texture", pa.string()),
         ("viewpoint", pa.string()),
         ("material_role", pa.string()),

@@ -133,7 +133,7 @@ def check_first_frames(where: str, rows: Sequence[Row], frames: np.ndarray) -> N
     ------
     BadInput
     """
-    labels = np.unique([row["friction"] for row in rows], return_inverse=True)[1]
+    labels = np.unique([row["friction_id"] for row in rows], return_inverse=True)[1]
     for split in probed_splits(row["viewpoint"] for row in rows):
         sides = np.array([row[f"split_{split}"] for row in rows])
         test = sides == "test"

@@ -12,12 +12,15 @@ from slipstitch.errors import BadInput
 def classes_of(rows: list[dict[str, Any]], target: str) -> list[dict[str, Any]]:
     """The classes in manifest rows, in the order of their ids: ``{id, name | value}``.
 
+    An interpolated video belongs to the class of its simulation, the nearest, and defines none.
+
     Raises
     ------
     BadInput
         If an id refers to two materials or coefficients.
     """
     key = "name" if target == "material" else "value"
+    rows = [row for row in rows if target == "material" or not row.get("interpolated")]
     found = {row[f"{target}_id"]: row[target] for row in rows}
     for row in rows:
         if found[row[f"{target}_id"]] != row[target]:

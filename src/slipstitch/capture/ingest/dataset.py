@@ -158,6 +158,7 @@ def _write_video(
         "floor": capture.substrate,
         "floor_reflectance": None,
         "floor_roughness": None,
+        "interpolated": False,
         "split_by_video": "test",
         "split_by_simulation": "test",
         "frames": len(images),

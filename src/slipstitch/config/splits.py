@@ -6,12 +6,19 @@ side or in another cloth. `split_by_simulation` keeps whole simulations from tra
 what a network is worth on a cloth that it has never watched move. docs/learning.md argues both.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
+
+if TYPE_CHECKING:
+    from slipstitch.config.model import Config
 
 SIDES = ("train", "validation", "test")
 
@@ -47,6 +54,44 @@ def split_by_video(
     sides = ["test"] * tests + ["validation"] * validations
     sides += ["train"] * (len(videos) - len(sides))
     return dict(zip(map(str, order), sides, strict=True))
+
+
+def sides_of_simulations(config: Config) -> dict[str, str]:
+    """Every simulation's id -> its side where whole simulations are held out.
+
+    Those of a test-only fabric or friction coefficient are test simulations, those of a fabric for
+    validation only are validation simulations.
+
+    Raises
+    ------
+    BadInput
+        If the grid has no valid split.
+    """
+    grid = simulations(config)
+    apart = {
+        simulation.id: "test"
+        for simulation in grid
+        if "test" in (simulation.material_role, simulation.friction_role)
+    }
+    for simulation in grid:
+        if simulation.material in config.sample.validation_materials:
+            apart.setdefault(simulation.id, "validation")
+    triples = {
+        simulation.id: (simulation.material_id, simulation.friction_id, simulation.replicate_id)
+        for simulation in grid
+        if simulation.id not in apart
+    }
+    sides = split_by_simulation(
+        triples.values(),
+        config.sample.validation_fraction,
+        config.sample.test_fraction,
+        seed=config.seed,
+        hold_out=config.sample.hold_out,
+    )
+    return {
+        simulation.id: apart.get(simulation.id) or sides[triples[simulation.id]]
+        for simulation in grid
+    }
 
 
 def split_by_simulation(
