@@ -13,8 +13,8 @@ import numpy as np
 from slipstitch.errors import BadInput
 from slipstitch.simulate.trajectory import Trajectory
 
-#: A frame of which one edge in a hundred is stretched or shortened by more is no cloth. Of simulated
-#: ones it is 0.022 at most.
+#: A frame of which one edge in a hundred is stretched or shortened by more is no cloth.
+#: Of simulated ones it is 0.022 at most.
 STRAIN_MAX = 0.03
 #: Of which means the frames are: `interpolated` counts them under these names.
 MIXED, OF_ONE_FABRIC, SIMULATED = "mixed", "of_one_fabric", "simulated"
