@@ -16,7 +16,7 @@ from filmed import UNSEEN_TEXTURE, FilmedSet, film, instruments, publish, readin
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.instrument.poses import outside
 
-MATERIALS = ["pink-ribbon-brown", "gray-interlock", "11oz-black-denim", "white-swim-solid"]
+MATERIALS = ["pink-ribbon-brown", "gray-interlock"]
 OFF_GRID = [0.15, 0.55, 0.95, 1.35]
 # Fabrics unlike any of the ten: one of them, of another mass and bending rigidity.
 FABRICS = {
