@@ -118,8 +118,8 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
     [
         ("wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)", "tangent", OF_CLOTH, ...),
         ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
-        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, {"render", "calibrate"}),
-        ('[:8], "big"', '[:7], "big"', {"render", "render.packing"}, {"simulate", "train"}),
+        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, {"calibrate"}),
+        ('[:8], "big"))', '[:7], "big"))', {"render", "render.packing"}, {"simulate", "train"}),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
         (
             "def load_fabric(name: str)",
