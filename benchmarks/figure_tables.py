@@ -168,6 +168,26 @@ def _scores(part):
     ]
 
 
+def interpolation(root):
+    """Interpolated cloths against the simulated one between their parents."""
+    found = _read(root, "camera/interpolation.json")
+    rows = []
+    for name, words in (("theory", "the tail of a dragged strip"), ("linear", "friction")):
+        part = found[name]
+        rows.append(
+            [
+                words,
+                str(found["simulations"]),
+                f"{part['median_mm']:.2f} mm",
+                f"{part['worst_frame_mm']:.1f} mm",
+                f"{part['in_friction']:.3f}",
+                f"{part['in_friction_90']:.3f}",
+            ]
+        )
+    head = "weights linear in|simulations|distance of the vertices, median frame|worst frame"
+    return _table([*head.split("|"), "the former in μ", "of nine in ten at most"], rows)
+
+
 def reach(root):
     """The published instruments where nothing was trained."""
     found = _read(root, "camera/reach.json")
@@ -311,6 +331,7 @@ TABLES = {
     "graph": graph,
     "instrument": instrument,
     "instrument_parts": instrument_parts,
+    "interpolation": interpolation,
     "reach": reach,
     "surrogates": surrogates,
     "hidden_effect": hidden_effect,
