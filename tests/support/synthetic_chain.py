@@ -133,9 +133,11 @@ def _write_render(config: Config, results: Path) -> list[Path]:
     for path in paths:
         simulation, view = path.stem.rsplit("_", 1)
         trajectory_path = results / f"simulate/{simulation}.parquet"
+        job = Job.of(config, trajectory_path, view)
+        shown = job.interpolation
         record = provenance_record(
             "render",
-            inputs=[trajectory_path, *filter(None, [config.render.camera_of(names[view])])],
+            inputs=job.inputs(),
             config={
                 "render": config.render,
                 "sample": {"frames": config.sample.frames},
@@ -161,9 +163,13 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             },
             **_cameras(config, view, trajectory_path, of_grid[simulation].seed),
             "smallest_share_of_cloth_in_image": 0.9,
-            "trajectory_sha256": file_digest(trajectory_path),
-            "interpolation": None,
-            "interpolated_frames": None,
+            "trajectory_sha256": {one.stem: file_digest(one) for one in job.parents}
+            if shown
+            else file_digest(trajectory_path),
+            "interpolation": asdict(shown) if shown else None,
+            "interpolated_frames": job.trajectory().metadata["interpolated_frames"]
+            if shown
+            else None,
         }
         # As the render stage writes them: frame by frame, all textures of each.
         table = pq.read_table(path).sort_by([("frame", "ascending"), ("texture", "ascending")])
@@ -212,8 +218,8 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
     out = results / "render/verification.json"
     content = {
         "images": len(comparisons),
-        "lowest_psnr_db": min(one.psnr_db for one in comparisons),
-        "lowest_ssim": min(one.ssim for one in comparisons),
+        "lowest_psnr_db": min((one.psnr_db for one in comparisons), default=None),
+        "lowest_ssim": min((one.ssim for one in comparisons), default=None),
         "comparisons": [asdict(one) | {"passed": one.passed} for one in comparisons],
     }
     out.write_text(json.dumps(content))

@@ -18,14 +18,17 @@ from slipstitch.audit import rebuild, staleness
 from slipstitch.audit.auditing import audit_release
 from slipstitch.audit.contents import read_contents
 from slipstitch.audit.findings import Kind
+from slipstitch.audit.lineage import Lineage
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.interpolation import interpolations
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names, load_fabric
 from slipstitch.provenance import attach_metadata, file_digest
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
 from slipstitch.release.manifest import sampled_rows
+from slipstitch.render import interpolation
 from slipstitch.render.surroundings import FLOORS
 from slipstitch.sample.manifest import dataset_digest
 
@@ -419,6 +422,33 @@ def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
     rows = pq.read_table(tmp_path / "release" / "manifest.parquet").to_pylist()
     assert sum(row["viewpoint_role"] == "test" for row in rows) == 3
     assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
+
+
+def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monkeypatch):
+    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
+    render = CONFIG.render.model_dump() | {
+        "viewpoints": ["bench_1", "bench_2"],
+        "test_viewpoints": [],
+        "interpolation": {"share": 1.0, "fabric": 0.5, "from_friction": 0.0},
+        "verified_images": 0,  # drawn images are not rectified
+    }
+    config = synthetic_chain.config(render=render, train={"splits": ["by_simulation"]})
+    results = synthetic_chain.write(config, tmp_path)
+    release = tmp_path / "release"
+    write_release(config, results, release, ROOT)
+    audit = audit_release(release)
+    assert audit.verdict == "intact", audit.findings[:3]
+
+    rows = pq.read_table(release / "manifest.parquet").to_pylist()
+    between = [row for row in rows if row["interpolated"]]
+    assert {row["split_by_simulation"] for row in between} <= {"train", None}  # None: test-only
+    shown = interpolations(config)
+    lineage = Lineage(read_contents(release))
+    for row in between:
+        one = shown[row["simulation"], row["viewpoint_id"]]
+        assert row["friction"] == one.friction
+        behind = {Path(each.path).stem for each in lineage.of_stage(row, "simulate")}
+        assert behind == set(one.weights)
 
 
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):

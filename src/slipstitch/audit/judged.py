@@ -157,7 +157,7 @@ def _verification(
     if [(one["video"], one["frame"]) for one in compared] != _drawn(config):
         yield "its images are not those drawn from the seed"
         return
-    lowest = {key: min(one[key] for one in compared) for key in ("psnr_db", "ssim")}
+    lowest = {key: min((one[key] for one in compared), default=None) for key in ("psnr_db", "ssim")}
     summed = {"images": len(compared), **{f"lowest_{key}": value for key, value in lowest.items()}}
     if {key: value for key, value in content.items() if key != "comparisons"} != summed:
         yield "its lowest values do not match its images"
