@@ -339,7 +339,7 @@ TABLES = {
 PAGES = {
     "docs/benchmarks.md": lambda root: page(
         _read(root, "benchmark/benchmark.json"),
-        pandas.read_csv(root / "results/published/instrument/simulations.csv"),
+        pandas.read_csv(root / "results/published/benchmark/simulations.csv"),
     ),
     model_card.PLACE: lambda root: model_card.page(
         root, instrument(root), instrument_parts(root), reach(root)

@@ -94,7 +94,7 @@ def _grid(grid):
             f"fabric's median above twice that of all: {_met(dearest <= 2 * median)}.",
             f"{(cost > 3 * median).sum()} of {len(grid)} cost more than three times the median.",
             "All, with steps, iterations, factorisations, halvings and residuals:",
-            "[simulations.csv](../results/published/instrument/simulations.csv).",
+            "[simulations.csv](../results/published/benchmark/simulations.csv).",
         ),
         "| fabric | least | median | largest | at μ | median over that of all | steps | iterations "
         "| factorisations | halvings | largest residual |",
