@@ -83,6 +83,15 @@ def _data(card, config, rows):
         f"trained the network, {card['calibration_simulations']} calibrate the intervals and the "
         f"alarm, {parts['test']} test. The network saw {card['training_videos']} of the videos.",
         f"- Fabrics: {', '.join(card['materials'])}.",
+        *(
+            f"- For error bars alone: {fabric}."
+            for fabric in config["sample"].get("validation_materials", ())
+        ),
+        *(
+            f"- {count} of the training videos show cloths between simulated ones."
+            for count in [card.get("interpolated_videos", 0)]
+            if count
+        ),
         f"- μ: {frictions[0]:g} to {frictions[-1]:g}, {len(frictions)} values.",
         f"- Floors: {', '.join(sorted(rows['floor'].unique()))}; textures: "
         f"{', '.join(sorted(rows['texture'].unique()))}.",
