@@ -24,6 +24,18 @@ from slipstitch.errors import BadInput
 from slipstitch.measure.measuring import measuring_bench
 
 
+def one_fabric_a_substrate():
+    """Of the pairs of the configuration, one on every substrate, the fabrics taking turns."""
+    pairs = load_config(*(str(ROOT / name) for name in CONFIGS)).captures.pairs
+    fabrics = list(dict.fromkeys(pair.material for pair in pairs))
+    substrates = list(dict.fromkeys(pair.substrate for pair in pairs))
+    return [
+        pair.model_dump(mode="json")
+        for pair in pairs
+        if fabrics.index(pair.material) == substrates.index(pair.substrate) % len(fabrics)
+    ]
+
+
 def made(config, folder, files, processes):
     """Simulate and render what is missing; all repeats of a pair in their order."""
     wanted = sorted(films(config), key=lambda film: (film.repeat, film.id))
@@ -76,11 +88,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for cameras and videos")
     parser.add_argument("--repeats", type=int, default=1, help="videos of each pair")
+    parser.add_argument("--one-fabric", action="store_true", help="a substrate, the three in turn")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     folder = arguments.folder
     folder.mkdir(parents=True, exist_ok=True)
     changes = {"captures": {"own_cameras": True, "repeats": arguments.repeats}}
+    if arguments.one_fabric:
+        changes["captures"]["pairs"] = one_fabric_a_substrate()
     (folder / "changes.yaml").write_text(yaml.safe_dump(changes))
     files = [*(str(ROOT / name) for name in CONFIGS), str(folder / "changes.yaml")]
     config = load_config(*files)
