@@ -27,8 +27,8 @@ from slipstitch.render.pose import POSE
 from slipstitch.sample.shards import decode, read_shard
 
 ROOT = Path(__file__).parents[1]
-PUBLISHED = ROOT / "results" / "published" / "instrument"
-MODELS = PUBLISHED / "models" / "by_simulation" / "instrument"
+PUBLISHED = ROOT / "results" / "published"
+SHIPPED = "instrument"  # the published run whose instrument ships
 CONFIGS = ("config.yaml", "config/paper.yaml", "config/instrument.yaml")
 VIEWPOINTS = ["bench_5", "bench_6", "bench_7", "bench_8"]
 TEXTURES = ["checks", "tartan", "dots", "floral"]
@@ -93,7 +93,7 @@ def _film_one(place, simulated, files, simulation, views):
         return
     given = [word for file in files for word in ("--config", file)]
     if not trajectory.exists():
-        calibrated = ["--calibration", str(PUBLISHED / "calibration.json")]
+        calibrated = ["--calibration", str(PUBLISHED / SHIPPED / "calibration.json")]
         run_slipstitch(
             "simulate", "--config", *files, *calibrated, "--simulation", simulation,
             "--out", str(trajectory),
@@ -123,27 +123,33 @@ def run_slipstitch(*words):
         raise SystemExit(f"{' '.join(words[:3])}: {done.stderr[-2000:]}")
 
 
-def instruments():
-    """Those published, one a seed."""
-    return [load_instrument(path) for path in sorted(MODELS.glob("seed*/*.safetensors"))]
+def models(run=SHIPPED):
+    """Weights of the instruments of a published run, one a seed."""
+    return sorted((PUBLISHED / run / "models/by_simulation/instrument").glob("seed*/*.safetensors"))
 
 
-def publish(name, result, sets, rows):
+def instruments(run=SHIPPED):
+    """Those of a published run, one a seed."""
+    return [load_instrument(path) for path in models(run)]
+
+
+def publish(name, result, sets, rows, run=SHIPPED):
     """Write a result and its readings to results/published/camera, with the record of its origin.
 
-    The readings are rounded to 1e-4, a hundredth of the instruments' own step.
+    The readings are rounded to 1e-4, a hundredth of the instruments' own step. Of another run than
+    the one that ships, the file's name ends with the run's.
     """
     brief = [
         {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
         for row in rows
     ]
-    used = [*sorted(MODELS.glob("seed*/*.safetensors")), PUBLISHED / "calibration.json"]
+    used = [*models(run), PUBLISHED / SHIPPED / "calibration.json"]
     record = provenance_record(
         "evaluate",
         inputs=[path.relative_to(Path.cwd()) for path in used],
         config={one.name: one.changes | {"model": one.model} for one in sets},
     )
-    path = ROOT / "results" / "published" / "camera" / f"{name}.json"
+    path = PUBLISHED / "camera" / f"{name if run == SHIPPED else f'{name}_{run}'}.json"
     write_json(path, result | {"readings": brief}, record, indent=None)
 
 

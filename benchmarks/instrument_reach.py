@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import UNSEEN_TEXTURE, FilmedSet, film, instruments, publish, readings
+from filmed import SHIPPED, UNSEEN_TEXTURE, FilmedSet, film, instruments, publish, readings
 
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.instrument.poses import outside
@@ -74,10 +74,11 @@ def scores(rows):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for simulations and videos")
+    parser.add_argument("--run", default=SHIPPED, help="folder of results/published")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     configs = film(sets(), arguments.folder, arguments.processes)
-    measuring = instruments()
+    measuring = instruments(arguments.run)
     rows = readings(configs, arguments.folder, measuring)
     tested = measuring[0].card["pose_range"]
     parts = {"off_grid": [], "unseen_fabric": [], "unseen_texture": [], "far": []}
@@ -98,7 +99,7 @@ def main():
         for name in FABRICS
     }
     result["instruments"] = len(measuring)
-    publish("reach", result, sets(), rows)
+    publish("reach", result, sets(), rows, arguments.run)
     print(json.dumps({name: result[name] for name in parts}, indent=1))
 
 

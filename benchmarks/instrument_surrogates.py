@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import yaml
-from filmed import CONFIGS, MODELS, ROOT, FilmedSet, publish, run_slipstitch
+from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, models, publish, run_slipstitch
 from instrument_reach import scores
 
 from slipstitch.capture.surrogate.bench import films, write_bench
@@ -53,11 +53,11 @@ def made(config, folder, files, processes):
     return wanted
 
 
-def readings(wanted, folder):
+def readings(wanted, folder, run):
     """One row a video and instrument, and the videos that were refused."""
     rows, refused = [], []
     for film in wanted:
-        for model in sorted(MODELS.glob("seed*/instrument.safetensors")):
+        for model in models(run):
             bench = measuring_bench(folder / f"{film.id}.json", model.parent)
             try:
                 result = bench.measure(folder / f"{film.id}.mp4")
@@ -89,6 +89,7 @@ def main():
     parser.add_argument("--folder", type=Path, required=True, help="for cameras and videos")
     parser.add_argument("--repeats", type=int, default=1, help="videos of each pair")
     parser.add_argument("--one-fabric", action="store_true", help="a substrate, the three in turn")
+    parser.add_argument("--run", default=SHIPPED, help="folder of results/published")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     folder = arguments.folder
@@ -100,7 +101,8 @@ def main():
     files = [*(str(ROOT / name) for name in CONFIGS), str(folder / "changes.yaml")]
     config = load_config(*files)
     write_bench(config, folder)
-    rows, refused = readings(made(config, folder, files, arguments.processes), folder)
+    wanted = made(config, folder, files, arguments.processes)
+    rows, refused = readings(wanted, folder, arguments.run)
     parts = {
         "all": rows,
         "matte": [row for row in rows if not FLOORS[row["floor"]].reflects_plainly],
@@ -116,7 +118,7 @@ def main():
         for name, part in parts.items()
     }
     result["refused"] = refused
-    publish("surrogates", result, [FilmedSet("surrogates", changes)], rows)
+    publish("surrogates", result, [FilmedSet("surrogates", changes)], rows, arguments.run)
     print(json.dumps({name: result[name] for name in parts} | {"refused": refused}, indent=1))
 
 
