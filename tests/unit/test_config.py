@@ -19,8 +19,12 @@ SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml
 
 def below(scale: str) -> list[Path]:
     """The files that a scale is merged over."""
-    others = ["config/paper.yaml"] if scale == "config/instrument.yaml" else []
-    return [ROOT / name for name in ("config.yaml", *others)]
+    instrument = ["config/paper.yaml", "config/instrument.yaml"]
+    others = {
+        "config/instrument.yaml": instrument[:1],
+        "config/instrument_between.yaml": instrument,
+    }
+    return [ROOT / name for name in ("config.yaml", *others.get(scale, ()))]
 
 
 def write(path: Path, text: str) -> Path:
