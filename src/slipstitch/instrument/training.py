@@ -358,8 +358,10 @@ def train_instrument(
         "pose_range": pose_range(poses_of(list(compress(videos.rows, training)))),
         "split": split,
         "seed": seed,
-        "frictions": sorted({row["friction"] for row in videos.rows if not row["interpolated"]}),
-        "interpolated_videos": sum(row["interpolated"] for row in videos.rows),
+        "frictions": sorted(
+            {row["friction"] for row in videos.rows if not row.get("interpolated")}
+        ),
+        "interpolated_videos": sum(bool(row.get("interpolated")) for row in videos.rows),
         "calibration_simulations": len(simulations(videos, ~training)),
         **training_facts(learner, videos, history),
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "

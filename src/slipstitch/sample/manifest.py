@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from slipstitch.config.splits import SIDES, check_no_simulation_on_both_sides
 from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance import read_metadata, read_parquet, write_parquet
+from slipstitch.provenance import open_parquet, read_metadata, read_parquet, write_parquet
 from slipstitch.render.pose import POSE
 
 MANIFEST = "manifest.parquet"
@@ -50,6 +50,10 @@ MANIFEST_SCHEMA = pa.schema(
 )
 
 
+#: Columns that datasets of before do not have: none of their videos is interpolated.
+_LATER = ("interpolated",)
+
+
 def dataset_digest(rows: Sequence[Mapping[str, Any]]) -> str:
     """SHA-256 of the manifest's rows; images enter by the digests of their decoded pixels."""
     return hashlib.sha256(json.dumps(list(rows), sort_keys=True).encode()).hexdigest()
@@ -76,7 +80,11 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
         If the manifest is missing or damaged, was altered, or its split by simulation leaks.
     """
     path = Path(dataset) / MANIFEST
-    rows = read_parquet(path, MANIFEST_SCHEMA.names).to_pylist()
+    with open_parquet(path) as file:
+        there = file.schema_arrow.names
+    absent = [name for name in _LATER if name not in there]
+    names = [name for name in MANIFEST_SCHEMA.names if name not in absent]
+    rows = read_parquet(path, names).to_pylist()
     if not rows:
         raise BadInput(f"{path}: contains no videos")
     for split in ("split_by_video", "split_by_simulation"):
