@@ -16,8 +16,8 @@ from filmed import SHIPPED, UNSEEN_TEXTURE, FilmedSet, film, instruments, publis
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.instrument.poses import outside
 
-MATERIALS = ["pink-ribbon-brown", "gray-interlock"]
-OFF_GRID = [0.15, 0.6, 1.0]
+MATERIALS = ["pink-ribbon-brown", "gray-interlock", "11oz-black-denim", "white-swim-solid"]
+OFF_GRID = [0.15, 0.55, 0.95, 1.35]
 # Fabrics unlike any of the ten: one of them, of another mass and bending rigidity.
 FABRICS = {
     "camel-ponte-roma": (-0.3, 1.0),
@@ -38,7 +38,7 @@ def sets():
         *(
             FilmedSet(
                 f"unseen_fabric_{name}",
-                {"seed": 139, "grid": {"materials": [name], "frictions": [0.25, 1.0]}},
+                {"seed": 139, "grid": {"materials": [name], "frictions": [0.25, 0.65, 1.15]}},
                 {"friction_law": plain, "bench": {"mass_error": mass, "bending_error": bending}},
             )
             for name, (mass, bending) in FABRICS.items()
