@@ -10,7 +10,7 @@ from slipstitch.simulate.trajectory import Trajectory
 SIDE = 6
 
 
-def sheet(turns_deg, aside_m=0.0, frames_per_s=1.0, stage_z_m=0.15):
+def sheet(turns_deg, stage_z_m=0.15):
     """A square that hangs on its upper edge, turned about it by an angle in each frame."""
     u, v = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE))
     uv = np.column_stack([u.ravel(), v.ravel()])
@@ -19,7 +19,7 @@ def sheet(turns_deg, aside_m=0.0, frames_per_s=1.0, stage_z_m=0.15):
     down_m = -rest_m[None, :, 2]
     positions_m = np.stack(
         [
-            down_m * np.sin(turn) + aside_m,
+            down_m * np.sin(turn),
             np.broadcast_to(rest_m[:, 1], down_m.shape) + 0 * turn,
             -down_m * np.cos(turn),
         ],
@@ -30,7 +30,7 @@ def sheet(turns_deg, aside_m=0.0, frames_per_s=1.0, stage_z_m=0.15):
     count = len(turns_deg)
     return Trajectory(
         rest_m, uv, np.array(faces), np.array([0]), np.arange(count),
-        np.arange(count) / frames_per_s, np.zeros(count), np.full(count, stage_z_m),
+        np.arange(count) / 1.0, np.zeros(count), np.full(count, stage_z_m),
         positions_m.astype(np.float32),
     )  # fmt: skip
 

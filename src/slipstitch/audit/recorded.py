@@ -138,11 +138,11 @@ def _inputs(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) 
     # What the manifest was made from is followed clip by clip.
     if artefact.path in (SAMPLED_MANIFEST, VERIFICATION) or artefact.stage == "calibrate":
         return None
-    simulation = _simulation_of(artefact, grid).id
+    filmed = _filmed(_simulation_of(artefact, grid).id, path, config)
     return {
         "simulate": {f"results/calibrate/{CALIBRATION}"},
-        "render": _filmed(simulation, path, config),
-        "render.packing": _filmed(simulation, path, config),
+        "render": filmed,
+        "render.packing": filmed,
         "sample": {
             f"results/render/{name}_{view}.parquet"
             for name, view in films(config)
@@ -292,6 +292,7 @@ def _rendered(
     if not isinstance(share, int | float) or not 0 <= share <= 1:
         yield "does not state the share of the cloth in its images"
     counts = metadata.pop("interpolated_frames", None)
-    if counts is not None if shown is None else not _counts(counts, config.simulation.frames):
+    counted = _counts(counts, config.simulation.frames) if shown else counts is None
+    if not counted:
         yield "does not state which of its frames are interpolated"
     yield from _differing(metadata, _plain(expected))
