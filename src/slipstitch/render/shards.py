@@ -17,6 +17,7 @@ from slipstitch.render.augmentation import Augmentation, draw_augmentation, pixe
 from slipstitch.render.bench_camera import BenchCamera, bench_pixels, relative_pose
 from slipstitch.render.composition import compose_light, join
 from slipstitch.render.encoding import encode_png
+from slipstitch.render.marked_points import marked_points_m
 from slipstitch.render.mean_cloth import lags_m
 from slipstitch.render.packing import Job, Pack, read_pack, shade_job
 from slipstitch.render.pose import POSE
@@ -202,7 +203,7 @@ def render_shard(
             stream.write(group)
         files += [] if pack_path is None else [Path(pack_path)]
         pose = Rectifier.of(job, trajectory).pose(pack.shots)
-        stream.describe(*_description(job, pack, pose, files, started))
+        stream.describe(*_description(job, pack, trajectory, pose, files, started))
     return {
         "frames": len(pack.shots),
         "images": images,
@@ -246,16 +247,26 @@ def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.n
 
 
 def _description(
-    job: FilmJob, pack: Pack, pose: dict[str, float], files: list, started: tuple[float, float]
+    job: FilmJob,
+    pack: Pack,
+    trajectory: Trajectory,
+    pose: dict[str, float],
+    files: list,
+    started: tuple[float, float],
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
     of = cameras(job)
     augmentation = {identity: of[name].record() for identity, name in job.textures.items()}
+    points_m = marked_points_m(trajectory)
     metadata = pack.metadata | {
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
         "textures": dict(job.textures),
         "augmentation": augmentation,
         "pose": pose,
+        "marked_points_m": {
+            str(shot.frame): [round(float(place), 5) for place in points_m[shot.row].ravel()]
+            for shot in pack.shots
+        },
     }
     record = provenance_record(
         "render",

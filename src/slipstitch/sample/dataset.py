@@ -149,6 +149,7 @@ def _write_simulation(
     frictions: dict[str, float] = {}
     floors: dict[str, dict[str, Any]] = {}
     poses: dict[str, dict[str, float]] = {}
+    points: dict[str, list] = {}
     for path in paths:
         metadata = read_metadata(path)
         floor = metadata.get("surroundings") or MATTE.record()
@@ -163,6 +164,8 @@ def _write_simulation(
             videos[texture, view] = images
             poses[view] = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
             floors[view] = floor
+            if marked := metadata.get("marked_points_m"):
+                points[view] = [marked[str(image.frame)] for image in images]
             shown = between.get((simulation.id, view))
             if metadata.get("interpolation") != (shown and asdict(shown)):
                 raise BadInput(
@@ -238,5 +241,5 @@ def _write_simulation(
         seed=config.seed,
         started=started,
     )
-    write_frames(images, out_dir / file, record)
+    write_frames(images, out_dir / file, record, {"marked_points_m": points})
     return rows, first

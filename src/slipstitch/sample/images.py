@@ -52,13 +52,16 @@ def pixels_digest(video: np.ndarray) -> str:
 
 
 def write_frames(
-    images: Sequence[dict[str, Any]], path: str | os.PathLike, record: dict[str, Any]
+    images: Sequence[dict[str, Any]],
+    path: str | os.PathLike,
+    record: dict[str, Any],
+    metadata: dict[str, Any] | None = None,
 ) -> None:
     """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
     write_parquet(
         pa.Table.from_pylist(list(images), schema=DATASET_SCHEMA),
         path,
-        {},
+        metadata or {},
         record,
         compression="none",  # PNG is compressed already
     )

@@ -1,0 +1,24 @@
+"""Places of a few points of the cloth: what every image shows, in metres.
+
+They are labels beside the friction coefficient: a network that is told where the cloth lies in
+every frame learns to see its shape, of which there are thousands, not only the coefficient, of
+which every simulation has one.
+"""
+
+import numpy as np
+
+from slipstitch.simulate.trajectory import Trajectory
+
+#: Texture coordinates of the points: three rows below the clamps, three points each.
+MARKED_UV = np.array([(u, v) for v in (1 / 3, 2 / 3, 1.0) for u in (0.0, 0.5, 1.0)])
+
+
+def marked_points_m(trajectory: Trajectory) -> np.ndarray:
+    """Places of the vertices nearest to `MARKED_UV`, shape (T, 9, 3) float32.
+
+    Along the track relative to the clamps, across it, and above the floor; metres.
+    """
+    distance = np.linalg.norm(trajectory.uv[None] - MARKED_UV[:, None], axis=2)
+    places = trajectory.positions_m[:, distance.argmin(axis=1)].astype(np.float64)
+    places[..., 0] -= trajectory.stage_x_m[:, None]
+    return places.astype(np.float32)
