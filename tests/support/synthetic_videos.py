@@ -15,6 +15,8 @@ from PIL import Image
 
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.grid import films, simulations, textures, viewpoints
+from slipstitch.provenance import attach_metadata
+from slipstitch.render.marked_points import MARKED_UV
 
 SCHEMA = pa.schema(
     [
@@ -79,8 +81,20 @@ def draw(
     return image.astype(np.uint8)
 
 
-def write_shards(config: Config, folder: Path, frames: range | None = None) -> list[Path]:
-    """One shard a (simulation, viewpoint), as the render stage lays them out."""
+def marked_points_m(lean: float, lag: float, height: float) -> np.ndarray:
+    """Places (9, 3) of points of the rectangle that `draw` draws, its side 0.2 m."""
+    across, below = MARKED_UV[:, 0] - 0.5, 0.15 + height * MARKED_UV[:, 1]
+    shift = lag * lean * np.clip((below - 0.4) / 0.6, 0, 1)
+    return np.stack([0.5 * shift, 0.2 * across, 0.5 * (1 - below)], axis=1)
+
+
+def write_shards(
+    config: Config, folder: Path, frames: range | None = None, marked: bool = False
+) -> list[Path]:
+    """One shard a (simulation, viewpoint), as the render stage lays them out.
+
+    With the places of marked points or, as before there were any, without.
+    """
     total = config.simulation.frames
     numbers = frames or range(0, total, total // config.sample.frames_kept)
     strongest = max(config.grid.frictions)
@@ -91,13 +105,14 @@ def write_shards(config: Config, folder: Path, frames: range | None = None) -> l
         lag = 0.3 * one.friction / strongest + jitter[0]
         height = 0.45 + 0.12 * fabrics.index(one.material) + jitter[1]
         for v, view in enumerate(viewpoints(config)):
-            rows = []
+            rows, points = [], {}
             worn = films(config).get((one.id, view["id"]), {})
             for t, texture in enumerate(textures(config)):
                 if texture["id"] not in worn:
                     continue
                 for frame in numbers:
                     phase = frame / total * 4 * np.pi
+                    points[str(frame)] = marked_points_m(np.sin(phase), lag, height).ravel()
                     image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
                     stream = io.BytesIO()
                     Image.fromarray(image).save(stream, "PNG")
@@ -116,6 +131,10 @@ def write_shards(config: Config, folder: Path, frames: range | None = None) -> l
                 continue
             path = Path(folder) / f"{one.id}_{view['id']}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), path)
+            table = pa.Table.from_pylist(rows, schema=SCHEMA)
+            if marked:
+                places = {frame: place.tolist() for frame, place in points.items()}
+                table = attach_metadata(table, {"marked_points_m": places})
+            pq.write_table(table, path)
             paths.append(path)
     return paths

@@ -66,6 +66,15 @@ def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None
     )
 
 
+@pytest.fixture(scope="module")
+def marked(tmp_path_factory):
+    """The same dataset with the places of points of the cloth."""
+    folder = tmp_path_factory.mktemp("marked")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render", marked=True)
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
 def altered_copy(dataset, folder, change):
     """A copy of the dataset whose manifest rows went through `change`, with its digest anew."""
     shutil.copytree(dataset, folder)
@@ -125,6 +134,21 @@ def test_the_alarm_stays_quiet_for_its_like_and_rings_for_other_videos(folder, t
     assert alarms(np.full_like(frames[:4], 20)) == 1.0
     assert alarms(255 - frames[:12]) >= 0.95
     assert alarms(frames[:12, :, ::-1]) >= 0.95
+
+
+def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked, tests, tmp_path):
+    train(marked, tmp_path, points_weight=1.0, through_points=True)
+    history = list(csv.DictReader((tmp_path / "history.csv").open()))
+    # On simulations that did not train, in units of the mean distance from a constant place.
+    assert float(history[-1]["validation_points"]) < 0.3
+    videos, frames = tests
+    instrument = load_instrument(tmp_path)
+    truth = np.array([row["friction"] for row in videos.rows])
+    errors = [
+        abs(instrument.measure(one).friction_coefficient - mu)
+        for one, mu in zip(frames, truth, strict=True)
+    ]
+    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
 
 
 def test_the_learning_curve_falls_and_is_kept(folder):
@@ -200,6 +224,7 @@ def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
         ({"frames": 13}, "videos have 12 frames; the instrument requires 13"),
         ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
         ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
+        ({"points_weight": 1.0}, "has no places of points of the cloth"),
     ],
 )
 def test_settings_that_do_not_fit_the_data_are_refused(dataset, tmp_path, changes, words):
@@ -254,7 +279,7 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
     settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, 2, 24)
-    views, ordered, _ = training_views(frames[:8], 6, settings, np.random.default_rng(0))
+    views, ordered, _, _ = training_views(frames[:8], 6, settings, np.random.default_rng(0))
     gradients = []
     for bfloat16 in (False, True):
         network.zero_grad()

@@ -119,6 +119,18 @@ def test_the_recorded_camera_projects_the_cloth_onto_its_image(work):
         assert place[:, 1].min() == pytest.approx(y.min(), abs=1.6)
 
 
+def test_a_shard_tells_where_nine_points_of_the_cloth_are(work):
+    trajectory = read_trajectory(work / "m05_f0300_r00.parquet")
+    marked = read_metadata(work / "v00.parquet")["marked_points_m"]
+    assert set(marked) == {"0", "3", "6", "9"}
+    # 11 x 11 vertices; rows 3, 7 and 10 are nearest to a third, two thirds and the lower edge.
+    vertices = [11 * row + column for row in (3, 7, 10) for column in (0, 5, 10)]
+    for frame, places in marked.items():
+        expected = trajectory.positions_m[int(frame), vertices].astype(np.float64)
+        expected[:, 0] -= trajectory.stage_x_m[int(frame)]
+        np.testing.assert_allclose(np.reshape(places, (9, 3)), expected, atol=6e-6)
+
+
 def test_equal_inputs_give_equal_pixels(work):
     assert render(work, "--viewpoint", "v01", out="again.parquet") == 0
     first, again = images(work / "v01.parquet"), images(work / "again.parquet")

@@ -3,6 +3,7 @@
 import io
 import json
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,7 +17,7 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_metadata, read_provenance
 from slipstitch.sample.dataset import write_dataset
-from slipstitch.sample.videos import takes_part
+from slipstitch.sample.videos import read_videos, takes_part
 
 synthetic = synthetic_videos
 
@@ -72,6 +73,28 @@ def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, re
     assert features["friction"] == {"dtype": "float64", "_type": "Value"}
     record = read_provenance(path)
     assert record["stage"] == "sample" and len(record["inputs"]) == 2
+
+
+def test_places_of_points_go_with_their_frames(config, tmp_path):
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    videos = read_videos(tmp_path / "sample", frames=3)
+    known = read_metadata(shards[0])["marked_points_m"]
+    of_shard = [
+        k
+        for k, row in enumerate(videos.rows)
+        if shards[0].stem == f"{row['simulation']}_{row['viewpoint_id']}"
+    ]
+    assert len(of_shard) == 2  # textures
+    for k in of_shard:
+        for place, frame in zip(videos.points_m[k], (0, 20, 40), strict=True):
+            np.testing.assert_allclose(place.ravel(), known[str(frame)], atol=1e-6)
+    assert videos.chosen(np.arange(len(videos)) == 1).points_m.shape == (1, 3, 9, 3)
+
+
+def test_datasets_from_before_there_were_points_have_none(config, rendered, tmp_path):
+    write_dataset(config, rendered, tmp_path)
+    assert read_videos(tmp_path).points_m is None
 
 
 def test_equal_shards_and_seeds_give_equal_datasets(config, rendered, tmp_path):

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from slipstitch.config.section import Section, Seeds
 
@@ -52,6 +52,17 @@ class InstrumentSettings(Section):
     material_weight: float = Field(
         0.1, ge=0, description="weight of the material's cross-entropy relative to the loss of mu"
     )
+    points_weight: float = Field(
+        0.0,
+        ge=0,
+        description="weight of the loss of the places of nine points of the cloth in every frame, "
+        "relative to the loss of mu; 0: the network does not learn them",
+    )
+    through_points: bool = Field(
+        False,
+        description="the recurrent layer sees the places of the points, as the network finds them, "
+        "and nothing else of a frame; requires points_weight",
+    )
     order_weight: float = Field(
         0.1,
         ge=0,
@@ -90,3 +101,9 @@ class InstrumentSettings(Section):
     )
     coverage: float = Field(0.9, gt=0.5, lt=1, description="coverage of the intervals")
     false_alarms: float = Field(0.05, gt=0, lt=0.5, description="false alarm rate on valid videos")
+
+    @model_validator(mode="after")
+    def _points_are_learnt(self) -> "InstrumentSettings":
+        if self.through_points and not self.points_weight:
+            raise ValueError("through_points requires points_weight above 0")
+        return self

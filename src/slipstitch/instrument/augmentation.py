@@ -88,28 +88,28 @@ def augmented(
     return result
 
 
-def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | None) -> np.ndarray:
-    """`frames` of each video at regular intervals, from a phase within the first interval.
+def phase_places(
+    count: int, total: int, frames: int, generator: np.random.Generator | None
+) -> np.ndarray:
+    """Which `frames` of the `total` of each video are seen, at regular intervals; (count, frames).
 
     Parameters
     ----------
-    videos : ndarray of uint8, shape (n, F, side, side, 3), F >= frames
-    frames : int
+    count : int
+        Videos.
+    total, frames : int
+        total >= frames.
     generator : numpy Generator or None
-        Draws each video's phase; without, all begin with the first frame.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n, frames, side, side, 3)
+        Draws each video's phase within the first interval; without, all begin with the first frame.
     """
-    total = videos.shape[1]
     spare = -(-total // frames)  # phases that differ
-    starts = (
-        np.zeros(len(videos))
-        if generator is None
-        else generator.integers(spare, size=len(videos)) / spare
-    )
-    places = ((np.arange(frames)[None] + starts[:, None]) * total / frames).astype(np.int64)
+    starts = np.zeros(count) if generator is None else generator.integers(spare, size=count) / spare
+    return ((np.arange(frames)[None] + starts[:, None]) * total / frames).astype(np.int64)
+
+
+def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | None) -> np.ndarray:
+    """The frames of each video (n, F, ...) that `phase_places` names, shape (n, frames, ...)."""
+    places = phase_places(len(videos), videos.shape[1], frames, generator)
     return videos[np.arange(len(videos))[:, None], places]
 
 

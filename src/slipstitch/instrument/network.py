@@ -2,6 +2,7 @@
 
     frame --> convolutions of stride 2, features shifted in time between them
           --> a few channels of the last map with their position --> features
+    features --> places of nine points of the cloth --> features (if it goes through points)
     features of all frames --> bidirectional GRU --> attention over frames --> heads
 
 The shift in time is that of Lin, Gan & Han (TSM, 2019): an eighth of the channels comes from the
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument.distribution import friction_grid
+from slipstitch.render.marked_points import MARKED_UV
 from slipstitch.render.pose import POSE
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
@@ -101,6 +103,16 @@ class InstrumentNetwork(nn.Module):
         self.pose = None
         if settings.knows_pose:
             self.pose = nn.Linear(len(POSE), settings.features, bias=False)
+        self.points = self.of_points = None
+        if settings.points_weight:
+            self.points = nn.Linear(settings.features, 3 * len(MARKED_UV))
+            # Of the videos that train, by coordinate: the unit of their places in the network.
+            self.register_buffer("points_mean_m", torch.zeros(len(MARKED_UV), 3))
+            self.register_buffer("points_spread_m", torch.ones(len(MARKED_UV), 3))
+        if settings.through_points:
+            self.of_points = nn.Sequential(
+                nn.Linear(3 * len(MARKED_UV), settings.features), nn.GELU()
+            )
         units = settings.recurrent_units
         self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)
         self.attention = nn.Linear(2 * units, 1)
@@ -155,7 +167,8 @@ class InstrumentNetwork(nn.Module):
         dict
             ``friction`` (n, 3, components), see `mixture_cumulative`; ``material`` (n, materials)
             logits; ``order`` (n,) logit of an ordinary video; ``attention_weights`` (n, frames),
-            sum 1; ``embedding`` (n, 2 * recurrent_units).
+            sum 1; ``embedding`` (n, 2 * recurrent_units); ``points`` (n, frames, points,
+            3), if the network learns them: places minus ``points_mean_m`` over ``points_spread_m``.
         """
         videos, count = frames.shape[:2]
         maps = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
@@ -168,6 +181,12 @@ class InstrumentNetwork(nn.Module):
         features = self.frame_features(maps.float().flatten(1)).view(videos, count, -1)
         if self.pose is not None and poses is not None:
             features = features + self.pose(poses)[:, None]
+        found = {}
+        if self.points is not None:
+            places = self.points(features)
+            found["points"] = places.unflatten(-1, (-1, 3))
+            if self.of_points is not None:
+                features = self.of_points(places)
         states, _ = self.recurrent(features)
         attention_weights = self.attention(states)[..., 0].softmax(1)
         embedding = (states * attention_weights[..., None]).sum(1)
@@ -181,4 +200,5 @@ class InstrumentNetwork(nn.Module):
             "order": self.order(embedding)[..., 0],
             "attention_weights": attention_weights,
             "embedding": embedding,
+            **found,
         }

@@ -15,7 +15,13 @@ from torch import Tensor
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput
-from slipstitch.instrument.augmentation import augmented, disordered, phased, standardised
+from slipstitch.instrument.augmentation import (
+    augmented,
+    disordered,
+    phase_places,
+    phased,
+    standardised,
+)
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.error_bars import calibrated
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
@@ -39,6 +45,7 @@ from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 GRADIENT_NORM_MAX = 1.0
 UNKNOWN = -1  # number of a fabric that does not train
+POINTS_SPREAD_MIN_M = 1e-3
 
 
 def _training_videos(
@@ -72,6 +79,11 @@ def _training_videos(
         found = {row[f"{key}_id"] for row in trained}
         if len(found) < least:
             raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
+    if settings.points_weight and videos.points_m is None:
+        raise BadInput(
+            f"{dataset}: has no places of points of the cloth, as instrument.points_weight "
+            "requires: render and sample it again"
+        )
     # A fabric may be for the error bars alone (sample.validation_materials).
     absent = [row["friction"] for row in videos.rows if row["friction_id"] not in found]
     if absent:
@@ -83,6 +95,17 @@ def _training_videos(
             "(instrument.friction_max)"
         )
     return videos, training
+
+
+def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
+    """Places of the videos' points in the network's unit, which it is given."""
+    points_m = torch.from_numpy(videos.points_m)
+    trained_m = points_m[training].double()
+    mean_m = trained_m.mean((0, 1))
+    spread_m = (trained_m - mean_m).abs().mean((0, 1)).clamp(min=POINTS_SPREAD_MIN_M)
+    network.points_mean_m.copy_(mean_m)
+    network.points_spread_m.copy_(spread_m)
+    return (points_m - network.points_mean_m) / network.points_spread_m
 
 
 def chance_score(friction: np.ndarray) -> float:
@@ -101,6 +124,7 @@ def losses(
     ordered: Tensor,
     bfloat16: bool,
     poses: Tensor | None = None,
+    points: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Mean losses of a batch whose last videos are in disorder.
 
@@ -112,11 +136,14 @@ def losses(
     ordered : float tensor, shape (n,)
         1 for the first m videos, else 0. Both kinds weigh the same.
     poses : float tensor, shape (n, 4), optional
+    points : float tensor, shape (m, frames, points, 3), optional
+        Places of points in the network's unit, where it learns them.
 
     Returns
     -------
     dict
-        ``friction`` (in mu), ``material``, ``order``; and ``median_error``, without gradient.
+        ``friction`` (in mu), ``material``, ``order``, ``points`` (mean distance along an axis, in
+        the network's unit); and ``median_error``, without gradient.
     """
     outputs = network(views, bfloat16, poses)
     count, spoilt = len(friction), len(ordered) - len(friction)
@@ -124,7 +151,11 @@ def losses(
     score = ranked_probability_score(cumulative, friction, network.grid).mean()
     with torch.no_grad():
         median = network.middles[(cumulative < 0.5).sum(1).clamp(max=len(network.middles) - 1)]
+    off = torch.zeros(())
+    if points is not None:
+        off = (outputs["points"][:count] - points).abs().mean()
     return {
+        "points": off,
         "friction": score,
         "material": torch.nn.functional.cross_entropy(outputs["material"][:count], material),
         "order": torch.nn.functional.binary_cross_entropy_with_logits(
@@ -144,18 +175,27 @@ def learning_rate(settings: InstrumentSettings, done: float) -> float:
 
 def training_views(
     pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
-) -> tuple[Tensor, Tensor, np.ndarray]:
-    """Augmented videos at random phase, then some of them in disorder; which are in order; whose.
+) -> tuple[Tensor, Tensor, np.ndarray, np.ndarray]:
+    """Augmented videos at random phase, then some of them in disorder.
 
-    The last is, for every view, the number of the video that it shows.
+    Returns
+    -------
+    views : float32 tensor, shape (n, frames, side, side, 3)
+    ordered : float tensor, shape (n,)
+        1 for those in order.
+    shown : ndarray of int, shape (n,)
+        For every view, the number of the video that it shows.
+    places : ndarray of int, shape (len(pixels), frames)
+        The frames that those in order show.
     """
-    videos = phased(pixels, frames, generator)
+    places = phase_places(len(pixels), pixels.shape[1], frames, generator)
+    videos = pixels[np.arange(len(pixels))[:, None], places]
     chosen = generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]
     spoilt = np.stack([disordered(video, generator) for video in videos[chosen]])
     whole = np.concatenate([videos, spoilt])
     ordered = (torch.arange(len(whole)) < len(videos)).float()
     shown = np.concatenate([np.arange(len(videos)), chosen])
-    return augmented(whole, settings, generator), ordered, shown
+    return augmented(whole, settings, generator), ordered, shown, places
 
 
 @dataclass
@@ -174,6 +214,8 @@ class InstrumentLearner:
         Which of the videos train; the others validate.
     poses : float tensor, shape (n, 4)
         Of the cameras, scaled.
+    points : float tensor, shape (n, stored frames, points, 3), optional
+        Their places in the network's unit, where it learns them.
     """
 
     name: str
@@ -187,6 +229,7 @@ class InstrumentLearner:
     training: np.ndarray
     poses: Tensor
     bfloat16: bool
+    points: Tensor | None = None
 
     def __post_init__(self):
         settings = self.settings
@@ -215,28 +258,31 @@ class InstrumentLearner:
         self, batch: np.ndarray, generator: np.random.Generator
     ) -> tuple[Tensor, dict[str, float]]:
         """Weighted sum of the losses; sums of the friction's score and of the median's error."""
-        views, ordered, shown = training_views(
+        views, ordered, shown, places = training_views(
             self.pixels[batch], self.frames, self.settings, generator
         )
         friction, labels = self.friction[batch], self.labels[batch]
         poses = self.poses[batch][shown]
-        part = losses(self.network, views, friction, labels, ordered, self.bfloat16, poses)
+        points = None if self.points is None else self.points[batch[:, None], places]
+        part = losses(self.network, views, friction, labels, ordered, self.bfloat16, poses, points)
         loss = (
             part["friction"] / self.chance_loss
             + self.settings.material_weight * part["material"]
             + self.settings.order_weight * part["order"]
+            + self.settings.points_weight * part["points"]
         )
-        return loss, {
-            "train_loss": part["friction"].item() * len(batch),
-            "train_error": part["median_error"].item() * len(batch),
-        }
+        kept = {"loss": part["friction"], "error": part["median_error"]}
+        if points is not None:
+            kept["points"] = part["points"]
+        return loss, {f"train_{name}": one.item() * len(batch) for name, one in kept.items()}
 
     def validation(self, numbers: np.ndarray) -> dict[str, float]:
         """Loss, error and accuracy."""
+        names = ["loss", "error", "accuracy"] + ["points"] * (self.points is not None)
         if not len(numbers):
-            return {f"validation_{name}": math.nan for name in ("loss", "error", "accuracy")}
+            return {f"validation_{name}": math.nan for name in names}
         self.network.eval()
-        scores, errors, hits = [], [], []
+        scores, errors, hits, off = [], [], [], []
         known = self.labels[numbers] != UNKNOWN
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
@@ -248,10 +294,16 @@ class InstrumentLearner:
                 median = grid[(cumulative < 0.5).sum(1)]
                 errors.append((median - truth).abs())
                 hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
+                if self.points is not None:
+                    places = phase_places(len(batch), self.pixels.shape[1], self.frames, None)
+                    wanted = self.points[batch[:, None], places]
+                    off.append((outputs["points"] - wanted).abs().mean((1, 2, 3)))
+        found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
+        if off:
+            found.append(torch.cat(off))
         return {
-            "validation_loss": float(torch.cat(scores).mean()),
-            "validation_error": float(torch.cat(errors).mean()),
-            "validation_accuracy": float(torch.cat(hits)[known].mean()),
+            f"validation_{name}": float(each.mean())
+            for name, each in zip(names, found, strict=True)
         }
 
     def columns(self, phase: Phase) -> dict[str, Any]:
@@ -324,6 +376,7 @@ def train_instrument(
     numbers = {entry["id"]: number for number, entry in enumerate(materials)}
     torch.manual_seed(seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
+    points = _points(network, videos, training) if settings.points_weight else None
     learner = InstrumentLearner(
         name=f"instrument {split} seed {seed}",
         settings=settings,
@@ -337,6 +390,7 @@ def train_instrument(
         training=training,
         poses=scaled(poses_of(videos.rows)),
         bfloat16=computes_bfloat16(settings.precision),
+        points=points,
     )
     identity = training_identity(
         "instrument",

@@ -15,6 +15,8 @@ from PIL import Image
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
+from slipstitch.provenance import read_metadata
+from slipstitch.render.marked_points import MARKED_UV
 from slipstitch.sample.images import pixels_digest, read_frames
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.shards import decode
@@ -33,11 +35,14 @@ class Videos:
     pixels : ndarray of uint8, shape (n, frames, side, side, 3)
     digest : str
         Digest of the whole dataset (also of the videos that are not here).
+    points_m : ndarray of float32, shape (n, frames, points, 3), optional
+        Of the cloth (`slipstitch.render.marked_points`), where the dataset has them for all videos.
     """
 
     rows: list[dict[str, Any]]
     pixels: np.ndarray
     digest: str
+    points_m: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -45,15 +50,18 @@ class Videos:
     def chosen(self, use: np.ndarray) -> "Videos":
         """Those where `use` (bool, shape (n,)) is true."""
         rows = [row for row, one in zip(self.rows, use, strict=True) if one]
-        return Videos(rows, self.pixels[use], self.digest)
+        points_m = None if self.points_m is None else self.points_m[use]
+        return Videos(rows, self.pixels[use], self.digest, points_m)
 
     def seen_with(self, pixels: int, frames: int | None) -> "Videos":
         """With fewer frames, at regular intervals from the first, and images of another side."""
         stored, side = self.pixels.shape[1:3]
-        seen = self.pixels[:, sampled_frames(stored, frames or stored)]
+        kept = sampled_frames(stored, frames or stored)
+        seen = self.pixels[:, kept]
         if pixels != side:
             seen = np.stack([resized(video, pixels) for video in seen])
-        return Videos(self.rows, seen, self.digest)
+        points_m = None if self.points_m is None else self.points_m[:, kept]
+        return Videos(self.rows, seen, self.digest, points_m)
 
 
 def read_videos(
@@ -93,6 +101,7 @@ def read_videos(
     kept = sampled_frames(stored, frames or stored)
     side = pixels or rendered
     array = np.empty((len(rows), len(kept), side, side, 3), np.uint8)
+    points_m = np.full((len(rows), len(kept), len(MARKED_UV), 3), np.nan, np.float32)
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file
@@ -105,6 +114,7 @@ def read_videos(
             if position != len(decoded):
                 raise BadInput(f"{where}: position {len(decoded)} expected here")
             decoded.append(decode(png, where, rendered))
+        marked = read_metadata(path).get("marked_points_m", {})
         for video in (row["video"] for row in rows if row["file"] == file):
             row = rows[place[video]]
             images = found.get(video, [])
@@ -115,7 +125,10 @@ def read_videos(
                 raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
             array[place[video]] = seen if side == rendered else resized(seen, side)
-    return Videos(rows, array, digest)
+            if row["viewpoint_id"] in marked:
+                places = np.array(marked[row["viewpoint_id"]], np.float32)
+                points_m[place[video]] = places.reshape(stored, -1, 3)[kept]
+    return Videos(rows, array, digest, None if np.isnan(points_m).any() else points_m)
 
 
 def resized(video: np.ndarray, side: int) -> np.ndarray:
