@@ -20,9 +20,11 @@ from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.rectification import in_stage_plane
 
-# The strip that is followed: this much around the clamps, in the upright plane.
-_HALF_WIDTH_M = 0.10
-_ABOVE_M, _BELOW_M = 0.008, 0.060
+# The strips that are followed, in the upright plane: half their width, and how far they reach above
+# and below the clamps. The first has the cloth's upper edge in it, which is all that shows how a
+# plain cloth moves; but where the floor's edge is seen beside or above the cloth, it stands still
+# and outweighs the cloth. The second lies within the cloth.
+_STRIPS_M = ((0.10, 0.008, 0.060), (0.065, -0.010, 0.070))
 # How far it is looked for: up and down, and to the sides (the bench is not perfectly aligned).
 _UP_M, _DOWN_M, _ASIDE_M = 0.006, 0.030, 0.004
 _FINEST_M = 0.0004
@@ -72,21 +74,29 @@ class StageStart:
 class _Strip:
     """The upright plane around the clamps as a small metric image, row 0 on top."""
 
-    def __init__(self, lens: LensCamera, crop: Camera, path: StagePath):
+    def __init__(
+        self,
+        lens: LensCamera,
+        crop: Camera,
+        path: StagePath,
+        half_width_m: float,
+        above_m: float,
+        below_m: float,
+    ):
         height = path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
         sinking = float(np.linalg.norm(np.diff(lens.project(clamps), axis=0)))
         self.pixel_m = max(0.01 / max(sinking, 1.0) / _OVERSAMPLING, _FINEST_M)
-        top, bottom = height + _ABOVE_M + _UP_M, height - _BELOW_M - _DOWN_M
+        top, bottom = height + above_m + _UP_M, height - below_m - _DOWN_M
         rows = round((top - bottom) / self.pixel_m)
-        half = round((_HALF_WIDTH_M + _ASIDE_M) / self.pixel_m)
+        half = round((half_width_m + _ASIDE_M) / self.pixel_m)
         row, column = np.mgrid[:rows, : 2 * half + 1]
         sideways = (column - half) * self.pixel_m
         points = in_stage_plane(crop, sideways, top - row * self.pixel_m)
         place = lens.project(points.reshape(-1, 3)).reshape(rows, 2 * half + 1, 2)
         self.map = place.astype(np.float32)
         self.up, self.aside = round(_UP_M / self.pixel_m), round(_ASIDE_M / self.pixel_m)
-        self.rows = round((_ABOVE_M + _BELOW_M) / self.pixel_m)
+        self.rows = round((above_m + below_m) / self.pixel_m)
 
     def cut(self, image: np.ndarray) -> np.ndarray:
         """The strip of an image, grey float32."""
@@ -135,9 +145,8 @@ def find_start(
         Of the calibrated viewpoint at the start.
     path : StagePath
     """
-    strip = _Strip(lens, crop, path)
-    kept: deque[tuple[float, np.ndarray]] = deque()
-    last, candidate_s = -np.inf, None
+    first, *others = (_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M)
+    last, second = -np.inf, None
     for moment in moments:
         if moment.time_s - last < 1 / _RATE_HZ - 1e-3:
             continue
@@ -145,22 +154,41 @@ def find_start(
         if image is None:
             continue
         last = moment.time_s
-        kept.append((last, strip.cut(image)))
-        while last - kept[0][0] > _LAG_S + _TEMPLATE_S + _LATER_S:
+        start = first.follow(last, image)
+        if start is not None:
+            return start
+        for other in others if second is None else ():
+            second = other.follow(last, image)
+        if second is not None and last - second.time_s > 2 * (_LAG_S + _LATER_S):
+            return second  # the first has had its time
+    return second
+
+
+class _Follower:
+    """Follows one strip from frame to frame until it has sunk as the stage does."""
+
+    def __init__(self, strip: _Strip, path: StagePath):
+        self._strip, self._path = strip, path
+        self._kept: deque[tuple[float, np.ndarray]] = deque()
+        self._candidate_s: float | None = None
+
+    def follow(self, time_s: float, image: np.ndarray) -> StageStart | None:
+        """Take one more frame; the start, once it is found."""
+        kept, strip = self._kept, self._strip
+        kept.append((time_s, strip.cut(image)))
+        while time_s - kept[0][0] > _LAG_S + _TEMPLATE_S + _LATER_S:
             kept.popleft()
-        if candidate_s is None:
-            before = [one for time_s, one in kept if last - time_s >= _LAG_S]
-            if not before:
-                continue
-            down_m, likeness = strip.sunk(kept[-1][1], strip.template(before[-1]))
-            if down_m > _SUNK_M and likeness > _LEAST_LIKENESS:
-                candidate_s = last
-        elif last - candidate_s >= _LATER_S:
-            start = _fit(list(kept), strip, candidate_s, path)
-            if start is not None:
-                return start
-            candidate_s = None
-    return None
+        if self._candidate_s is None:
+            before = [one for earlier_s, one in kept if time_s - earlier_s >= _LAG_S]
+            if before:
+                down_m, likeness = strip.sunk(kept[-1][1], strip.template(before[-1]))
+                if down_m > _SUNK_M and likeness > _LEAST_LIKENESS:
+                    self._candidate_s = time_s
+        elif time_s - self._candidate_s >= _LATER_S:
+            start = _fit(list(kept), strip, self._candidate_s, self._path)
+            self._candidate_s = None
+            return start
+        return None
 
 
 def _fit(
