@@ -22,7 +22,7 @@ from slipstitch.provenance import file_digest, provenance_record, write_parquet,
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.encoding import encode_png
 from slipstitch.render.packing import Job
-from slipstitch.render.shards import Rectifier
+from slipstitch.render.shards import Rectifier, marked_points_record
 from slipstitch.render.shots import camera_record, shots
 from slipstitch.render.surroundings import draw_surroundings
 from slipstitch.render.verification import (
@@ -191,6 +191,7 @@ def _cameras(config: Config, view: str, trajectory_path: Path, seed: int) -> dic
     return {
         "camera": camera_record(wanted, config.render, job.bench_camera),
         "pose": Rectifier.of(job, on_path).pose(wanted),
+        "marked_points_m": marked_points_record(job.trajectory(), wanted),
     }
 
 

@@ -7,7 +7,7 @@ asked whether they are possible.
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations
-from slipstitch.config.interpolation import interpolations
+from slipstitch.config.interpolation import Interpolation, interpolations
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
@@ -55,6 +55,40 @@ _NEAR = 1e-9
 # A step ends when its residual is below the tolerance: of many, one ends closely below.
 _LARGEST_RESIDUAL_SHARE = 0.1
 _MANY_STEPS = 100
+# A cloth hardly stretches (simulated edges by up to 2 %), and lies on the floor at the lowest.
+_LARGEST_STRETCH = 1.05
+_LOWEST_M = -1e-3
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What configuration and seed give: computed once for all records."""
+
+    config: Config
+    grid: Mapping[str, Simulation]
+    between: Mapping[tuple[str, str], Interpolation]
+
+    @classmethod
+    def of(cls, config: Config) -> "_Known":
+        grid = {simulation.id: simulation for simulation in simulations(config)}
+        return cls(config, grid, interpolations(config))
+
+    def simulation_of(self, artefact: Artefact) -> Simulation:
+        """The simulation that it belongs to."""
+        name = "_".join(Path(artefact.path).stem.split("_")[:3])
+        if name not in self.grid:
+            raise ValueError(f"{name} is not in the configured grid")
+        return self.grid[name]
+
+    def trajectories(self, artefact: Artefact) -> list[str]:
+        """What a shard or its shading shows: its own simulation, or those between which it lies."""
+        own = self.simulation_of(artefact).id
+        shown = self.between.get((own, _view(artefact)))
+        return [f"results/simulate/{name}.parquet" for name in (shown.weights if shown else [own])]
+
+
+def _view(artefact: Artefact) -> str:
+    return Path(artefact.path).stem.rpartition("_")[2]
 
 
 def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterator[Finding]:
@@ -74,7 +108,7 @@ def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterato
         Of kind BROKEN.
     """
     contents = lineage.contents
-    grid = {simulation.id: simulation for simulation in simulations(config)}
+    known = _Known.of(config)
     lock = locked_versions(contents.folder / CODE)
     checks = {"simulate": _simulated, "render": _rendered, "render.packing": _rendered}
     for path, artefact in sorted(lineage.artefacts.items()):
@@ -86,9 +120,9 @@ def check_recorded(lineage: Lineage, config: Config, stale: set[str]) -> Iterato
             continue
         problems = list(other_versions(artefact.record, lock))
         try:
-            problems += _made_with(artefact, config, grid)
+            problems += _made_with(artefact, known)
             if stage not in stale and path != VERIFICATION and stage in checks:
-                problems += checks[stage](artefact, contents, config, grid)
+                problems += checks[stage](artefact, contents, known)
         except UNUSABLE as error:
             problems.append(f"cannot be traced: {first_line(error)}")
         for problem in problems:
@@ -99,16 +133,10 @@ def _broken(lineage: Lineage, artefact: Artefact, what: str) -> Finding:
     return Finding(Kind.BROKEN, record_file(artefact.path), what, lineage.clips(artefact.path))
 
 
-def _simulation_of(artefact: Artefact, grid: Mapping[str, Simulation]) -> Simulation:
-    name = "_".join(Path(artefact.path).stem.split("_")[:3])
-    if name not in grid:
-        raise ValueError(f"{name} is not in the configured grid")
-    return grid[name]
-
-
-def _made_with(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) -> Iterator[str]:
+def _made_with(artefact: Artefact, known: _Known) -> Iterator[str]:
     """Whether no key of a section is left out, and the seed."""
     recorded = artefact.record["config"]
+    config = known.config
     plain = config.model_dump(mode="json")
     for section in _SECTIONS[artefact.stage]:
         found = recorded.get(section)
@@ -120,48 +148,55 @@ def _made_with(artefact: Artefact, config: Config, grid: Mapping[str, Simulation
             yield f"was made with {section}.{min(keys - set(plain[section]))}: no such key"
     seed: int | None = config.seed
     if artefact.stage == "simulate":
-        seed = _simulation_of(artefact, grid).seed
+        seed = known.simulation_of(artefact).seed
     elif artefact.stage == "calibrate":
         seed = None
     if artefact.record.get("seed") != seed:
         yield f"its seed is {artefact.record.get('seed')!r}, the configuration gives {seed!r}"
     made_from = {name for name in artefact.inputs if is_ours(name)}
-    needed = _inputs(artefact, config, grid)
+    needed = _inputs(artefact, known)
     if needed is not None and {name for name in made_from if "/shading/" not in name} != needed:
         odd = min(made_from ^ needed)
         yield f"was made {'from' if odd in made_from else 'without'} {odd}"
 
 
-def _inputs(artefact: Artefact, config: Config, grid: Mapping[str, Simulation]) -> set[str] | None:
+def _inputs(artefact: Artefact, known: _Known) -> set[str] | None:
     """Results that it must have been made from, shading packs left out; None if not known."""
     path = Path(artefact.path)
     # What the manifest was made from is followed clip by clip.
     if artefact.path in (SAMPLED_MANIFEST, VERIFICATION) or artefact.stage == "calibrate":
         return None
-    filmed = _filmed(_simulation_of(artefact, grid).id, path, config)
+    filmed = set(known.trajectories(artefact))
     return {
         "simulate": {f"results/calibrate/{CALIBRATION}"},
         "render": filmed,
         "render.packing": filmed,
         "sample": {
             f"results/render/{name}_{view}.parquet"
-            for name, view in films(config)
+            for name, view in films(known.config)
             if name == path.stem
         },
     }[artefact.stage]
-
-
-def _filmed(simulation: str, path: Path, config: Config) -> set[str]:
-    """The trajectories that a shard or its shading shows: its simulation's, or those between."""
-    shown = interpolations(config).get((simulation, path.stem.rpartition("_")[2]))
-    names = shown.weights if shown else [simulation]
-    return {f"results/simulate/{name}.parquet" for name in names}
 
 
 def _counts(found: Any, total: int) -> bool:
     """Whether these are numbers of frames, of so many in all."""
     numbers = list(found.values()) if isinstance(found, dict) else []
     return all(isinstance(one, int) and one >= 0 for one in numbers) and sum(numbers) == total
+
+
+def _points_of_a_cloth(found: Any, camera: Mapping[str, Any], vertices_per_side: int) -> bool:
+    """Whether these can be the places of a cloth's marked points, in each of a camera's frames."""
+    from slipstitch.render.marked_points import MARKED_UV
+
+    if not isinstance(found, dict) or list(found) != list(camera["frames"]):
+        return False
+    cells = vertices_per_side - 1
+    flat_m = SIDE_M * np.ceil(MARKED_UV * cells - 0.5) / cells  # of the vertices nearest to them
+    longest_m = _LARGEST_STRETCH * np.linalg.norm(flat_m[:, None] - flat_m[None], axis=2)
+    places_m = np.array(list(found.values()), dtype=np.float64).reshape(-1, len(MARKED_UV), 3)
+    apart_m = np.linalg.norm(places_m[:, :, None] - places_m[:, None], axis=3)
+    return bool((apart_m <= longest_m + _NEAR).all() and (places_m[..., 2] >= _LOWEST_M).all())
 
 
 def _differing(found: Mapping[str, Any], expected: Mapping[str, Any]) -> Iterator[str]:
@@ -192,15 +227,13 @@ def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _simulated(
-    artefact: Artefact, contents: Contents, config: Config, grid: Mapping[str, Simulation]
-) -> Iterator[str]:
+def _simulated(artefact: Artefact, contents: Contents, known: _Known) -> Iterator[str]:
     """A trajectory's metadata."""
     from slipstitch.simulate.convergence import measured_convergence
     from slipstitch.simulate.drop_and_drag import draw_perturbation
 
-    simulation = _simulation_of(artefact, grid)
-    settings = calibrated_simulation(artefact, config, contents.calibrated)
+    simulation = known.simulation_of(artefact)
+    settings = calibrated_simulation(artefact, known.config, contents.calibrated)
     across_m = np.linspace(0, SIDE_M, settings.vertices_per_side)
     inner_m = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
     held = np.flatnonzero((across_m <= inner_m) | (across_m >= SIDE_M - inner_m))
@@ -222,7 +255,7 @@ def _simulated(
         metadata.pop("extended_model", None)
     solver = metadata.pop("solver", {})
     device, at_once = metadata.pop("device", None), metadata.pop("simulated_at_once", 0)
-    if not isinstance(device, str) or not 1 <= at_once <= len(grid):
+    if not isinstance(device, str) or not 1 <= at_once <= len(known.grid):
         yield "does not state its device and batch size"
     yield from _differing(metadata, expected)
     parts = settings.settle_steps, settings.recorded_steps
@@ -250,22 +283,16 @@ def _possible(solver: Mapping[str, Any], settings: SimulationSettings, steps: in
         )
 
 
-def _rendered(
-    artefact: Artefact, contents: Contents, config: Config, grid: Mapping[str, Simulation]
-) -> Iterator[str]:
+def _rendered(artefact: Artefact, contents: Contents, known: _Known) -> Iterator[str]:
     """The metadata of a shard of images or of a shading pack."""
     from slipstitch.audit.cameras import Cameras
     from slipstitch.render.augmentation import draw_augmentation
     from slipstitch.render.surroundings import draw_surroundings
 
-    simulation = _simulation_of(artefact, grid)
-    view = Path(artefact.path).stem.split("_")[3]
+    config, simulation, view = known.config, known.simulation_of(artefact), _view(artefact)
     name = config.render.viewpoint_ids()[view]
-    shown = interpolations(config).get((simulation.id, view))
-    digests = {
-        name: artefact.inputs.get(f"results/simulate/{name}.parquet")
-        for name in (shown.weights if shown else [simulation.id])
-    }
+    shown = known.between.get((simulation.id, view))
+    digests = {Path(path).stem: artefact.inputs.get(path) for path in known.trajectories(artefact)}
     cameras = Cameras(contents.folder, config, simulation, view)
     textures = dict(cameras.job.textures)
     drawn = draw_surroundings(config.render, config.seed, simulation.id, view)
@@ -288,6 +315,10 @@ def _rendered(
             },
         }
     metadata = dict(artefact.metadata)
+    if artefact.stage == "render":
+        points = metadata.pop("marked_points_m", None)
+        if not _points_of_a_cloth(points, metadata["camera"], config.simulation.vertices_per_side):
+            yield "does not state places that the cloth's points can have"
     share = metadata.pop("smallest_share_of_cloth_in_image", None)
     if not isinstance(share, int | float) or not 0 <= share <= 1:
         yield "does not state the share of the cloth in its images"

@@ -7,18 +7,27 @@ which every simulation has one.
 
 import numpy as np
 
-from slipstitch.simulate.trajectory import Trajectory
-
 #: Texture coordinates of the points: three rows below the clamps, three points each.
 MARKED_UV = np.array([(u, v) for v in (1 / 3, 2 / 3, 1.0) for u in (0.0, 0.5, 1.0)])
 
 
-def marked_points_m(trajectory: Trajectory) -> np.ndarray:
-    """Places of the vertices nearest to `MARKED_UV`, shape (T, 9, 3) float32.
+def marked_points_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarray) -> np.ndarray:
+    """Places of the vertices nearest to `MARKED_UV`.
 
-    Along the track relative to the clamps, across it, and above the floor; metres.
+    Parameters
+    ----------
+    positions_m : ndarray (T, V, 3)
+        World coordinates.
+    uv : ndarray (V, 2)
+    stage_x_m : ndarray (T,)
+        Place of the clamps along the track.
+
+    Returns
+    -------
+    ndarray (T, 9, 3) float64
+        Along the track relative to the clamps, across it, and above the floor; metres.
     """
-    distance = np.linalg.norm(trajectory.uv[None] - MARKED_UV[:, None], axis=2)
-    places = trajectory.positions_m[:, distance.argmin(axis=1)].astype(np.float64)
-    places[..., 0] -= trajectory.stage_x_m[:, None]
-    return places.astype(np.float32)
+    distance = np.linalg.norm(uv[None] - MARKED_UV[:, None], axis=2)
+    places = positions_m[:, distance.argmin(axis=1)].astype(np.float64)
+    places[..., 0] -= stage_x_m[:, None]
+    return places

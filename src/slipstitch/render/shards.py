@@ -233,6 +233,12 @@ def render_shards_from_packs(
         yield out, done | {"viewpoint": job.viewpoint}
 
 
+def marked_points_record(trajectory: Trajectory, wanted: list[Shot]) -> dict[str, list[float]]:
+    """Frame -> places of the cloth's marked points, 27 numbers to 0.01 mm."""
+    points_m = marked_points_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
+    return {str(shot.frame): points_m[shot.row].ravel().round(5).tolist() for shot in wanted}
+
+
 def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.ndarray) -> dict:
     video = f"{job.simulation}_{texture}_{job.viewpoint_id}"
     return {
@@ -257,16 +263,12 @@ def _description(
     """Metadata and provenance of the shard."""
     of = cameras(job)
     augmentation = {identity: of[name].record() for identity, name in job.textures.items()}
-    points_m = marked_points_m(trajectory)
     metadata = pack.metadata | {
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
         "textures": dict(job.textures),
         "augmentation": augmentation,
         "pose": pose,
-        "marked_points_m": {
-            str(shot.frame): [round(float(place), 5) for place in points_m[shot.row].ravel()]
-            for shot in pack.shots
-        },
+        "marked_points_m": marked_points_record(trajectory, pack.shots),
     }
     record = provenance_record(
         "render",
