@@ -339,6 +339,14 @@ def other_camera(forger):
     forger.edit_records("render/*_v00.parquet.record.json", edit)
 
 
+def points_of_no_cloth(forger):
+    def edit(record):
+        for places in record["metadata"]["marked_points_m"].values():
+            places[-3] += 0.15  # of 0.2 m
+
+    forger.edit_records("render/*_v00.parquet.record.json", edit)
+
+
 def other_trajectory(forger):
     forger.edit_json(OF_SHARD, lambda one: one["metadata"].update(trajectory_sha256="0" * 64))
 
@@ -415,6 +423,7 @@ FORGERIES = {
     few_steps: OF_SIMULATION,
     without_calibration: OF_SIMULATION,
     other_camera: OF_SHARD,
+    points_of_no_cloth: OF_SHARD,
     other_trajectory: OF_SHARD,
     other_stage: OF_SHARD,
     other_seed_of_the_draw: OF_SHARD,
