@@ -18,7 +18,13 @@ from slipstitch.instrument import load_instrument
 from slipstitch.instrument import training as training_module
 from slipstitch.instrument.augmentation import disordered, phased
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.training import chance_score, losses, train_instrument, training_views
+from slipstitch.instrument.training import (
+    chance_score,
+    losses,
+    noisy_places,
+    train_instrument,
+    training_views,
+)
 from slipstitch.provenance import attach_metadata
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.sample.manifest import dataset_digest
@@ -289,6 +295,29 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
         (part["friction"] / 0.15 + 0.1 * part["material"] + 0.1 * part["order"]).backward()
         gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))
     assert torch.nn.functional.cosine_similarity(*gradients, dim=0) > 0.999
+
+
+def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():
+    spread_m = torch.tensor([0.01, 0.02, 0.04]).repeat(9, 1)
+    noisy = noisy_places(torch.zeros(4000, 2, 9, 3), spread_m, 0.002, np.random.default_rng(0))
+    off_m = noisy * spread_m
+    # Three errors of 2 mm; all points of a cloth share one, all frames of a point two.
+    assert float(off_m.std()) == pytest.approx(0.002 * 3**0.5, rel=0.02)
+    of_points = (off_m[:, 0, 0] * off_m[:, 1, 5]).mean() ** 0.5
+    of_frames = (off_m[:, 0] * off_m[:, 1]).mean() ** 0.5
+    assert float(of_points) == pytest.approx(0.002, rel=0.05)
+    assert float(of_frames) == pytest.approx(0.002 * 2**0.5, rel=0.05)
+
+
+def test_a_network_through_points_reads_the_same_from_places_as_from_the_images_of_them(tests):
+    _, frames = tests
+    settings = InstrumentSettings(channels=[8, 16, 24], points_weight=1.0, through_points=True)
+    network = InstrumentNetwork(settings, 2, 24).eval()
+    with torch.inference_mode():
+        seen = network(torch.from_numpy(frames[:3]).float() / 255)
+        read = network.of_places(seen["points"])
+    for name, value in read.items():
+        assert torch.equal(value, seen[name]), name
 
 
 def test_frames_are_drawn_at_any_phase_of_the_first_interval():

@@ -63,6 +63,20 @@ class InstrumentSettings(Section):
         description="the recurrent layer sees the places of the points, as the network finds them, "
         "and nothing else of a frame; requires points_weight",
     )
+    points_noise_m: float = Field(
+        0.0015,
+        ge=0,
+        le=0.05,
+        description="through_points: error of the places from which the recurrent layer learns "
+        "beside images: standard deviation of the cloth's shift, each point's and each frame's",
+    )
+    points_videos: int = Field(
+        32,
+        ge=0,
+        le=10_000,
+        description="through_points: number of videos in each step of whose simulated places, with "
+        "that error, the recurrent layer learns; they need no image",
+    )
     order_weight: float = Field(
         0.1,
         ge=0,

@@ -181,16 +181,28 @@ class InstrumentNetwork(nn.Module):
         features = self.frame_features(maps.float().flatten(1)).view(videos, count, -1)
         if self.pose is not None and poses is not None:
             features = features + self.pose(poses)[:, None]
-        found = {}
-        if self.points is not None:
-            places = self.points(features)
-            found["points"] = places.unflatten(-1, (-1, 3))
-            if self.of_points is not None:
-                features = self.of_points(places)
+        if self.points is None:
+            return self._answers(features)
+        points = self.points(features).unflatten(-1, (-1, 3))
+        answers = self._answers(features) if self.of_points is None else self.of_places(points)
+        return {**answers, "points": points}
+
+    def of_places(self, points: Tensor) -> dict[str, Tensor]:
+        """Answers from places of the cloth's points, for a network that goes through them.
+
+        Parameters
+        ----------
+        points : float32 tensor, shape (videos, frames, points, 3)
+            In the network's unit, as `forward` returns them.
+        """
+        return self._answers(self.of_points(points.flatten(2)))
+
+    def _answers(self, features: Tensor) -> dict[str, Tensor]:
+        """Answers from the features (videos, frames, features) of the frames."""
         states, _ = self.recurrent(features)
         attention_weights = self.attention(states)[..., 0].softmax(1)
         embedding = (states * attention_weights[..., None]).sum(1)
-        raw = self.friction(embedding).view(videos, 3, -1)
+        raw = self.friction(embedding).unflatten(1, (3, -1))
         # Deviations between a third of the grid's step and its length.
         smallest = torch.log(self.grid[1] / 3)
         spread = raw[:, 2].clamp(smallest, torch.log(self.grid[-1]))
@@ -200,5 +212,4 @@ class InstrumentNetwork(nn.Module):
             "order": self.order(embedding)[..., 0],
             "attention_weights": attention_weights,
             "embedding": embedding,
-            **found,
         }

@@ -166,6 +166,20 @@ def losses(
     }
 
 
+def noisy_places(
+    points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
+) -> Tensor:
+    """Places (n, frames, points, 3) in the network's unit as they might be found in images.
+
+    Shifted as a whole, as by the error of a calibration; each point shifted; and in every frame
+    each point again.
+    """
+    videos, _, count, axes = points.shape
+    shapes = (videos, 1, 1, axes), (videos, 1, count, axes), points.shape
+    noise = sum(generator.standard_normal(shape, np.float32) for shape in shapes)
+    return points + noise_m * torch.from_numpy(noise) / spread_m
+
+
 def learning_rate(settings: InstrumentSettings, done: float) -> float:
     """One cycle: up in the first tenth, then down a cosine; `done` in 0 ... 1."""
     if done < 0.1:
@@ -271,10 +285,28 @@ class InstrumentLearner:
             + self.settings.order_weight * part["order"]
             + self.settings.points_weight * part["points"]
         )
+        if self.settings.through_points and self.settings.points_videos:
+            loss = loss + self._loss_of_places(generator)
         kept = {"loss": part["friction"], "error": part["median_error"]}
         if points is not None:
             kept["points"] = part["points"]
         return loss, {f"train_{name}": one.item() * len(batch) for name, one in kept.items()}
+
+    def _loss_of_places(self, generator: np.random.Generator) -> Tensor:
+        """Loss of what is read from simulated places of videos drawn at random, without images."""
+        chosen = generator.choice(np.flatnonzero(self.training), self.settings.points_videos)
+        places = phase_places(len(chosen), self.pixels.shape[1], self.frames, generator)
+        seen = noisy_places(
+            self.points[chosen[:, None], places],
+            self.network.points_spread_m,
+            self.settings.points_noise_m,
+            generator,
+        )
+        answers = self.network.of_places(seen)
+        cumulative = mixture_cumulative(answers["friction"], self.network.middles)
+        score = ranked_probability_score(cumulative, self.friction[chosen], self.network.grid)
+        material = torch.nn.functional.cross_entropy(answers["material"], self.labels[chosen])
+        return score.mean() / self.chance_loss + self.settings.material_weight * material
 
     def validation(self, numbers: np.ndarray) -> dict[str, float]:
         """Loss, error and accuracy."""
