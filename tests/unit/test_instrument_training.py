@@ -21,6 +21,7 @@ from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.training import (
     chance_score,
     losses,
+    next_frictions,
     noisy_places,
     train_instrument,
     training_views,
@@ -295,6 +296,22 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
         (part["friction"] / 0.15 + 0.1 * part["material"] + 0.1 * part["order"]).backward()
         gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))
     assert torch.nn.functional.cosine_similarity(*gradients, dim=0) > 0.999
+
+
+def test_places_lie_between_neighbours_of_a_fabric_where_a_cloth_changes_smoothly():
+    known = [  # fabric, coefficient, interpolated, trains
+        ("a", 0.2, False, True),
+        ("a", 0.4, False, True),
+        ("a", 0.47, True, True),
+        ("a", 0.47, True, True),
+        ("b", 0.5, True, True),
+        ("a", 0.6, False, True),
+        ("a", 0.55, True, False),
+    ]
+    names = ("material_id", "friction", "interpolated")
+    rows = [dict(zip(names, one[:3], strict=True)) for one in known]
+    training = np.array([one[3] for one in known])
+    assert next_frictions(rows, training).tolist() == [0, 2, 5, 5, 4, 5, 6]
 
 
 def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():

@@ -194,7 +194,14 @@ class InstrumentNetwork(nn.Module):
         ----------
         points : float32 tensor, shape (videos, frames, points, 3)
             In the network's unit, as `forward` returns them.
+
+        Raises
+        ------
+        ValueError
+            If the network does not go through points.
         """
+        if self.of_points is None:
+            raise ValueError("the network does not go through points")
         return self._answers(self.of_points(points.flatten(2)))
 
     def _answers(self, features: Tensor) -> dict[str, Tensor]:

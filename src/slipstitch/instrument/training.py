@@ -166,6 +166,27 @@ def losses(
     }
 
 
+def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.ndarray:
+    """For every video, one of the same fabric at the next larger coefficient; itself without one.
+
+    Of videos that train, and only where one of the two lies between simulations itself: there a
+    cloth changes smoothly with the coefficient, so that places between theirs are a cloth's too.
+    """
+    result = np.arange(len(rows))
+    of_fabric: dict[str, list[int]] = {}
+    for number in np.flatnonzero(training):
+        of_fabric.setdefault(rows[number]["material_id"], []).append(int(number))
+    for numbers in of_fabric.values():
+        numbers.sort(key=lambda number: rows[number]["friction"])
+        for place, number in enumerate(numbers):
+            larger = numbers[place + 1 :]
+            friction = rows[number]["friction"]
+            other = next((one for one in larger if rows[one]["friction"] > friction), number)
+            if rows[number].get("interpolated") or rows[other].get("interpolated"):
+                result[number] = other
+    return result
+
+
 def noisy_places(
     points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
 ) -> Tensor:
@@ -218,6 +239,8 @@ class InstrumentLearner:
 
     Attributes
     ----------
+    rows : sequence of dict
+        Of the manifest.
     pixels : ndarray of uint8, shape (n, stored frames, side, side, 3)
     frames : int
         That the network sees of them.
@@ -236,6 +259,7 @@ class InstrumentLearner:
     settings: InstrumentSettings
     network: InstrumentNetwork
     phases: Sequence[Phase]
+    rows: Sequence[dict[str, Any]]
     pixels: np.ndarray
     frames: int
     friction: Tensor
@@ -247,6 +271,7 @@ class InstrumentLearner:
 
     def __post_init__(self):
         settings = self.settings
+        self.next_friction = next_frictions(self.rows, self.training)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), weight_decay=settings.weight_decay
         )
@@ -295,16 +320,21 @@ class InstrumentLearner:
     def _loss_of_places(self, generator: np.random.Generator) -> Tensor:
         """Loss of what is read from simulated places of videos drawn at random, without images."""
         chosen = generator.choice(np.flatnonzero(self.training), self.settings.points_videos)
+        others = self.next_friction[chosen]
         places = phase_places(len(chosen), self.pixels.shape[1], self.frames, generator)
-        seen = noisy_places(
+        share = torch.from_numpy(generator.random(len(chosen), np.float32))
+        friction = torch.lerp(self.friction[chosen], self.friction[others], share)
+        points = torch.lerp(
             self.points[chosen[:, None], places],
-            self.network.points_spread_m,
-            self.settings.points_noise_m,
-            generator,
+            self.points[others[:, None], places],
+            share[:, None, None, None],
         )
-        answers = self.network.of_places(seen)
+        noise_m = self.settings.points_noise_m
+        answers = self.network.of_places(
+            noisy_places(points, self.network.points_spread_m, noise_m, generator)
+        )
         cumulative = mixture_cumulative(answers["friction"], self.network.middles)
-        score = ranked_probability_score(cumulative, self.friction[chosen], self.network.grid)
+        score = ranked_probability_score(cumulative, friction, self.network.grid)
         material = torch.nn.functional.cross_entropy(answers["material"], self.labels[chosen])
         return score.mean() / self.chance_loss + self.settings.material_weight * material
 
@@ -415,6 +445,7 @@ def train_instrument(
         network=network,
         # Twice as many videos, each shown half as often.
         phases=[Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (split == REFLECTIVE))))],
+        rows=videos.rows,
         pixels=videos.pixels,
         frames=frames,
         friction=torch.tensor([row["friction"] for row in videos.rows]),
