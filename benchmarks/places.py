@@ -1,0 +1,174 @@
+"""How well the places of nine points of the cloth tell its friction, by the error of the places.
+
+    python benchmarks/places.py FOLDER
+
+FOLDER holds the trajectories of config/instrument_between.yaml (results/simulate). The recurrent
+part of the instrument's network learns from the places in the simulations that train, and between
+them as films lie, with errors of the cloth's shift, of each point and of each frame; it is tested
+on coefficients held out of fabrics that train, and on a fabric that does not. No image is rendered:
+what an instrument errs beyond this comes from seeing, not from the cloth.
+Goes to results/published/camera/places.json.
+"""
+
+import argparse
+import json
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from slipstitch.bench.frames import sampled_frames
+from slipstitch.bench.stage_path import StagePath
+from slipstitch.config import load_config
+from slipstitch.config.grid import simulations
+from slipstitch.config.interpolation import between
+from slipstitch.config.splits import sides_of_simulations
+from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
+from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.training import POINTS_SPREAD_MIN_M, learning_rate, noisy_places
+from slipstitch.provenance import file_digest, provenance_record, write_json
+from slipstitch.render.marked_points import marked_points_m
+from slipstitch.simulate.trajectory import read_trajectory
+
+ROOT = Path(__file__).parents[1]
+RESULT = ROOT / "results" / "published" / "camera" / "places.json"
+CONFIGS = (
+    "config.yaml",
+    *(f"config/{n}.yaml" for n in ("paper", "instrument", "instrument_between")),
+)
+NOISE_MM = (0.5, 1.0, 2.0, 3.0)
+STEPS, BATCH, VIEWS = 1500, 32, 20
+HEIGHT_M = StagePath().start_height_m - StagePath().drop_m
+
+
+class Places:
+    """Simulations with their places; draws examples to learn from."""
+
+    def __init__(self, config, folder):
+        sides = sides_of_simulations(config)
+        self.places, self.of = {}, defaultdict(list)
+        for one in simulations(config):
+            trajectory = read_trajectory(folder / f"{one.id}.parquet")
+            places = marked_points_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
+            self.places[one.id] = places[sampled_frames(len(places), config.sample.frames)]
+            side = sides[one.id]
+            if side == "validation" and one.material in config.sample.validation_materials:
+                side = "unseen fabric"
+            self.of[side].append(one)
+        self.fabrics = sorted({one.material for one in self.of["train"]})
+        lowest = config.render.interpolation.from_friction
+        self.rows = {
+            fabric: [
+                one for one in self.of["train"] if one.material == fabric and one.friction >= lowest
+            ]
+            for fabric in self.fabrics
+        }
+        trained = np.stack([self.places[one.id] for one in self.of["train"]])
+        self.mean_m = trained.mean((0, 1))
+        self.spread_m = abs(trained - self.mean_m).mean((0, 1)).clip(POINTS_SPREAD_MIN_M)
+
+    def unit(self, places):
+        return torch.from_numpy((np.stack(places) - self.mean_m) / self.spread_m).float()
+
+    def drawn(self, generator, interpolated):
+        """Places, friction and fabric's number of one simulation that trains, or between two."""
+        one = self.of["train"][generator.integers(len(self.of["train"]))]
+        places, friction = self.places[one.id], one.friction
+        row = self.rows[one.material]
+        if interpolated and one in row:
+            friction = generator.uniform(row[0].friction, row[-1].friction)
+            parts = between(row, friction, HEIGHT_M)
+            places = sum(share * self.places[name] for name, share in parts.items())
+        return places, friction, self.fabrics.index(one.material)
+
+
+def errors(settings, data, noise_mm, interpolated, seed):
+    """Mean error of every simulation that does not train, by its id."""
+    torch.manual_seed(seed)
+    generator = np.random.default_rng(seed)
+    network = InstrumentNetwork(settings, len(data.fabrics), 64)
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=settings.weight_decay)
+    spread_m = torch.from_numpy(data.spread_m).float()
+
+    def cumulative_of(places):
+        seen = noisy_places(data.unit(places), spread_m, noise_mm / 1e3, generator)
+        answers = network.of_places(seen)
+        return mixture_cumulative(answers["friction"], network.middles), answers["material"]
+
+    for step in range(STEPS):
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate(settings, step / STEPS)
+        places, frictions, fabrics = zip(
+            *(data.drawn(generator, interpolated) for _ in range(BATCH)), strict=True
+        )
+        cumulative, logits = cumulative_of(places)
+        truth = torch.tensor(frictions, dtype=torch.float32)
+        score = ranked_probability_score(cumulative, truth, network.grid).mean()
+        fabric = torch.nn.functional.cross_entropy(logits, torch.tensor(fabrics))
+        loss = score / 0.25 + settings.material_weight * fabric
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimizer.step()
+    network.eval()
+    found = {}
+    with torch.inference_mode():
+        for side in ("validation", "test", "unseen fabric"):
+            for one in data.of[side]:
+                cumulative, _ = cumulative_of([data.places[one.id]] * VIEWS)
+                median = network.grid[(cumulative < 0.5).sum(1)]
+                found[one.id] = float((median - one.friction).abs().mean())
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", type=int, default=2)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    config = load_config(*(str(ROOT / name) for name in CONFIGS))
+    settings = config.instrument.model_copy(update={"points_weight": 1.0, "through_points": True})
+    data = Places(config, arguments.folder)
+    unseen = {one.id for one in data.of["unseen fabric"]}
+    rows = []
+    for noise_mm, interpolated in [*((one, True) for one in NOISE_MM), (1.0, False)]:
+        each = [
+            errors(settings, data, noise_mm, interpolated, seed) for seed in range(arguments.seeds)
+        ]
+        of_simulation = {name: float(np.mean([one[name] for one in each])) for name in each[0]}
+        known = [error for name, error in of_simulation.items() if name not in unseen]
+        rows.append(
+            {
+                "noise_mm": noise_mm,
+                "interpolated": interpolated,
+                "held_out": float(np.mean(known)),
+                "held_out_worst": max(known),
+                "unseen_fabric": float(np.mean([of_simulation[name] for name in unseen])),
+                "by_simulation": of_simulation,
+            }
+        )
+        print(json.dumps({k: v for k, v in rows[-1].items() if k != "by_simulation"}), flush=True)
+    result = {
+        "train": len(data.of["train"]),
+        "held_out": len(data.of["validation"]) + len(data.of["test"]),
+        "unseen_fabric": len(unseen),
+        "seeds": arguments.seeds,
+        "rows": rows,
+    }
+    record = provenance_record(
+        "instrument",
+        inputs=[],
+        config={
+            "instrument": settings.model_dump(mode="json"),
+            "simulations": {
+                path.stem: file_digest(path) for path in sorted(arguments.folder.glob("m*.parquet"))
+            },
+        },
+    )
+    write_json(RESULT, result, record, indent=None)
+
+
+if __name__ == "__main__":
+    main()
