@@ -188,6 +188,23 @@ def interpolation(root):
     return _table([*head.split("|"), "the former in μ", "of nine in ten at most"], rows)
 
 
+def places(root):
+    """What the places of nine points tell of friction, by their error."""
+    found = _read(root, "camera/places.json")
+    rows = [
+        [
+            f"{row['noise_mm']:g} mm"
+            + ("" if row["interpolated"] else ", nothing between simulations"),
+            f"{row['held_out']:.3f}",
+            f"{row['held_out_worst']:.3f}",
+            f"{row['unseen_fabric']:.3f}",
+        ]
+        for row in found["rows"]
+    ]
+    head = "errors of the places|mean error of μ, held-out coefficients|the worst|an unseen fabric"
+    return _table(head.split("|"), rows)
+
+
 def reach(root):
     """The published instruments where nothing was trained."""
     found = _read(root, "camera/reach.json")
@@ -332,6 +349,7 @@ TABLES = {
     "instrument": instrument,
     "instrument_parts": instrument_parts,
     "interpolation": interpolation,
+    "places": places,
     "reach": reach,
     "surrogates": surrogates,
     "hidden_effect": hidden_effect,

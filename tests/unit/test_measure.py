@@ -1,20 +1,26 @@
 """``slipstitch measure``: one video in, one line and one page out."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from support import analytic_stage as stage
 from support.untrained import untrained_instrument
 
+from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument
+from slipstitch.measure.measurement_page import page
+from slipstitch.measure.measuring import measuring_bench
 from slipstitch.render.camera import pose
 
+PATH = StagePath()
 START_S = 3.1
 LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))
 CONFIG = resolve_config(
@@ -64,6 +70,29 @@ def test_result_numbers_and_page(bench, capsys):
     assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
     assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
     assert f"{told['friction_coefficient']:.3f}" in content
+
+
+def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
+    settings = InstrumentSettings(
+        channels=[8, 8, 8], draws=1, points_weight=1.0, through_points=True
+    )
+    model = bench / "points" / "instrument" / "seed0"
+    write_config(CONFIG, bench / "points" / "config.json")
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    # Says of every frame: a point 5 cm below the clamps, 9 times.
+    instrument.network.points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
+    instrument.network.points_spread_m.fill_(1e-9)
+    save_instrument(instrument, model)
+    measuring = measuring_bench(bench / "camera.json", model)
+    result = measuring.measure(bench / "video.mp4")
+    assert result.points_px.shape == (6, 9, 2)
+    expected = measuring.schedule.crop(0.0).project(
+        np.array([[0.0, 0.0, PATH.start_height_m - 0.05]])
+    )
+    np.testing.assert_allclose(result.points_px[0], np.repeat(expected, 9, axis=0), atol=0.2)
+    content = page(result)
+    assert "Rings: where the instrument sees nine points" in content
+    assert content != page(replace(result, points_px=None))
 
 
 def test_an_alarm_has_an_exit_code_of_its_own():

@@ -56,6 +56,9 @@ class Measurement:
         Why; empty without alarm.
     attention_weights : ndarray, shape (frames,)
         Weight of each frame in the decision, sum 1.
+    points_m : ndarray, shape (frames, points, 3), optional
+        Where the instrument sees points of the cloth (`slipstitch.render.marked_points`), if it
+        learnt to.
     """
 
     friction_coefficient: float
@@ -65,6 +68,7 @@ class Measurement:
     alarm: bool
     alarm_reason: str
     attention_weights: np.ndarray
+    points_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class Answers:
     order: np.ndarray
     attention_weights: np.ndarray
     embedding: np.ndarray
+    points_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -145,15 +150,13 @@ class Instrument:
                 cumulative = mixture_cumulative(
                     outputs["friction"].double(), self.network.middles.double()
                 )
-                parts.append(
-                    [
-                        probabilities_on_grid(cumulative.numpy()).mean(0),
-                        *(
-                            outputs[name].double().mean(0).numpy()
-                            for name in ("material", "order", "attention_weights", "embedding")
-                        ),
-                    ]
-                )
+                means = [
+                    outputs[name].double().mean(0).numpy()
+                    for name in ("material", "order", "attention_weights", "embedding")
+                ]
+                if self.network.points is not None:
+                    means.append(self.network.places_m(outputs["points"]).mean(0).numpy())
+                parts.append([probabilities_on_grid(cumulative.numpy()).mean(0), *means])
         return Answers(*(np.stack(column) for column in zip(*parts, strict=True)))
 
     def distributions(self, answers: Answers) -> np.ndarray:
@@ -230,6 +233,7 @@ class Instrument:
             alarm=bool(reason),
             alarm_reason=reason,
             attention_weights=answers.attention_weights[0],
+            points_m=None if answers.points_m is None else answers.points_m[0],
         )
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:

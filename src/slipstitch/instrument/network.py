@@ -77,6 +77,8 @@ class InstrumentNetwork(nn.Module):
     """
 
     grid: Tensor
+    points_mean_m: Tensor
+    points_spread_m: Tensor
 
     def __init__(self, settings: InstrumentSettings, materials: int, pixels: int):
         super().__init__()
@@ -186,6 +188,10 @@ class InstrumentNetwork(nn.Module):
         points = self.points(features).unflatten(-1, (-1, 3))
         answers = self._answers(features) if self.of_points is None else self.of_places(points)
         return {**answers, "points": points}
+
+    def places_m(self, points: Tensor) -> Tensor:
+        """Places in metres of points in the network's unit, as `forward` returns them."""
+        return self.points_mean_m + self.points_spread_m * points
 
     def of_places(self, points: Tensor) -> dict[str, Tensor]:
         """Answers from places of the cloth's points, for a network that goes through them.

@@ -7,6 +7,7 @@ import numpy as np
 
 from slipstitch.measure.measuring import MeasuredVideo
 from slipstitch.page.figures import png_uri
+from slipstitch.page.palette import VERMILION
 from slipstitch.page.templates import render
 from slipstitch.page.wording import number, percent, span
 from slipstitch.render.encoding import encode_png
@@ -14,6 +15,7 @@ from slipstitch.render.encoding import encode_png
 _TEMPLATE = Path(__file__).with_name("measurement.html.j2")
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5
+_RING = tuple(bytes.fromhex(VERMILION.removeprefix("#")))
 _WIDTH, _HEIGHT = 920, 190
 
 
@@ -22,16 +24,17 @@ def _frames(result: MeasuredVideo) -> list[dict]:
     video = result.video
     weights = np.asarray(result.measurement.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
+    points_px = [None] * len(weights) if result.points_px is None else result.points_px
     return [
         {
-            "image": _enlarged(image),
+            "image": _enlarged(image, points),
             "time": f"{max(time_s, 0):.1f} s",
             "weight": percent(weight),
             "bar": f"{100 * weight / max(weights.max(), 1e-9):.1f}",
             "decisive": k in ranks,
         }
-        for k, (image, time_s, weight) in enumerate(
-            zip(video.frames, video.time_s, weights, strict=True)
+        for k, (image, time_s, weight, points) in enumerate(
+            zip(video.frames, video.time_s, weights, points_px, strict=True)
         )
     ]
 
@@ -64,12 +67,19 @@ def page(result: MeasuredVideo) -> str:
         start=video.start,
         video=video,
         instrument=result.instrument[:12],
+        rings=result.points_px is not None,
     )
 
 
-def _enlarged(image: np.ndarray) -> str:
+def _enlarged(image: np.ndarray, points_px: np.ndarray | None) -> str:
+    """A frame as large as the page shows it, with a ring around each point."""
     side = max(_SIDE, len(image))
     large = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+    for x, y in () if points_px is None else (points_px + 0.5) * (side / len(image)) - 0.5:
+        if not (0 <= x < side and 0 <= y < side):
+            continue
+        centre = round(16 * float(x)), round(16 * float(y))  # in sixteenths of a pixel
+        cv2.circle(large, centre, 2 * 16, _RING, 1, cv2.LINE_AA, 4)
     return png_uri(encode_png(large))
 
 

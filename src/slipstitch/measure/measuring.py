@@ -46,6 +46,8 @@ class MeasuredVideo:
         Why the interval is the whole grid; empty where it is not.
     caveats : tuple of str
         What an error bar of the instrument does not cover.
+    points_px : ndarray, shape (frames, points, 2), optional
+        Where the instrument sees points of the cloth in the frames, if it learnt to.
     """
 
     name: str
@@ -56,6 +58,7 @@ class MeasuredVideo:
     stage_path: StagePath
     without_error_bar: str = ""
     caveats: tuple[str, ...] = ()
+    points_px: np.ndarray | None = None
 
     @property
     def notes(self) -> list[str]:
@@ -178,6 +181,20 @@ class MeasuringBench:
             self.schedule.path,
             self.instrument.without_error_bar,
             self.caveats,
+            self._points_px(video, measured),
+        )
+
+    def _points_px(self, video: StageVideo, measured: Measurement) -> np.ndarray | None:
+        """The cloth's points as the instrument sees them, in the frames."""
+        if measured.points_m is None:
+            return None
+        places_m = measured.points_m.copy()
+        places_m[..., 0] += video.stage_x_m[:, None]
+        return np.stack(
+            [
+                self.schedule.crop(float(time_s)).project(places)
+                for time_s, places in zip(video.time_s, places_m, strict=True)
+            ]
         )
 
 
