@@ -65,7 +65,7 @@ def scores(rows):
         "mean_absolute_error": BY_NAME["mean_absolute_error"].compute(answers),
         "within_0_1": BY_NAME["within_0.1"].compute(answers),
         "coverage_90": covered,
-        "coverage_90_error": error,
+        "coverage_90_error": error if np.isfinite(error) else None,  # of one simulation
         "interval_width": float(np.mean(widths)),
         "alarms": BY_NAME["alarms"].compute(answers),
     }
