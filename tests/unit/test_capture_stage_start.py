@@ -17,19 +17,21 @@ from slipstitch.render.camera import pose
 CONFIG = resolve_config({})
 SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
 START_S = 3.3
-# Turned and raised from the calibrated viewpoint, so that the floor's far edge lies behind the
-# cloth, and far away: 4 mm a pixel.
 CALIBRATED = VIEWPOINTS["calibrated"]
-ASIDE = stage.lens_camera(
-    *pose(
-        replace(
-            CALIBRATED,
-            azimuth_deg=CALIBRATED.azimuth_deg + 8.5,
-            elevation_deg=CALIBRATED.elevation_deg + 7.5,
-        )
-    ),
-    size=(224, 168),
-)
+
+
+def camera(turn_deg, raise_deg):
+    """Beside and above the calibrated viewpoint, and far away: 4 mm a pixel."""
+    seen_from = replace(
+        CALIBRATED,
+        azimuth_deg=CALIBRATED.azimuth_deg + turn_deg,
+        elevation_deg=CALIBRATED.elevation_deg + raise_deg,
+    )
+    return stage.lens_camera(*pose(seen_from), size=(224, 168))
+
+
+# The floor's far edge lies behind the cloth.
+ASIDE = camera(8.5, 7.5)
 
 
 def filmed(monkeypatch, lens, cloth, floor=None):
@@ -69,6 +71,28 @@ def test_the_edge_of_a_bright_floor_behind_the_cloth_does_not_hide_the_start(mon
     # The wide strip alone is held by what stands still.
     monkeypatch.setattr(stage_start, "_STRIPS_M", stage_start._STRIPS_M[:1])
     assert start_of(moments, ASIDE) is None
+
+
+def test_an_edge_that_slows_the_wide_strip_down_does_not_make_the_stage_slow(monkeypatch):
+    lens = camera(12.0, 4.0)
+    moments = filmed(monkeypatch, lens, woven, floor=0.7)
+    start = start_of(moments, lens)
+    assert start.time_s == pytest.approx(START_S, abs=0.03)
+    assert start.speed == pytest.approx(1, abs=0.02)
+    monkeypatch.setattr(stage_start, "_STRIPS_M", stage_start._STRIPS_M[:1])
+    assert not start_of(moments, lens).speed_is_right
+
+
+def test_a_stage_at_another_speed_is_found_at_that_speed(monkeypatch):
+    lens = camera(0.0, 0.0)
+    moments = filmed(monkeypatch, lens, woven)
+    slow = [
+        SimpleNamespace(time_s=START_S + 1.25 * (one.time_s - START_S) + 1, image=one.image)
+        for one in moments
+    ]
+    start = start_of(slow, lens)
+    assert start.speed == pytest.approx(0.8, abs=0.03)
+    assert not start.speed_is_right
 
 
 def test_a_plain_cloth_is_followed_by_its_upper_edge(monkeypatch):

@@ -145,8 +145,9 @@ def find_start(
         Of the calibrated viewpoint at the start.
     path : StagePath
     """
-    first, *others = (_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M)
-    last, second = -np.inf, None
+    followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]
+    last = -np.inf
+    found: list[StageStart | None] = [None] * len(followers)
     for moment in moments:
         if moment.time_s - last < 1 / _RATE_HZ - 1e-3:
             continue
@@ -154,14 +155,15 @@ def find_start(
         if image is None:
             continue
         last = moment.time_s
-        start = first.follow(last, image)
-        if start is not None:
-            return start
-        for other in others if second is None else ():
-            second = other.follow(last, image)
-        if second is not None and last - second.time_s > 2 * (_LAG_S + _LATER_S):
-            return second  # the first has had its time
-    return second
+        for number, follower in enumerate(followers):
+            found[number] = found[number] or follower.follow(last, image)
+        starts = [one for one in found if one is not None]
+        waited = starts and last - min(one.time_s for one in starts) > 2 * (_LAG_S + _LATER_S)
+        if waited or (found[0] is not None and found[0].speed_is_right):
+            break
+    # What stands still slows a strip down: one that moves as the stage does is believed first.
+    starts = [one for one in found if one is not None]
+    return next((one for one in starts if one.speed_is_right), starts[0] if starts else None)
 
 
 class _Follower:
