@@ -41,6 +41,11 @@ def read(folder):
     return found
 
 
+def digests(folder):
+    """Of the trajectories, by simulation."""
+    return {path.stem: file_digest(path) for path in sorted(folder.glob("m*.parquet"))}
+
+
 def apart_mm(one, other):
     """Mean distance of the vertices, mm, shape (frames,)."""
     return 1e3 * np.linalg.norm(one - other, axis=2).mean(1)
@@ -100,11 +105,7 @@ def main():
         "by_fabric": between,
         "by_pair": mixed,
     }
-    record = provenance_record(
-        "simulate",
-        inputs=[],
-        config={"simulations": {p.stem: file_digest(p) for p in sorted(folder.glob("m*.parquet"))}},
-    )
+    record = provenance_record("simulate", inputs=[], config={"simulations": digests(folder)})
     write_json(RESULT, result, record, indent=None)
     print(json.dumps({key: value for key, value in result.items() if "by_" not in key}, indent=1))
 

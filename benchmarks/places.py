@@ -17,29 +17,24 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from filmed import CONFIGS, ROOT
+from interpolation import HEIGHT_M, digests
 
 from slipstitch.bench.frames import sampled_frames
-from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import load_config
 from slipstitch.config.grid import simulations
 from slipstitch.config.interpolation import between
 from slipstitch.config.splits import sides_of_simulations
 from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.training import POINTS_SPREAD_MIN_M, learning_rate, noisy_places
-from slipstitch.provenance import file_digest, provenance_record, write_json
+from slipstitch.instrument.training import learning_rate, noisy_places, unit_of_points
+from slipstitch.provenance import provenance_record, write_json
 from slipstitch.render.marked_points import marked_points_m
 from slipstitch.simulate.trajectory import read_trajectory
 
-ROOT = Path(__file__).parents[1]
 RESULT = ROOT / "results" / "published" / "camera" / "places.json"
-CONFIGS = (
-    "config.yaml",
-    *(f"config/{n}.yaml" for n in ("paper", "instrument", "instrument_between")),
-)
 NOISE_MM = (0.5, 1.0, 2.0, 3.0)
 STEPS, BATCH, VIEWS = 1500, 32, 20
-HEIGHT_M = StagePath().start_height_m - StagePath().drop_m
 
 
 class Places:
@@ -65,11 +60,10 @@ class Places:
             for fabric in self.fabrics
         }
         trained = np.stack([self.places[one.id] for one in self.of["train"]])
-        self.mean_m = trained.mean((0, 1))
-        self.spread_m = abs(trained - self.mean_m).mean((0, 1)).clip(POINTS_SPREAD_MIN_M)
+        self.mean_m, self.spread_m = unit_of_points(torch.from_numpy(trained))
 
     def unit(self, places):
-        return torch.from_numpy((np.stack(places) - self.mean_m) / self.spread_m).float()
+        return ((torch.from_numpy(np.stack(places)) - self.mean_m) / self.spread_m).float()
 
     def drawn(self, generator, interpolated):
         """Places, friction and fabric's number of one simulation that trains, or between two."""
@@ -89,7 +83,7 @@ def errors(settings, data, noise_mm, interpolated, seed):
     generator = np.random.default_rng(seed)
     network = InstrumentNetwork(settings, len(data.fabrics), 64)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=settings.weight_decay)
-    spread_m = torch.from_numpy(data.spread_m).float()
+    spread_m = data.spread_m.float()
 
     def cumulative_of(places):
         seen = noisy_places(data.unit(places), spread_m, noise_mm / 1e3, generator)
@@ -128,7 +122,8 @@ def main():
     parser.add_argument("--seeds", type=int, default=2)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    config = load_config(*(str(ROOT / name) for name in CONFIGS))
+    files = (*CONFIGS, "config/instrument_between.yaml")
+    config = load_config(*(str(ROOT / name) for name in files))
     settings = config.instrument.model_copy(update={"points_weight": 1.0, "through_points": True})
     data = Places(config, arguments.folder)
     unseen = {one.id for one in data.of["unseen fabric"]}
@@ -162,9 +157,7 @@ def main():
         inputs=[],
         config={
             "instrument": settings.model_dump(mode="json"),
-            "simulations": {
-                path.stem: file_digest(path) for path in sorted(arguments.folder.glob("m*.parquet"))
-            },
+            "simulations": digests(arguments.folder),
         },
     )
     write_json(RESULT, result, record, indent=None)

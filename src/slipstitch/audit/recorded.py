@@ -27,6 +27,7 @@ from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
 from slipstitch.release.currency import CALIBRATION, calibrated_simulation, other_versions
 from slipstitch.release.records import VERIFICATION, Artefact, is_ours, record_file
+from slipstitch.render.marked_points import MARKED_UV, marked_points_m
 
 # Where a stage writes; the first that fits.
 STAGES = {
@@ -82,9 +83,13 @@ class _Known:
 
     def trajectories(self, artefact: Artefact) -> list[str]:
         """What a shard or its shading shows: its own simulation, or those between which it lies."""
-        own = self.simulation_of(artefact).id
-        shown = self.between.get((own, _view(artefact)))
-        return [f"results/simulate/{name}.parquet" for name in (shown.weights if shown else [own])]
+        shown = self.shown(artefact)
+        names = shown.weights if shown else [self.simulation_of(artefact).id]
+        return [f"results/simulate/{name}.parquet" for name in names]
+
+    def shown(self, artefact: Artefact) -> Interpolation | None:
+        """The cloth of a shard or its shading, if it lies between simulations."""
+        return self.between.get((self.simulation_of(artefact).id, _view(artefact)))
 
 
 def _view(artefact: Artefact) -> str:
@@ -187,12 +192,11 @@ def _counts(found: Any, total: int) -> bool:
 
 def _points_of_a_cloth(found: Any, camera: Mapping[str, Any], vertices_per_side: int) -> bool:
     """Whether these can be the places of a cloth's marked points, in each of a camera's frames."""
-    from slipstitch.render.marked_points import MARKED_UV
-
     if not isinstance(found, dict) or list(found) != list(camera["frames"]):
         return False
-    cells = vertices_per_side - 1
-    flat_m = SIDE_M * np.ceil(MARKED_UV * cells - 0.5) / cells  # of the vertices nearest to them
+    v, u = np.meshgrid(*2 * [np.linspace(0, 1, vertices_per_side)], indexing="ij")
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    (flat_m,) = marked_points_m(SIDE_M * np.pad(uv, ((0, 0), (0, 1)))[None], uv, np.zeros(1))
     longest_m = _LARGEST_STRETCH * np.linalg.norm(flat_m[:, None] - flat_m[None], axis=2)
     places_m = np.array(list(found.values()), dtype=np.float64).reshape(-1, len(MARKED_UV), 3)
     apart_m = np.linalg.norm(places_m[:, :, None] - places_m[:, None], axis=3)
@@ -291,7 +295,7 @@ def _rendered(artefact: Artefact, contents: Contents, known: _Known) -> Iterator
 
     config, simulation, view = known.config, known.simulation_of(artefact), _view(artefact)
     name = config.render.viewpoint_ids()[view]
-    shown = known.between.get((simulation.id, view))
+    shown = known.shown(artefact)
     digests = {Path(path).stem: artefact.inputs.get(path) for path in known.trajectories(artefact)}
     cameras = Cameras(contents.folder, config, simulation, view)
     textures = dict(cameras.job.textures)

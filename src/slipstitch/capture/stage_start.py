@@ -147,7 +147,7 @@ def find_start(
     """
     followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]
     last = -np.inf
-    found: list[StageStart | None] = [None] * len(followers)
+    starts: list[StageStart] = []
     for moment in moments:
         if moment.time_s - last < 1 / _RATE_HZ - 1e-3:
             continue
@@ -155,14 +155,14 @@ def find_start(
         if image is None:
             continue
         last = moment.time_s
-        for number, follower in enumerate(followers):
-            found[number] = found[number] or follower.follow(last, image)
-        starts = [one for one in found if one is not None]
+        for follower in followers:
+            follower.follow(last, image)
+        starts = [one.start for one in followers if one.start is not None]
         waited = starts and last - min(one.time_s for one in starts) > 2 * (_LAG_S + _LATER_S)
-        if waited or (found[0] is not None and found[0].speed_is_right):
+        first = followers[0].start
+        if waited or (first is not None and first.speed_is_right):
             break
     # What stands still slows a strip down: one that moves as the stage does is believed first.
-    starts = [one for one in found if one is not None]
     return next((one for one in starts if one.speed_is_right), starts[0] if starts else None)
 
 
@@ -173,9 +173,12 @@ class _Follower:
         self._strip, self._path = strip, path
         self._kept: deque[tuple[float, np.ndarray]] = deque()
         self._candidate_s: float | None = None
+        self.start: StageStart | None = None
 
-    def follow(self, time_s: float, image: np.ndarray) -> StageStart | None:
-        """Take one more frame; the start, once it is found."""
+    def follow(self, time_s: float, image: np.ndarray) -> None:
+        """Take one more frame, until the start is found."""
+        if self.start is not None:
+            return
         kept, strip = self._kept, self._strip
         kept.append((time_s, strip.cut(image)))
         while time_s - kept[0][0] > _LAG_S + _TEMPLATE_S + _LATER_S:
@@ -187,10 +190,8 @@ class _Follower:
                 if down_m > _SUNK_M and likeness > _LEAST_LIKENESS:
                     self._candidate_s = time_s
         elif time_s - self._candidate_s >= _LATER_S:
-            start = _fit(list(kept), strip, self._candidate_s, self._path)
+            self.start = _fit(list(kept), strip, self._candidate_s, self._path)
             self._candidate_s = None
-            return start
-        return None
 
 
 def _fit(

@@ -97,12 +97,17 @@ def _training_videos(
     return videos, training
 
 
+def unit_of_points(points_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean of places (n, frames, points, 3) and mean distance from it, both (points, 3) float64."""
+    points_m = points_m.double()
+    mean_m = points_m.mean((0, 1))
+    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=POINTS_SPREAD_MIN_M)
+
+
 def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
     """Places of the videos' points in the network's unit, which it is given."""
     points_m = torch.from_numpy(videos.points_m)
-    trained_m = points_m[training].double()
-    mean_m = trained_m.mean((0, 1))
-    spread_m = (trained_m - mean_m).abs().mean((0, 1)).clamp(min=POINTS_SPREAD_MIN_M)
+    mean_m, spread_m = unit_of_points(points_m[training])
     network.points_mean_m.copy_(mean_m)
     network.points_spread_m.copy_(spread_m)
     return (points_m - network.points_mean_m) / network.points_spread_m
@@ -357,8 +362,7 @@ class InstrumentLearner:
                 errors.append((median - truth).abs())
                 hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
                 if self.points is not None:
-                    places = phase_places(len(batch), self.pixels.shape[1], self.frames, None)
-                    wanted = self.points[batch[:, None], places]
+                    wanted = phased(self.points[batch], self.frames, None)
                     off.append((outputs["points"] - wanted).abs().mean((1, 2, 3)))
         found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
         if off:

@@ -202,8 +202,7 @@ def render_shard(
         if group:
             stream.write(group)
         files += [] if pack_path is None else [Path(pack_path)]
-        pose = Rectifier.of(job, trajectory).pose(pack.shots)
-        stream.describe(*_description(job, pack, trajectory, pose, files, started))
+        stream.describe(*_description(job, pack, trajectory, files, started))
     return {
         "frames": len(pack.shots),
         "images": images,
@@ -253,12 +252,7 @@ def _row(job: Job, trajectory: Trajectory, shot: Shot, texture: str, image: np.n
 
 
 def _description(
-    job: FilmJob,
-    pack: Pack,
-    trajectory: Trajectory,
-    pose: dict[str, float],
-    files: list,
-    started: tuple[float, float],
+    job: FilmJob, pack: Pack, trajectory: Trajectory, files: list, started: tuple[float, float]
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
     of = cameras(job)
@@ -267,7 +261,7 @@ def _description(
         "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
         "textures": dict(job.textures),
         "augmentation": augmentation,
-        "pose": pose,
+        "pose": Rectifier.of(job, trajectory).pose(pack.shots),
         "marked_points_m": marked_points_record(trajectory, pack.shots),
     }
     record = provenance_record(
