@@ -2,6 +2,9 @@
 
 import hashlib
 import os
+import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -62,6 +65,34 @@ def abandoned(target, content="half"):
     folder.mkdir()
     (folder / target.name).write_text(content)
     return folder
+
+
+KILLED = """
+import os, signal, sys
+from slipstitch.provenance import atomic_path, files
+
+def killed(path):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+calls = iter(range(9))
+flush = files._flush
+files._flush = lambda path: killed(path) if next(calls) == int(sys.argv[2]) else flush(path)
+with atomic_path(sys.argv[1]) as temporary:
+    temporary.write_text("whole")
+"""
+
+
+@pytest.mark.parametrize("flushes", [0, 1], ids=["before it has its name", "after"])
+def test_what_a_kill_leaves_is_removed_at_once_by_the_next_attempt(tmp_path, flushes):
+    """After the renaming the temporary folder holds no file any more, and yet is abandoned."""
+    target = tmp_path / "x.json"
+    words = [sys.executable, "-c", KILLED, str(target), str(flushes)]
+    assert subprocess.run(words).returncode == -signal.SIGKILL
+    assert target.exists() == bool(flushes)
+    assert [name for name in leftovers(tmp_path) if name.endswith(".tmp")]
+    with atomic_path(target) as temporary:
+        temporary.write_text("again")
+    assert leftovers(tmp_path) == ["x.json"]
 
 
 def test_what_a_killed_process_left_is_removed_by_the_next_attempt(tmp_path):

@@ -70,7 +70,11 @@ def _own_folder(final: Path) -> Iterator[Path]:
         try:
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield Path(name)
+            # Written to in a folder of its own: from here on, until all is done, the locked one
+            # isn't empty, and whoever finds it without its lock knows that it is abandoned.
+            work = Path(name, "work")
+            work.mkdir()
+            yield work
         finally:
             os.close(descriptor)
 
