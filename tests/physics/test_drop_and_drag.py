@@ -119,6 +119,21 @@ def test_perturbations_have_the_stated_spread():
     assert sides == {SMALL.natural_curl_per_m}
 
 
+def test_the_first_replicates_may_be_of_an_ideal_bench():
+    ideal = SMALL.model_copy(update={"ideal_replicates": 2})
+    for replicate in (0, 1):
+        drawn = draw_perturbation(ideal, 5, replicate)
+        assert (drawn.yaw_deg, drawn.height_m) == (0.0, 0.0)
+        assert drawn.density_factor == drawn.stretching_factor == drawn.bending_factor == 1.0
+    assert draw_perturbation(ideal, 5, 2) == draw_perturbation(SMALL, 5)
+
+
+def test_the_curl_may_change_sides_with_the_replicate():
+    turned = SMALL.model_copy(update={"curl_side": "alternating"})
+    curls = [draw_perturbation(turned, seed=7, replicate=r).natural_curl_per_m for r in range(4)]
+    assert curls == [0.5, -0.5, 0.5, -0.5]
+
+
 @pytest.mark.parametrize("curl", [-1.0, 1.0])
 def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch):
     """Without it the flat cloth is an unstable equilibrium that rounding would decide."""

@@ -91,7 +91,7 @@ def write(config: Config, folder: Path, chosen: dict | None = None) -> Path:
 def _write_simulate(config: Config, results: Path) -> None:
     step_s = 1 / config.simulation.frame_rate_hz / 5  # the largest below 84 ms that fits
     for one in simulations(config):
-        run = DropAndDrag(one.material, one.friction, one.seed)
+        run = DropAndDrag(one.material, one.friction, one.seed, one.replicate)
         motion = synthetic_cloth.motion(config.simulation.frames, n=11)
         metadata = {
             "material": one.material,
@@ -102,7 +102,7 @@ def _write_simulate(config: Config, results: Path) -> None:
             "friction_id": one.friction_id,
             "replicate_id": one.replicate_id,
             "settings": config.simulation.model_dump(mode="json"),
-            "perturbation": vars(draw_perturbation(config.simulation, one.seed)),
+            "perturbation": vars(draw_perturbation(config.simulation, one.seed, one.replicate)),
             "solver": {"steps": 400, "newton_iterations": 1200, "largest_residual": 4.7e-4},
             "stage_path": vars(StagePath()),
             "extended_model": None,

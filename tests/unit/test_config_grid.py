@@ -198,6 +198,10 @@ def test_benches_are_shared_by_the_coefficients_unless_each_has_its_own():
     longer = grid | {"own_benches": True, "frictions": [0.1, 0.15, 0.2]}
     more = {one.id: one.seed for one in simulations(resolve_config({"grid": longer} | BENCHES))}
     assert all(more[one.id] == one.seed for one in own)
+    first_ideal = {"grid": grid | {"own_benches": True}, "simulation": {"ideal_replicates": 1}}
+    ideal = simulations(resolve_config(first_ideal | BENCHES))
+    assert [one.seed for one in ideal[::2]] == [one.seed for one in shared[::2]]
+    assert [one.seed for one in ideal[1::2]] == [one.seed for one in own[1::2]]
 
 
 def test_own_benches_are_refused_where_they_would_tell_the_coefficient():

@@ -53,7 +53,8 @@ class Cameras:
         count = settings.frames
         times_s = np.arange(count) / settings.frame_rate_hz
         x_m, z_m = StagePath(**dict(settings.stage)).position_m(times_s)
-        z_m = z_m + draw_perturbation(settings, self.simulation.seed).height_m
+        simulation = self.simulation
+        z_m = z_m + draw_perturbation(settings, simulation.seed, simulation.replicate).height_m
         corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1.0)])
         rest_m = SIDE_M * np.column_stack([np.zeros(4), corners * [1, -1]])
         return Trajectory(

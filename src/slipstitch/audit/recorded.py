@@ -247,7 +247,9 @@ def _simulated(artefact: Artefact, contents: Contents, known: _Known) -> Iterato
         **{f"{name}_id": getattr(simulation, f"{name}_id") for name in _IDS},
         "simulation": simulation.id,
         "settings": settings.model_dump(mode="json"),
-        "perturbation": _plain(vars(draw_perturbation(settings, simulation.seed))),
+        "perturbation": _plain(
+            vars(draw_perturbation(settings, simulation.seed, simulation.replicate))
+        ),
         "stage_path": dict(settings.stage),
         "step_s": settings.step_used_s,
         "pinned": held.tolist(),

@@ -32,6 +32,7 @@ NOT_NUMERICAL = frozenset(
         "fabric_sd_rel",
         "natural_curl_per_m",
         "curl_side",
+        "ideal_replicates",
         "bending_stiffness_at_end",
         "self_contact",
         "thickness_m",

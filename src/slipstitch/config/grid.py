@@ -61,7 +61,7 @@ class GridSettings(Section):
         False,
         description="every simulation has clamps, curl and fabric of its own, shared with none at "
         "another coefficient; only where its cameras are its own as well (viewpoints bench_1 "
-        "...), so that whole simulations are held out",
+        "...), so that whole simulations are held out; ideal replicates share theirs",
     )
 
     @property
@@ -111,6 +111,11 @@ class Simulation:
     material_role: str = "train"
     friction_role: str = "train"
 
+    @property
+    def replicate(self) -> int:
+        """Its number."""
+        return int(self.replicate_id[1:])
+
 
 def material_id(name: str) -> str:
     """Position in the catalogue of ten: ids stay the same whichever fabrics a grid holds."""
@@ -147,13 +152,14 @@ def simulations(config: Config) -> list[Simulation]:
 
     Those for testing only come last.
     """
-    own = config.grid.own_benches
+    own, ideal = config.grid.own_benches, config.simulation.ideal_replicates
     return [
         Simulation(
             **place,
             seed=simulation_seed(
                 config.seed,
-                place["material"] + (f" {place['friction_id']}" if own else ""),
+                place["material"]
+                + (f" {place['friction_id']}" if own and replicate >= ideal else ""),
                 replicate,
             ),
         )

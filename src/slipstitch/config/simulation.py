@@ -145,9 +145,17 @@ class SimulationSettings(Section):
         description="natural curvature of the cloth, which determines to which side the hanging "
         "cloth sags",
     )
-    curl_side: Literal["drawn", "same"] = Field(
+    curl_side: Literal["drawn", "same", "alternating"] = Field(
         "drawn",
-        description="sign of the curvature: drawn per replicate, or the same in all simulations",
+        description="sign of the curvature: drawn per replicate, the same in all simulations, or "
+        "changing from one replicate to the next",
+    )
+    ideal_replicates: int = Field(
+        0,
+        ge=0,
+        le=100,
+        description="replicates: so many, the first, have straight clamps at their height and the "
+        "fabric as measured, at every coefficient",
     )
 
     def of_fabric(self, material: str) -> "SimulationSettings":

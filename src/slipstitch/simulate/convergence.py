@@ -29,6 +29,7 @@ DO_NOT_MATTER = {
     "height_sd_m",
     "fabric_sd_rel",
     "curl_side",
+    "ideal_replicates",
 }
 
 

@@ -55,14 +55,19 @@ class BenchPerturbation:
     natural_curl_per_m: float
 
 
-def draw_perturbation(settings: SimulationSettings, seed: int) -> BenchPerturbation:
+def draw_perturbation(
+    settings: SimulationSettings, seed: int, replicate: int = 0
+) -> BenchPerturbation:
     """Draw the perturbation of one replicate; the same seed gives the same numbers."""
     random = np.random.default_rng(seed)
-    factors = np.exp(settings.fabric_sd_rel * random.standard_normal(3))
-    sides = {"drawn": [-1.0, 1.0], "same": [1.0]}[settings.curl_side]
+    spread = 0.0 if replicate < settings.ideal_replicates else 1.0
+    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3))
+    sides = {"drawn": [-1.0, 1.0], "same": [1.0], "alternating": [-1.0 if replicate % 2 else 1.0]}[
+        settings.curl_side
+    ]
     return BenchPerturbation(
-        yaw_deg=float(settings.yaw_sd_deg * random.standard_normal()),
-        height_m=float(settings.height_sd_m * random.standard_normal()),
+        yaw_deg=float(spread * settings.yaw_sd_deg * random.standard_normal()),
+        height_m=float(spread * settings.height_sd_m * random.standard_normal()),
         density_factor=float(factors[0]),
         stretching_factor=float(factors[1]),
         bending_factor=float(factors[2]),
@@ -82,11 +87,15 @@ class DropAndDrag:
         Friction coefficient between cloth and floor, at least 0.
     seed : int
         Of the bench's perturbation; the run itself draws nothing.
+    replicate : int
+        The first may be of an ideal bench, and the curl may change sides from one to the next
+        (`SimulationSettings.ideal_replicates`, ``curl_side``).
     """
 
     material: str
     friction: float
     seed: int
+    replicate: int = 0
 
     def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
         """The fabric's measured data for the record."""
@@ -195,7 +204,7 @@ class _Bench:
         self.model = model = (
             read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
         )
-        self.perturbation = perturbation = draw_perturbation(settings, run.seed)
+        self.perturbation = perturbation = draw_perturbation(settings, run.seed, run.replicate)
         fabric = load_fabric(run.material).scaled(
             perturbation.density_factor * (1 + model.mass_error),
             perturbation.stretching_factor,

@@ -38,7 +38,9 @@ def runs_of_the_grid(config: Config, names: Sequence[str]) -> list[RunWithIds]:
     found = [find_simulation(config, name) for name in names]
     return [
         (
-            DropAndDrag(simulation.material, simulation.friction, simulation.seed),
+            DropAndDrag(
+                simulation.material, simulation.friction, simulation.seed, simulation.replicate
+            ),
             {
                 "simulation": simulation.id,
                 "material_id": simulation.material_id,

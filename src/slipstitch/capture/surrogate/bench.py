@@ -94,6 +94,7 @@ def surrogate_simulation(config: Config) -> SimulationSettings:
             "height_sd_m": min(factor * usual.height_sd_m, 0.005),
             "fabric_sd_rel": min(factor * usual.fabric_sd_rel, 0.3),
             "curl_side": "drawn",
+            "ideal_replicates": 0,
         }
     )
 
