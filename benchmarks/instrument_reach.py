@@ -26,11 +26,23 @@ FABRICS = {
     "ivory-rib-knit": (0.3, 1.5),
 }
 FAR_DEG = (22.5, 30.0)  # aside, where the training ends at 15
+# Clamps, curl and fabric vary from one simulation to the next, as on a bench.
+BENCHES = {
+    "simulation": {
+        "ideal_replicates": 0,
+        "curl_side": "drawn",
+        "yaw_sd_deg": 1.0,
+        "height_sd_m": 0.0005,
+        "fabric_sd_rel": 0.03,
+    }
+}
 
 
 def sets():
     """Off the grid; unseen fabrics; simulations of the first, seen from far aside."""
-    off_grid = {"seed": 131, "grid": {"materials": MATERIALS, "frictions": OFF_GRID}}
+    once = {"replicates": 1, "own_benches": True}
+    off_grid = {"seed": 131, "grid": {"materials": MATERIALS, "frictions": OFF_GRID} | once}
+    off_grid |= BENCHES
     far = {"bench_camera": {"yaw_deg": FAR_DEG[1], "calibrated_share": 0.0}}
     plain = {"face": {"coefficient": 0.3, "mechanisms": {}}}
     return [
@@ -38,7 +50,8 @@ def sets():
         *(
             FilmedSet(
                 f"unseen_fabric_{name}",
-                {"seed": 139, "grid": {"materials": [name], "frictions": [0.25, 0.65, 1.15]}},
+                {"seed": 139, "grid": {"materials": [name], "frictions": [0.25, 0.65, 1.15]} | once}
+                | BENCHES,
                 {"friction_law": plain, "bench": {"mass_error": mass, "bending_error": bending}},
             )
             for name, (mass, bending) in FABRICS.items()

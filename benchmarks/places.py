@@ -53,12 +53,10 @@ class Places:
             self.of[side].append(one)
         self.fabrics = sorted({one.material for one in self.of["train"]})
         lowest = config.render.interpolation.from_friction
-        self.rows = {
-            fabric: [
-                one for one in self.of["train"] if one.material == fabric and one.friction >= lowest
-            ]
-            for fabric in self.fabrics
-        }
+        self.rows = defaultdict(list)
+        for one in self.of["train"]:
+            if one.friction >= lowest:
+                self.rows[one.material, one.replicate].append(one)
         trained = np.stack([self.places[one.id] for one in self.of["train"]])
         self.mean_m, self.spread_m = unit_of_points(torch.from_numpy(trained))
 
@@ -69,7 +67,7 @@ class Places:
         """Places, friction and fabric's number of one simulation that trains, or between two."""
         one = self.of["train"][generator.integers(len(self.of["train"]))]
         places, friction = self.places[one.id], one.friction
-        row = self.rows[one.material]
+        row = self.rows[one.material, one.replicate]
         if interpolated and one in row:
             friction = generator.uniform(row[0].friction, row[-1].friction)
             parts = between(row, friction, HEIGHT_M)

@@ -299,19 +299,20 @@ def test_gradients_in_bfloat16_are_those_in_float32(tests):
 
 
 def test_places_lie_between_neighbours_of_a_fabric_where_a_cloth_changes_smoothly():
-    known = [  # fabric, coefficient, interpolated, trains
-        ("a", 0.2, False, True),
-        ("a", 0.4, False, True),
-        ("a", 0.47, True, True),
-        ("a", 0.47, True, True),
-        ("b", 0.5, True, True),
-        ("a", 0.6, False, True),
-        ("a", 0.55, True, False),
+    known = [  # fabric, replicate, coefficient, interpolated, trains
+        ("a", "r00", 0.2, False, True),
+        ("a", "r00", 0.4, False, True),
+        ("a", "r00", 0.47, True, True),
+        ("a", "r00", 0.47, True, True),
+        ("b", "r00", 0.5, True, True),
+        ("a", "r00", 0.6, False, True),
+        ("a", "r00", 0.55, True, False),
+        ("a", "r01", 0.5, True, True),  # of another bench: its cloth may lie on the other side
     ]
-    names = ("material_id", "friction", "interpolated")
-    rows = [dict(zip(names, one[:3], strict=True)) for one in known]
-    training = np.array([one[3] for one in known])
-    assert next_frictions(rows, training).tolist() == [0, 2, 5, 5, 4, 5, 6]
+    names = ("material_id", "replicate_id", "friction", "interpolated")
+    rows = [dict(zip(names, one[:4], strict=True)) for one in known]
+    training = np.array([one[4] for one in known])
+    assert next_frictions(rows, training).tolist() == [0, 2, 5, 5, 4, 5, 6, 7]
 
 
 def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():

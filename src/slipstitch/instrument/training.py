@@ -172,16 +172,19 @@ def losses(
 
 
 def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.ndarray:
-    """For every video, one of the same fabric at the next larger coefficient; itself without one.
+    """For every video, one of the same fabric and replicate at the next larger coefficient.
+
+    Itself without one.
 
     Of videos that train, and only where one of the two lies between simulations itself: there a
     cloth changes smoothly with the coefficient, so that places between theirs are a cloth's too.
     """
     result = np.arange(len(rows))
-    of_fabric: dict[str, list[int]] = {}
+    of_cloth: dict[tuple[str, str], list[int]] = {}
     for number in np.flatnonzero(training):
-        of_fabric.setdefault(rows[number]["material_id"], []).append(int(number))
-    for numbers in of_fabric.values():
+        cloth = rows[number]["material_id"], rows[number]["replicate_id"]
+        of_cloth.setdefault(cloth, []).append(int(number))
+    for numbers in of_cloth.values():
         numbers.sort(key=lambda number: rows[number]["friction"])
         for place, number in enumerate(numbers):
             larger = numbers[place + 1 :]
