@@ -194,14 +194,17 @@ def places(root):
     rows = [
         [
             f"{row['noise_mm']:g} mm"
-            + ("" if row["interpolated"] else ", nothing between simulations"),
-            f"{row['held_out']:.3f}",
+            + ("" if row["interpolated"] else ", nothing between simulations")
+            + (", taught by ideal benches alone" if row["replicates"] == 1 else ""),
+            f"{row['held_out_ideal']:.3f}",
+            f"{row['held_out_own']:.3f}",
             f"{row['held_out_worst']:.3f}",
             f"{row['unseen_fabric']:.3f}",
         ]
         for row in found["rows"]
     ]
-    head = "errors of the places|mean error of μ, held-out coefficients|the worst|an unseen fabric"
+    head = "errors of the places|mean error of μ, held out: ideal bench|benches of their own"
+    head += "|the worst|an unseen fabric, both"
     return _table(head.split("|"), rows)
 
 

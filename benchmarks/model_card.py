@@ -77,7 +77,7 @@ def _data(card, config, rows):
     simulations = rows.drop_duplicates("simulation")
     parts = simulations["split_by_simulation"].value_counts()
     simulation = config["simulation"]
-    frictions = card["frictions"]
+    frictions, ideal = card["frictions"], simulation.get("ideal_replicates", 0)
     return [
         f"- {len(rows)} simulated videos of {len(simulations)} simulations; {parts['train']} "
         f"trained the network, {card['calibration_simulations']} calibrate the intervals and the "
@@ -104,7 +104,12 @@ def _data(card, config, rows):
         f"- Standard deviations of the clamps' yaw {simulation['yaw_sd_deg']:g}°, of their height "
         f"{simulation['height_sd_m']:g} m, of the fabric's parameters "
         f"{simulation['fabric_sd_rel']:g} (relative); simulations of each pair: "
-        f"{config['grid']['replicates']}.",
+        f"{config['grid']['replicates']}"
+        + (
+            "."
+            if not ideal
+            else f", {ideal} of them with straight clamps and the fabric as measured."
+        ),
     ]
 
 
