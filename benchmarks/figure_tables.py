@@ -257,6 +257,30 @@ def surrogates(root):
     return _table([*head.split("|"), "fabric right", "alarms"], rows)
 
 
+def surrogate_places(root):
+    """What misleads an instrument in surrogates: taught by one side of the cloth, and by both."""
+    rows = []
+    for name, words in (
+        ("surrogate_places_one_side", "taught by the paper's bench alone"),
+        ("surrogate_places", "the one that ships"),
+    ):
+        found = _read(root, f"camera/{name}.json")
+        errors = found["errors"]
+        rows.append(
+            [
+                words,
+                str(len({row["simulation"] for row in found["readings"]})),
+                *(
+                    f"{errors[of]:.3f}"
+                    for of in ("reading", "from_its_places", "from_ideal_places")
+                ),
+            ]
+        )
+    head = "mean error of μ|surrogates|from the video|from the places in its simulation"
+    head += "|from those with the paper's clamps, curl and fabric"
+    return _table(head.split("|"), rows)
+
+
 def hidden_effect(root):
     """A camera's readings under the surrogate case's effect, before and after it is found."""
     found = _read(root, "camera/hidden_effect.json")
@@ -356,6 +380,7 @@ TABLES = {
     "places": places,
     "reach": reach,
     "surrogates": surrogates,
+    "surrogate_places": surrogate_places,
     "hidden_effect": hidden_effect,
 }
 PAGES = {
