@@ -46,7 +46,7 @@ def sets(found):
             f"{name}_{direction}",
             {
                 "seed": seed,
-                "grid": {"materials": MATERIALS, "frictions": frictions},
+                "grid": {"materials": MATERIALS, "frictions": frictions, "replicates": 1},
                 "simulation": {"warp": warp},
             },
             model,

@@ -103,13 +103,13 @@ def graph(root):
     return _table(["job graph (`snakemake -n all`)", "CPU s", "memory"], rows)
 
 
-def _instrument(root, run="instrument"):
-    return _read(root, f"{run}/details.json")["by_simulation"]["instrument"]
+def _instrument(root):
+    return _read(root, "instrument/details.json")["by_simulation"]["instrument"]
 
 
-def instrument(root, run="instrument"):
-    """The instruments of a published run on simulations held out; by default the one that ships."""
-    found = _instrument(root, run)
+def instrument(root):
+    """The published instruments, one of which ships, on simulations held out."""
+    found = _instrument(root)
     mean, spread = found["mean"], found["spread"] or {}
     parts = found["by"]["texture"].values()
     near = sum(part["n"] * part["within_0_1"] for part in parts) / sum(part["n"] for part in parts)
@@ -375,7 +375,6 @@ TABLES = {
     "graph": graph,
     "instrument": instrument,
     "instrument_parts": instrument_parts,
-    "instrument_places": lambda root: instrument(root, "instrument_places"),
     "interpolation": interpolation,
     "places": places,
     "reach": reach,

@@ -2,7 +2,7 @@
 
     python benchmarks/places.py FOLDER
 
-FOLDER holds the trajectories of config/instrument_between.yaml (results/simulate). The recurrent
+FOLDER holds the trajectories of config/instrument.yaml (results/simulate). The recurrent
 part of the instrument's network learns from the places in the simulations that train, and between
 them as films lie, with errors of the cloth's shift, of each point and of each frame; it is tested
 on coefficients held out of fabrics that train, and on a fabric that does not; once it learns from
@@ -122,9 +122,8 @@ def main():
     parser.add_argument("--seeds", type=int, default=2)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    files = (*CONFIGS, "config/instrument_between.yaml")
-    config = load_config(*(str(ROOT / name) for name in files))
-    settings = config.instrument.model_copy(update={"points_weight": 1.0, "through_points": True})
+    config = load_config(*(str(ROOT / name) for name in CONFIGS))
+    settings = config.instrument
     data = Places(config, arguments.folder)
     unseen = {one.id for one in data.of["unseen fabric"]}
     rows = []

@@ -29,7 +29,7 @@ import pandas
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "results" / "published" / "benchmark" / "benchmark.json"
-GRID = ROOT / "results" / "published" / "instrument" / "simulations.csv"
+GRID = ROOT / "results" / "published" / "benchmark" / "simulations.csv"
 PARTS = ("mesh", "side-by-side", "steady")
 DEAREST = ("white-dots-on-blk", 1.4)  # simulation of the published grid
 STEADY_FRICTIONS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 0.2, 0.6)  # of the ten fabrics

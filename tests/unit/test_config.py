@@ -19,11 +19,7 @@ SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml
 
 def below(scale: str) -> list[Path]:
     """The files that a scale is merged over."""
-    instrument = ["config/paper.yaml", "config/instrument.yaml"]
-    others = {
-        "config/instrument.yaml": instrument[:1],
-        "config/instrument_between.yaml": instrument,
-    }
+    others = {"config/instrument.yaml": ["config/paper.yaml"]}
     return [ROOT / name for name in ("config.yaml", *others.get(scale, ()))]
 
 
