@@ -257,6 +257,19 @@ def surrogates(root):
     return _table([*head.split("|"), "fabric right", "alarms"], rows)
 
 
+def sides(root):
+    """Up to which coefficient a cloth stays on the side to which it sagged."""
+    rows = [
+        [
+            f"{row['friction']:g}",
+            f"{row['on_other_sides']} of {row['fabrics']}",
+            f"{row['median_mm']:.1f} mm",
+        ]
+        for row in _read(root, "camera/sides.json")["rows"]
+    ]
+    return _table(["μ", "fabrics on the other side", "lower edges apart, median"], rows)
+
+
 def surrogate_places(root):
     """What misleads an instrument in surrogates: taught by one side of the cloth, and by both."""
     rows = []
@@ -379,6 +392,7 @@ TABLES = {
     "places": places,
     "reach": reach,
     "surrogates": surrogates,
+    "sides": sides,
     "surrogate_places": surrogate_places,
     "hidden_effect": hidden_effect,
 }
