@@ -214,12 +214,13 @@ def reach(root):
     names = {
         "off_grid": "coefficients between those of the grid",
         "unseen_fabric": "unseen fabrics",
-        "unseen_texture": "an unseen texture, of all of these",
+        "unseen_texture": "one texture more, of all of these",
         "far": "cameras 22.5 to 30° aside",
     }
+    parts = [(words, found[name]) for name, words in names.items()]
+    parts += [(f"but for those, in {name}", part) for name, part in found["textures"].items()]
     rows = []
-    for name, words in names.items():
-        part = found[name]
+    for words, part in parts:
         rows.append(
             [
                 words,

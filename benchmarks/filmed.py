@@ -32,7 +32,7 @@ SHIPPED = "instrument"  # the published run whose instrument ships
 CONFIGS = ("config.yaml", "config/paper.yaml", "config/instrument.yaml")
 VIEWPOINTS = ["bench_5", "bench_6", "bench_7", "bench_8"]
 TEXTURES = ["checks", "tartan", "dots", "floral"]
-UNSEEN_TEXTURE = "chevron"  # that no instrument published so far was trained in
+UNSEEN_TEXTURE = "chevron"  # filmed once a simulation more; no published instrument trained in it
 
 
 @dataclass(frozen=True)

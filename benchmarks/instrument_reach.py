@@ -11,7 +11,16 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import SHIPPED, UNSEEN_TEXTURE, FilmedSet, film, instruments, publish, readings
+from filmed import (
+    SHIPPED,
+    TEXTURES,
+    UNSEEN_TEXTURE,
+    FilmedSet,
+    film,
+    instruments,
+    publish,
+    readings,
+)
 
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.instrument.poses import outside
@@ -110,6 +119,11 @@ def main():
     result["fabrics"] = {
         name: scores([row for row in parts["unseen_fabric"] if row["material"] == name])
         for name in FABRICS
+    }
+    near = [row for row in rows if row["set"] != "far"]
+    result["textures"] = {
+        name: scores([row for row in near if row["texture"] == name])
+        for name in [*TEXTURES, UNSEEN_TEXTURE]
     }
     result["instruments"] = len(measuring)
     publish("reach", result, sets(), rows, arguments.run)
