@@ -140,7 +140,7 @@ def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch
     import slipstitch.simulate.drop_and_drag as module
 
     straight = module.BenchPerturbation(0.0, 0.0, 1.0, 1.0, 1.0, 0.5 * curl)
-    monkeypatch.setattr(module, "draw_perturbation", lambda settings, seed: straight)
+    monkeypatch.setattr(module, "draw_perturbation", lambda *of_a_run: straight)
     trajectory, _ = simulate_drop_and_drag(
         "11oz-black-denim", FRICTION, 0, SMALL.model_copy(update={"frames": 8})
     )
