@@ -3,8 +3,8 @@
     python benchmarks/measure.py [--width 1280] [--rate 25]
 
 The film is drawn by formula (tests/support/analytic_stage.py), enlarged, made noisy so that it
-weighs as much as a camera's, and compressed by H.264; the instrument has the default size and
-random weights, which take as long as trained ones.
+weighs as much as a camera's, and compressed by H.264; the instrument is the one that ships. Whether
+it raises its alarm does not matter here.
 """
 
 import argparse
@@ -20,12 +20,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cv2
 import numpy as np
 from support import analytic_stage as stage
-from support.untrained import untrained_instrument
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.config import resolve_config, write_config
-from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import save_instrument
+from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.render.camera import pose
 
 REST_S = 4.0
@@ -69,28 +66,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--rate", type=float, default=25.0)
-    parser.add_argument("--pixels", type=int, default=112)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         count = film(folder / "film.mp4", chosen.width, chosen.rate)
         size = (folder / "film.mp4").stat().st_size
-        config = resolve_config({"render": {"pixels": chosen.pixels}})
-        write_config(config, folder / "config.json")
-        instrument = untrained_instrument(
-            InstrumentSettings(), list(config.grid.materials), chosen.pixels
-        )
-        save_instrument(instrument, folder / "instrument")
-        words = ["film.mp4", "--camera", "camera.json", "--model", "instrument"]
-        words += ["--out", "page.html", "--threads", "2"]
+        words = ["film.mp4", "--camera", "camera.json", "--out", "page.html", "--threads", "2"]
         before, started = os.times(), time.perf_counter()
         answer = subprocess.run(
             [sys.executable, "-m", "slipstitch", "measure", *words],
             cwd=folder,
-            check=True,
             text=True,
             stdout=subprocess.PIPE,
         )
+        if answer.returncode not in (0, ALARM_EXIT_CODE):
+            raise SystemExit(answer.returncode)
         wall_s, after = time.perf_counter() - started, os.times()
         cpu_s = after.children_user + after.children_system
         cpu_s -= before.children_user + before.children_system
