@@ -271,6 +271,32 @@ def sides(root):
     return _table(["μ", "fabrics on the other side", "lower edges apart, median"], rows)
 
 
+def paper_sides(root):
+    """The paper's networks on the paper's bench, and on benches of their own."""
+    of = {
+        (row["friction"], row["bench"], row["split"]): row
+        for row in _read(root, "camera/paper_sides.json")["rows"]
+    }
+    rows = [
+        [
+            f"{friction:g}",
+            *(
+                f"{of[friction, bench, split]['right']:.0%}"
+                for bench in ("paper", "own")
+                for split in ("by_video", "by_simulation")
+            ),
+            *(
+                f"{of[friction, 'own', split]['mean_absolute_error']:.3f}"
+                for split in ("by_video", "by_simulation")
+            ),
+        ]
+        for friction in dict.fromkeys(key[0] for key in of)
+    ]
+    head = "μ|right, paper's bench: trained by video|by simulation|right, the other bench: by video"
+    head += "|by simulation|mean error of μ there: by video|by simulation"
+    return _table(head.split("|"), rows)
+
+
 def surrogate_places(root):
     """What misleads an instrument in surrogates: taught by one side of the cloth, and by both."""
     rows = []
@@ -394,6 +420,7 @@ TABLES = {
     "reach": reach,
     "surrogates": surrogates,
     "sides": sides,
+    "paper_sides": paper_sides,
     "surrogate_places": surrogate_places,
     "hidden_effect": hidden_effect,
 }
