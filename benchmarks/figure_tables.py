@@ -214,7 +214,6 @@ def reach(root):
     names = {
         "off_grid": "coefficients between those of the grid",
         "unseen_fabric": "unseen fabrics",
-        "unseen_texture": "one texture more, of all of these",
         "far": "cameras 22.5 to 30° aside",
     }
     parts = [(words, found[name]) for name, words in names.items()]

@@ -170,10 +170,7 @@ def readings(configs, folder, measuring):
                     "friction": simulation.friction,
                     "floor": known["surroundings"]["floor"],
                 } | {f"pose_{key}": pose[key] for key in POSE}
-                for (_, texture, _), images in sorted(read_shard(path, frames).items()):
-                    video = np.stack(
-                        [decode(image.png, str(path), config.render.pixels) for image in images]
-                    )
+                for texture, video in videos(path, frames, config.render.pixels):
                     rows += [
                         row
                         | {"texture": names[texture], "seed": one.card["seed"]}
@@ -181,6 +178,12 @@ def readings(configs, folder, measuring):
                         for one in measuring
                     ]
     return rows
+
+
+def videos(path, frames, pixels):
+    """Texture's id and images (frames, pixels, pixels, 3) of every video of a shard."""
+    for (_, texture, _), images in sorted(read_shard(path, frames).items()):
+        yield texture, np.stack([decode(image.png, str(path), pixels) for image in images])
 
 
 def _reading(instrument, video, row):

@@ -77,7 +77,7 @@ def _data(card, config, rows):
     simulations = rows.drop_duplicates("simulation")
     parts = simulations["split_by_simulation"].value_counts()
     simulation = config["simulation"]
-    frictions, ideal = card["frictions"], simulation.get("ideal_replicates", 0)
+    frictions, ideal = card["frictions"], simulation["ideal_replicates"]
     return [
         f"- {len(rows)} simulated videos of {len(simulations)} simulations; {parts['train']} "
         f"trained the network, {card['calibration_simulations']} calibrate the intervals and the "

@@ -26,7 +26,7 @@ from slipstitch.config import load_config
 from slipstitch.config.grid import simulations
 from slipstitch.config.interpolation import between
 from slipstitch.config.splits import sides_of_simulations
-from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
+from slipstitch.instrument.distribution import medians, mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.network import InstrumentNetwork
 from slipstitch.instrument.training import learning_rate, noisy_places, unit_of_points
 from slipstitch.provenance import provenance_record, write_json
@@ -64,9 +64,8 @@ class Places:
     def unit(self, places):
         return ((torch.from_numpy(np.stack(places)) - self.mean_m) / self.spread_m).float()
 
-    def drawn(self, generator, interpolated, replicates):
-        """Places, friction and fabric's number of one simulation that trains, or between two."""
-        training = [one for one in self.of["train"] if one.replicate < replicates]
+    def drawn(self, generator, interpolated, training):
+        """Places, friction and fabric's number of one simulation of these, or between two."""
         one = training[generator.integers(len(training))]
         places, friction = self.places[one.id], one.friction
         row = self.rows[one.material, one.replicate]
@@ -90,11 +89,12 @@ def errors(settings, data, noise_mm, interpolated, replicates, seed):
         answers = network.of_places(seen)
         return mixture_cumulative(answers["friction"], network.middles), answers["material"]
 
+    training = [one for one in data.of["train"] if one.replicate < replicates]
     for step in range(STEPS):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(settings, step / STEPS)
         places, frictions, fabrics = zip(
-            *(data.drawn(generator, interpolated, replicates) for _ in range(BATCH)), strict=True
+            *(data.drawn(generator, interpolated, training) for _ in range(BATCH)), strict=True
         )
         cumulative, logits = cumulative_of(places)
         truth = torch.tensor(frictions, dtype=torch.float32)
@@ -111,8 +111,8 @@ def errors(settings, data, noise_mm, interpolated, replicates, seed):
         for side in ("validation", "test", "unseen fabric"):
             for one in data.of[side]:
                 cumulative, _ = cumulative_of([data.places[one.id]] * VIEWS)
-                median = network.grid[(cumulative < 0.5).sum(1)]
-                found[one.id] = float((median - one.friction).abs().mean())
+                error = medians(cumulative, network.grid) - one.friction
+                found[one.id] = float(error.abs().mean())
     return found
 
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config, write_config
-from slipstitch.config.grid import films, simulations, viewpoints, write_grid
+from slipstitch.config.grid import Simulation, films, simulations, viewpoints, write_grid
 from slipstitch.provenance import file_digest, provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.encoding import encode_png
@@ -161,7 +161,7 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             "augmentation": {
                 key: draw_augmentation(settings, *words[key]).record() for key in textures
             },
-            **_cameras(config, view, trajectory_path, of_grid[simulation].seed),
+            **_cameras(config, view, trajectory_path, of_grid[simulation]),
             "smallest_share_of_cloth_in_image": 0.9,
             "trajectory_sha256": {one.stem: file_digest(one) for one in job.parents}
             if shown
@@ -180,11 +180,11 @@ def _write_render(config: Config, results: Path) -> list[Path]:
     return paths
 
 
-def _cameras(config: Config, view: str, trajectory_path: Path, seed: int) -> dict:
+def _cameras(config: Config, view: str, trajectory_path: Path, one: Simulation) -> dict:
     """The cameras of a trajectory whose clamps move as the bench's do."""
     trajectory = read_trajectory(trajectory_path)
     x_m, z_m = StagePath().position_m(trajectory.time_s)
-    z_m = z_m + draw_perturbation(config.simulation, seed).height_m
+    z_m = z_m + draw_perturbation(config.simulation, one.seed, one.replicate).height_m
     on_path = replace(trajectory, stage_x_m=x_m, stage_z_m=z_m)
     job = Job.of(config, trajectory_path, view)
     wanted = shots(on_path, job.viewpoint, config.render, job.frames_sampled, job.bench_camera)

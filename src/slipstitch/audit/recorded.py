@@ -27,7 +27,7 @@ from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
 from slipstitch.release.currency import CALIBRATION, calibrated_simulation, other_versions
 from slipstitch.release.records import VERIFICATION, Artefact, is_ours, record_file
-from slipstitch.render.marked_points import MARKED_UV, marked_points_m
+from slipstitch.render.marked_points import MARKED_UV, marked_uv
 
 # Where a stage writes; the first that fits.
 STAGES = {
@@ -194,9 +194,7 @@ def _points_of_a_cloth(found: Any, camera: Mapping[str, Any], vertices_per_side:
     """Whether these can be the places of a cloth's marked points, in each of a camera's frames."""
     if not isinstance(found, dict) or list(found) != list(camera["frames"]):
         return False
-    v, u = np.meshgrid(*2 * [np.linspace(0, 1, vertices_per_side)], indexing="ij")
-    uv = np.column_stack([u.ravel(), v.ravel()])
-    (flat_m,) = marked_points_m(SIDE_M * np.pad(uv, ((0, 0), (0, 1)))[None], uv, np.zeros(1))
+    flat_m = SIDE_M * marked_uv(vertices_per_side)
     longest_m = _LARGEST_STRETCH * np.linalg.norm(flat_m[:, None] - flat_m[None], axis=2)
     places_m = np.array(list(found.values()), dtype=np.float64).reshape(-1, len(MARKED_UV), 3)
     apart_m = np.linalg.norm(places_m[:, :, None] - places_m[:, None], axis=3)

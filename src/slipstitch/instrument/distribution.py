@@ -44,6 +44,11 @@ def ranked_probability_score(cumulative: Tensor, truth: Tensor, grid: Tensor) ->
     return (cumulative.square() * (1 - above) + (1 - cumulative).square() * above).sum(-1) * step
 
 
+def medians(cumulative: Tensor, grid: Tensor) -> Tensor:
+    """Points of the grid (G,) in whose cells the medians lie, from F at the middles (n, G - 1)."""
+    return grid[(cumulative < 0.5).sum(1)]
+
+
 def probabilities_on_grid(cumulative: np.ndarray) -> np.ndarray:
     """Probability of each point's cell from F at the middles (n, G - 1); ends take the tails."""
     padded = np.pad(cumulative, ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, 1.0)))

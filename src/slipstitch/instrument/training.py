@@ -22,7 +22,7 @@ from slipstitch.instrument.augmentation import (
     phased,
     standardised,
 )
-from slipstitch.instrument.distribution import mixture_cumulative, ranked_probability_score
+from slipstitch.instrument.distribution import medians, mixture_cumulative, ranked_probability_score
 from slipstitch.instrument.error_bars import calibrated
 from slipstitch.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.instrument.network import InstrumentNetwork
@@ -361,8 +361,7 @@ class InstrumentLearner:
                 cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
                 truth, grid = self.friction[batch], self.network.grid
                 scores.append(ranked_probability_score(cumulative, truth, grid))
-                median = grid[(cumulative < 0.5).sum(1)]
-                errors.append((median - truth).abs())
+                errors.append((medians(cumulative, grid) - truth).abs())
                 hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
                 if self.points is not None:
                     wanted = phased(self.points[batch], self.frames, None)

@@ -11,6 +11,18 @@ import numpy as np
 MARKED_UV = np.array([(u, v) for v in (1 / 3, 2 / 3, 1.0) for u in (0.0, 0.5, 1.0)])
 
 
+def marked_uv(vertices_per_side: int) -> np.ndarray:
+    """Texture coordinates of the vertices of a square mesh that are marked, shape (9, 2)."""
+    v, u = np.meshgrid(*2 * [np.linspace(0, 1, vertices_per_side)], indexing="ij")
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    return uv[_nearest(uv)]
+
+
+def _nearest(uv: np.ndarray) -> np.ndarray:
+    """Numbers of the vertices (V, 2) nearest to `MARKED_UV`, shape (9,)."""
+    return np.linalg.norm(uv[None] - MARKED_UV[:, None], axis=2).argmin(axis=1)
+
+
 def marked_points_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarray) -> np.ndarray:
     """Places of the vertices nearest to `MARKED_UV`.
 
@@ -27,7 +39,6 @@ def marked_points_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarr
     ndarray (T, 9, 3) float64
         Along the track relative to the clamps, across it, and above the floor; metres.
     """
-    distance = np.linalg.norm(uv[None] - MARKED_UV[:, None], axis=2)
-    places = positions_m[:, distance.argmin(axis=1)].astype(np.float64)
+    places = positions_m[:, _nearest(uv)].astype(np.float64)
     places[..., 0] -= stage_x_m[:, None]
     return places
