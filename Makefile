@@ -22,7 +22,7 @@ help:
 	@echo 'make benchmark  cost of simulations, compared with SolverVBD'
 	@echo 'make benchmark-criticise  how many of 300 hidden effects are found, missed or misnamed'
 	@echo 'make benchmark-departures  the same on a second bench, half of the cases with faulty instruments'
-	@echo 'make captures   ingest videos, score them, add them to the report; surrogates by default, 1 to 2 CPU h'
+	@echo 'make captures   ingest videos, score them, add them to the report; surrogates by default, about 3 CPU h'
 	@echo 'make convergence  repeat the study of time step and mesh (hours), publish to results/published'
 	@echo 'make benchmark-audit  duration and findings of an audit of a 1 GB release'
 	@echo 'make benchmark-batch  batched simulations, on the CPU and on CUDA if available'

@@ -185,7 +185,8 @@ def interpolation(root):
             ]
         )
     head = "weights linear in|simulations|distance of the vertices, median frame|worst frame"
-    return _table([*head.split("|"), "the former in μ", "of nine in ten at most"], rows)
+    head += "|the median distance as a difference of μ|90 % of the simulations below"
+    return _table(head.split("|"), rows)
 
 
 def places(root):
@@ -203,8 +204,8 @@ def places(root):
         ]
         for row in found["rows"]
     ]
-    head = "errors of the places|mean error of μ, held out: ideal bench|benches of their own"
-    head += "|the worst|an unseen fabric, both"
+    head = "errors of the places|mean error of μ, pairs held out, on the paper's bench"
+    head += "|on a bench of their own|worst simulation|unseen fabric, on both"
     return _table(head.split("|"), rows)
 
 
@@ -217,7 +218,9 @@ def reach(root):
         "far": "cameras 22.5 to 30° aside",
     }
     parts = [(words, found[name]) for name, words in names.items()]
-    parts += [(f"but for those, in {name}", part) for name, part in found["textures"].items()]
+    parts += [
+        (f"the first two rows, cloths in {name}", part) for name, part in found["textures"].items()
+    ]
     rows = []
     for words, part in parts:
         rows.append(

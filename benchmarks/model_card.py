@@ -5,7 +5,7 @@ import tomllib
 
 import pandas
 
-from slipstitch.instrument.poses import TITLES, shown
+from slipstitch.instrument.poses import TITLES, TOLERANCE, shown
 from slipstitch.provenance import file_digest
 
 SHIPPED = "src/slipstitch/measure/shipped"
@@ -160,7 +160,9 @@ def _limits(card, config, found, real):
     lines = [
         f"- The intervals promise {promised:.0%} on average over videos like these, not for each "
         "fabric, μ or camera.",
-        "- `measure` refuses a camera beyond the poses above by more than a tolerance "
+        "- `measure` refuses a camera beyond the poses above by more than "
+        f"{TOLERANCE['yaw_deg']:g}° about the vertical, {TOLERANCE['pitch_deg']:g}° in elevation, "
+        f"{TOLERANCE['roll_deg']:g}° of roll or {TOLERANCE['log_distance']:.0%} of the distance "
         "(`slipstitch capture check`); what `--force` measures has no valid interval.",
     ]
     if worst:

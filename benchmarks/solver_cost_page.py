@@ -83,7 +83,7 @@ def _grid(grid):
     counted = grid[["steps", *COUNTS]].median()
     dearest = grid.groupby("material")["cpu_s"].median().max()
     lines = [
-        f"## The grid of the published instrument: {len(grid)} simulations of "
+        f"## The paper's grid: {len(grid)} simulations of "
         f"{grid['simulated_s'].median():.0f} s, "
         "41 × 41 vertices",
         "",
