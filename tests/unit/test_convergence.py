@@ -12,7 +12,12 @@ from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
-from slipstitch.simulate.convergence import BUT_FOR_ITS_MOMENT, measured_convergence
+from slipstitch.simulate.convergence import (
+    BUT_FOR_ITS_COURSE,
+    BUT_FOR_ITS_MOMENT,
+    measured_convergence,
+    worst_verdict,
+)
 from slipstitch.simulate.trajectory import Trajectory
 
 CONFIG = resolve_config(
@@ -311,6 +316,21 @@ def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, c
     assert found["differ"] == differ
     assert found["verdict"] == (None if differ else "converged")
     assert ("other settings than those studied" in found["note"]) == bool(differ)
+
+
+@pytest.mark.parametrize(
+    "verdicts",
+    [
+        ("converged", BUT_FOR_ITS_MOMENT.format(0.1)),
+        (BUT_FOR_ITS_MOMENT.format(9.0), BUT_FOR_ITS_MOMENT.format(10.5)),
+        (BUT_FOR_ITS_MOMENT.format(10.5), BUT_FOR_ITS_COURSE.format(0.1, 1.5)),
+        (BUT_FOR_ITS_COURSE.format(9.0, 20.0), BUT_FOR_ITS_COURSE.format(10.5, 1.5)),
+        (BUT_FOR_ITS_COURSE.format(0.5, 9.5), BUT_FOR_ITS_COURSE.format(0.5, 10.0)),
+        (BUT_FOR_ITS_COURSE.format(99.0, 99.0), "not converged"),
+    ],
+)
+def test_of_two_verdicts_the_worse_has_the_larger_numbers(verdicts):
+    assert worst_verdict(verdicts) == worst_verdict(verdicts[::-1]) == verdicts[1]
 
 
 def test_without_a_study_the_record_is_empty(tmp_path):

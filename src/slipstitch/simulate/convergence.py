@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,9 +37,10 @@ DO_NOT_MATTER = {
 def worst_verdict(verdicts: Sequence[str]) -> str | None:
     """The verdict that says least; of events the one farthest apart. None of none."""
 
-    def rank(verdict: str) -> tuple[int, str]:
+    def rank(verdict: str) -> tuple[int, list[float]]:
         beginnings = [one.partition("(")[0] for one in VERDICTS]
-        return beginnings.index(verdict.partition("(")[0]), verdict
+        apart = [float(number) for number in re.findall(r"\d+\.\d+", verdict)]
+        return beginnings.index(verdict.partition("(")[0]), apart
 
     return max(verdicts, key=rank, default=None)
 
