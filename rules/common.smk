@@ -14,6 +14,7 @@ from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest, fabric_names
 from slipstitch.provenance import code_digest, file_digest
+from slipstitch.simulate.convergence import MEASURED
 from slipstitch.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"

@@ -29,6 +29,7 @@ rule publish_folder:
     params:
         *settings("publish"),
         captures=digest_if_there("results/captures/metrics.json"),
+        study=digest_if_there(MEASURED),
         code=code_of("publish"),
         config=CONFIG_FILE,
     message:

@@ -36,6 +36,10 @@ rule report_page:
         *settings(*type(CONFIG).model_fields),
         code=code_of("report"),
         captures=digest_if_there("results/captures/metrics.json"),
+        studies=[
+            digest_if_there(f"results/{folder}/convergence.json")
+            for folder in ("convergence", "published/convergence")
+        ],
         config=CONFIG_FILE,
     message:
         "Write the report"

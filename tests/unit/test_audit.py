@@ -31,6 +31,7 @@ from slipstitch.release.manifest import sampled_rows
 from slipstitch.render import interpolation
 from slipstitch.render.surroundings import FLOORS
 from slipstitch.sample.manifest import dataset_digest
+from slipstitch.simulate.convergence import MEASURED
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
@@ -506,6 +507,38 @@ def test_commit_that_holds_other_code_is_found(original, monkeypatch, tmp_path):
     broken = found(release, Kind.BROKEN)
     assert {"simulate", "render", "sample"} & set(broken)
     assert len(broken["simulate"]) == 144
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_simulations_that_quote_another_convergence_study_are_stale(
+    release, original, monkeypatch, tmp_path, known
+):
+    """They are no others for it; what they quote must be in the commit that made them."""
+    former = tmp_path / MEASURED.name
+    former.write_text(MEASURED.read_text().replace('"mean_distance_m": 0.001', '"mean_m": 1'))
+
+    def of_commit(checkout, commit, folder):
+        shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
+        if known:
+            shutil.copy2(former, folder / "src/slipstitch/simulate")
+        return True
+
+    def quote(record):
+        if record["provenance"]:
+            record["provenance"].update(git_commit="ab" * 20, git_dirty=False)
+        if "convergence" in record["metadata"]:
+            record["metadata"]["convergence"]["table_sha256"] = file_digest(former)
+
+    forger = Forger(release, original)
+    forger.edit_records("*", quote)
+    forger.cover_up()
+    monkeypatch.setattr(staleness, "_extract", of_commit)
+    audit = audit_release(release)
+    (stale,) = audit.of_kind(Kind.STALE)
+    assert stale.where == "simulate" and "another convergence study" in stale.what
+    assert len(stale.clips) == 144
+    broken = [(finding.where, len(finding.clips)) for finding in audit.of_kind(Kind.BROKEN)]
+    assert broken == ([] if known else [("simulate", 144)])
 
 
 @pytest.mark.parametrize(

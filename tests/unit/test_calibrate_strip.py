@@ -19,6 +19,8 @@ from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.page.figures import save_figure
+from slipstitch.provenance import file_digest
+from slipstitch.simulate.convergence import MEASURED
 
 SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 SETTINGS = CalibrateSettings(
@@ -186,6 +188,8 @@ def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, t
     written = json.loads(out.read_text())
     assert written["settings"]["newton_iterations_max"] == 30
     assert written["strip"]["not_told"]
+    assert written["convergence"]
+    assert written["convergence_table_sha256"] == file_digest(MEASURED)
     assert all(path.exists() for path in pictures.values())
 
 

@@ -12,6 +12,7 @@ from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
+from slipstitch.provenance import file_digest
 from slipstitch.simulate.convergence import (
     BUT_FOR_ITS_COURSE,
     BUT_FOR_ITS_MOMENT,
@@ -292,6 +293,7 @@ def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
     assert [case["friction"] for case in found["cases"]] == frictions
     assert found["verdict"] == verdict
     assert found["note"].startswith("this fabric was not studied") == (not frictions)
+    assert found["table_sha256"] == file_digest(tmp_path / "convergence.json")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from support.workflow_copy import source_with
 
 from slipstitch.provenance import code_digest, code_sources
+from slipstitch.provenance.code import QUOTED
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ROOT / "src"
@@ -100,6 +101,11 @@ def test_one_more_fabric_changes_no_digest(tree, before):
         path.write_text(text, encoding="utf-8")
 
 
+def test_a_newly_published_convergence_study_changes_no_digest(changed):
+    """Else its own runs and every simulation would be made again to quote it."""
+    assert changed('{\n "studied": {', '{\n "new": 1, "studied": {') == set()
+
+
 def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
     for source in SOURCES.rglob("*.py"):
         bare = ast.unparse(ast.parse(source.read_text(encoding="utf-8")))
@@ -120,6 +126,12 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
         ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
         ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, {"calibrate"}),
         ('[:8], "big"))', '[:7], "big"))', {"render", "render.packing"}, {"simulate", "train"}),
+        (
+            '\nFINER = ("vertices_per_side", ',
+            "\nFINER = (",
+            {"simulate", "calibrate", "convergence", "publish", "audit"},
+            {"render", "train"},
+        ),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
         (
             "def load_fabric(name: str)",
@@ -150,8 +162,10 @@ def test_a_template_counts_for_its_page_only(name, stages):
     assert {stage for stage in STAGES if path in code_sources(stage)} == stages
 
 
-def test_every_table_and_template_counts_in_its_own_package_or_is_a_catalogue():
+def test_every_table_and_template_counts_in_its_own_package_or_is_a_catalogue_or_quoted():
+    others = {SOURCES / name for name in ("slipstitch/material/fabrics.json", *QUOTED)}
+    assert all(path.is_file() for path in others)
     for path in SOURCES.rglob("*"):
-        if path.suffix in (".json", ".j2", ".css") and path.name != "fabrics.json":
+        if path.suffix in (".json", ".j2", ".css") and path not in others:
             package = path.relative_to(SOURCES / "slipstitch").parts[0]
             assert path in code_sources(package), path

@@ -18,6 +18,7 @@ from slipstitch.audit.admission import UNUSABLE
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
+from slipstitch.audit.staleness import quoted_study
 from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations
@@ -251,8 +252,12 @@ def _simulated(artefact: Artefact, contents: Contents, known: _Known) -> Iterato
         "stage_path": dict(settings.stage),
         "step_s": settings.step_used_s,
         "pinned": held.tolist(),
-        "convergence": measured_convergence(simulation.material, simulation.friction, settings),
     }
+    measured = measured_convergence(simulation.material, simulation.friction, settings)
+    if quoted_study(artefact) in (None, measured and measured["table_sha256"]):
+        expected["convergence"] = measured
+    else:
+        metadata.pop("convergence")  # of another study: slipstitch.audit.staleness says so
     if settings.model is None:
         expected["extended_model"] = None
     else:

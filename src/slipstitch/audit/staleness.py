@@ -6,22 +6,24 @@ import subprocess
 import tarfile
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import Lineage
 from slipstitch.config import Config
+from slipstitch.provenance import file_digest
 from slipstitch.provenance.code import PACKAGE, RESULT_PACKAGES, installed_version
 from slipstitch.provenance.record import TRACKED
 from slipstitch.release.code import CODE
 from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
 from slipstitch.release.records import Artefact, is_ours
+from slipstitch.simulate.convergence import MEASURED
 
 
 def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
-    """Stages whose code or catalogue has changed, and records of other values than `config`.
+    """Stages whose code, catalogue or study has changed, and records of other values than `config`.
 
     Parameters
     ----------
@@ -36,10 +38,14 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     """
     lineage = Lineage(contents)
     touched: dict[tuple[str, str], set[str]] = defaultdict(set)
+    study = _digest_if_there(MEASURED)
     for path, artefact in contents.artefacts.items():
         if artefact.provenance is None or not is_ours(path):
             continue
         for reason in _other_code(artefact):
+            touched[artefact.stage, reason].update(lineage.clips(path))
+        if quoted_study(artefact) not in (None, study):
+            reason = "it quotes the verdict of another convergence study than today's"
             touched[artefact.stage, reason].update(lineage.clips(path))
         for change in catalogue_changes(artefact):
             reason = f"the catalogue has changed: {change}"
@@ -74,6 +80,16 @@ def _other_code(artefact: Artefact) -> Iterator[str]:
                 yield f"it was made with {package} {then}; {now} is installed"
 
 
+def quoted_study(artefact: Artefact) -> object:
+    """SHA-256 of the table of verdicts that a trajectory quotes; None if it quotes none."""
+    quoted = artefact.metadata.get("convergence")
+    return quoted.get("table_sha256") if isinstance(quoted, Mapping) else None
+
+
+def _digest_if_there(file: Path) -> str | None:
+    return file_digest(file) if file.is_file() else None
+
+
 def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], list[str]]:
     """Code digests of the records and the files in ``code/`` against the commits that they name.
 
@@ -86,8 +102,8 @@ def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], li
     Returns
     -------
     findings : list of Finding
-        BROKEN where a commit holds other code than the release says. STALE where the release names
-        no commit and the checkout's own workflow is another.
+        BROKEN where a commit holds other code, or another convergence study, than the release
+        says. STALE where the release names no commit and the checkout's own workflow is another.
     notes : list of str
         Commits that could not be looked at.
     """
@@ -181,6 +197,14 @@ def _claims(lineage: Lineage, commit: str, stages: dict, source: Path) -> Iterat
         if current_digest(stage, source, dict(versions)) != digest:
             clips = {clip for path in paths for clip in lineage.clips(path)}
             what = f"commit {commit[:12]} contains other code of {stage} than the records"
+            yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
+        study = _digest_if_there(source / PACKAGE / "simulate" / MEASURED.name)
+        other = [
+            path for path in paths if quoted_study(lineage.artefacts[path]) not in (None, study)
+        ]
+        if other:
+            clips = {clip for path in other for clip in lineage.clips(path)}
+            what = f"commit {commit[:12]} contains another convergence study than is quoted"
             yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
 
 

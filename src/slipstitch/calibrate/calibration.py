@@ -31,13 +31,19 @@ from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
+    file_digest,
     provenance_record,
     read_json,
     recorded_path,
     start_clock,
     write_json,
 )
-from slipstitch.simulate.convergence import CONVERGED, read_study, studied_settings_that_differ
+from slipstitch.simulate.convergence import (
+    CONVERGED,
+    MEASURED,
+    read_study,
+    studied_settings_that_differ,
+)
 
 # Said in calibration.json, in the words of docs/physics.md.
 NOT_TOLD = (
@@ -280,7 +286,7 @@ def calibrate_to_file(
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
-    calibration["convergence"] = _known_convergence(chosen_simulation(simulation, strip))
+    calibration |= _known_convergence(chosen_simulation(simulation, strip))
     if not (calibration["met"] and only_failures):
         _draw(pictures, calibration, record, failed=not calibration["met"])
     write_calibration(calibration, out, record)
@@ -301,8 +307,10 @@ def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike
     _draw(pictures, read_json(path), record, failed=False)
 
 
-def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] | None:
+def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
     """What the convergence study says of each fabric and coefficient at the chosen settings.
+
+    And the digest of its table, which may be another when simulations are made.
 
     Not converged, or not known, is said aloud but is no error: the mesh is not chosen here, and no
     known answer tells how short a step a fabric needs.
@@ -310,7 +318,7 @@ def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] |
     study = read_study()
     if study is None:
         print("convergence: no study came with the package", file=sys.stderr, flush=True)
-        return None
+        return {"convergence": None}
     differ = studied_settings_that_differ(study["studied"], simulation)
     found = [
         {key: case[key] for key in ("material", "friction")}
@@ -326,7 +334,7 @@ def _known_convergence(simulation: SimulationSettings) -> list[dict[str, Any]] |
             if one["verdict"] != CONVERGED
         )
     print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
-    return found
+    return {"convergence": found, "convergence_table_sha256": file_digest(MEASURED)}
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ comments, layout, docstrings, descriptions and the words of errors
 - A catalogue's entries (fabrics, viewpoints, textures, floors) do not count: a rule has those that
   it uses as its parameter, so that one more changes no other. Its functions and classes do.
 - A file that is no Python source (a table, a template) counts where a module or a template that
-  counts names it, and in all of its package if none at all does.
+  counts names it, and in all of its package if none at all does; but for `QUOTED` ones.
 
 Of the libraries that a stage's modules import, the versions of those count whose releases change
 numbers or pixels (`RESULT_PACKAGES`), without the local tag that names a build.
@@ -58,6 +58,9 @@ CATALOGUES = ("slipstitch.catalogue", "slipstitch.material.fabrics")
 CONFIGURATION = "slipstitch.config"
 # Module -> the package whose version changes what a stage that imports it gives.
 RESULT_PACKAGES = {"bpy": "bpy", "torch": "torch", "warp": "warp-lang"}
+# Tables that results only quote, each with the SHA-256 of what it quotes: a new one computes
+# nothing anew. A rule whose pages show one has its digest as a parameter.
+QUOTED = ("slipstitch/simulate/convergence.json",)
 IGNORED_SUFFIXES = (".pyc", ".pyo", ".tmp", ".swp", "~")
 
 
@@ -223,6 +226,7 @@ def _data_files(modules: dict[str, Path], base: Path) -> set[Path]:
     found: set[Path] = set()
     for folder in {source.parent for source in modules.values()} - {base / PACKAGE}:
         found |= _files_in(folder)
+    found -= {base / name for name in QUOTED}
     if not found:
         return found
     sources = {

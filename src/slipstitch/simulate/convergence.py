@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.provenance import file_digest
 
-# Written by `slipstitch convergence publish`.
+# Written by `slipstitch convergence publish`; only quoted (slipstitch.provenance.code.QUOTED).
 MEASURED = Path(__file__).with_name("convergence.json")
 CONVERGED = "converged"
 BUT_FOR_ITS_MOMENT = "converged but for the moment of an event (± {:.2f} s)"
@@ -82,10 +83,11 @@ def measured_convergence(
     Returns
     -------
     dict or None
-        ``studied`` (time_step_s, window_s, mean_distance_m), ``differ`` (the settings for which it
-        does not speak), ``cases`` (what was found, see `slipstitch.convergence.study.summary`),
-        ``verdict`` (the worse of them; None: not known) and ``note`` in words. None if no study
-        came with the package.
+        ``table_sha256`` (of the summary: a newer one may say something else), ``studied``
+        (time_step_s, window_s, mean_distance_m), ``differ`` (the settings for which it does not
+        speak), ``cases`` (what was found, see `slipstitch.convergence.study.summary`), ``verdict``
+        (the worse of them; None: not known) and ``note`` in words. None if no study came with the
+        package.
     """
     study = read_study(measured)
     if study is None:
@@ -105,6 +107,7 @@ def measured_convergence(
         worst = worst_verdict(known)
         verdict = worst if len(known) == len(cases) or worst == NOT_CONVERGED else None
     return {
+        "table_sha256": file_digest(measured),
         "studied": {
             name: value for name, value in study["studied"].items() if name != "simulation"
         },
