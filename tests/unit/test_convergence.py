@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from slipstitch.bench.stage_path import StagePath
+from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.distance_figure import convergence_figure
 from slipstitch.convergence.study import SHIFT_MAX_S, common_vertices, compare, describe, events
 from slipstitch.errors import BadInput
-from slipstitch.provenance import file_digest
+from slipstitch.provenance import file_digest, recorded_path, write_json
 from slipstitch.simulate.convergence import (
     BUT_FOR_ITS_COURSE,
     BUT_FOR_ITS_MOMENT,
@@ -338,3 +339,70 @@ def test_of_two_verdicts_the_worse_has_the_larger_numbers(verdicts):
 def test_without_a_study_the_record_is_empty(tmp_path):
     settings = SimulationSettings()
     assert measured_convergence("silk", 0.1, settings, tmp_path / "none.json") is None
+
+
+@pytest.fixture
+def finished(tmp_path, monkeypatch):
+    """A study with its picture and records, and where its summary is kept."""
+    monkeypatch.setattr("slipstitch.convergence.study_files.MEASURED", tmp_path / "table.json")
+    study = describe(CONFIG, {c.id: made_up_run(c.vertices_per_side) for c in cases(CONFIG)})
+    write_json(tmp_path / "study.json", study, {"stage": "convergence"})
+    with recorded_path(tmp_path / "study.png", {"stage": "convergence"}) as temporary:
+        temporary.write_bytes(b"picture")
+    return tmp_path / "study.json"
+
+
+def published(study, capsys):
+    """Exit code, last line of standard error, and files written."""
+    out = study.parent / "published"
+    code = main(["convergence", "publish", "--study", str(study), "--out", str(out)])
+    written = {path.name for path in out.iterdir()} if out.exists() else set()
+    assert (study.parent / "table.json").exists() == bool(written)
+    return code, capsys.readouterr().err, written
+
+
+def test_a_finished_study_is_published_with_picture_records_and_summary(finished, capsys):
+    names = {"study.json", "study.png"}
+    names |= {f"{name}.provenance.json" for name in names}
+    assert published(finished, capsys) == (0, "", names)
+    table = json.loads((finished.parent / "table.json").read_text())
+    assert len(table["cases"]) == 4 and table["studied"]["window_s"] == 20
+
+
+@pytest.mark.parametrize(
+    "name, content, message",
+    [
+        ("study.json", None, "study.json: no such file"),
+        ("study.png", None, "study.png: no such file"),
+        ("study.json.provenance.json", None, "study.json.provenance.json: no such file"),
+        ("study.png.provenance.json", None, "study.png.provenance.json: no such file"),
+        ("study.json.provenance.json", f'{{"sha256": "{"0" * 64}"}}', "does not match its record"),
+        ("study.json.provenance.json", "{}", "does not match its record"),
+        ("study.png.provenance.json", "[]", "does not match its record"),
+        ("study.json.provenance.json", "\0" * 64, "damaged or not a JSON file"),
+        ("study.png", "another picture", "does not match its record"),
+    ],
+)
+def test_what_has_no_record_of_its_origin_is_not_published(
+    finished, capsys, name, content, message
+):
+    file = finished.parent / name
+    file.unlink() if content is None else file.write_text(content)
+    code, said, written = published(finished, capsys)
+    assert (code, written) == (2, set())
+    assert message in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"missing": ["m09_f0500_n9_h2", "m09_f0500_n17_h0"]}, "m09_f0500_n9_h2 is not run (2 "),
+        ({"summary": None, "settings": {}}, "damaged or not a convergence study"),
+    ],
+)
+def test_a_study_that_is_not_finished_is_not_published(finished, capsys, change, message):
+    study = json.loads(finished.read_text())
+    write_json(finished, study | change, {"stage": "convergence"})
+    code, said, written = published(finished, capsys)
+    assert (code, written) == (2, set())
+    assert message in said and said.count("\n") == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -10,18 +9,23 @@ from typing import Any
 from slipstitch.config import Config
 from slipstitch.convergence.cases import case_settings, cases
 from slipstitch.convergence.study import describe
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
     atomic_path,
+    file_digest,
     provenance_record,
-    read_sidecar,
+    read_json,
+    reading,
     recorded_path,
     start_clock,
     write_json,
 )
+from slipstitch.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.simulate.convergence import MEASURED
 from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
 from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
+
+_AGAIN = "make study, picture and records with: snakemake --cores 2 convergence"
 
 
 def simulate_case(
@@ -99,23 +103,46 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     -------
     int
         Cases of the summary.
+
+    Raises
+    ------
+    BadInput
+        If study, picture or a record of their origin is missing or damaged, or runs of the study
+        are missing. Nothing is written then.
     """
     source = Path(study_path)
-    study = json.loads(source.read_text(encoding="utf-8"))
-    for name in (source, source.with_suffix(".png")):
-        read_sidecar(name)  # nothing without a record of its origin is published
-        for file in (name, name.with_name(f"{name.name}.provenance.json")):
-            with atomic_path(Path(folder) / file.name) as temporary:
-                temporary.write_bytes(file.read_bytes())
-    own = study["settings"]["convergence"]
-    table = {
-        "studied": {
-            "time_step_s": study["settings"]["time_step_s"],
-            "window_s": own["window_s"],
-            "mean_distance_m": own["mean_distance_m"],
-            "simulation": study["settings"]["simulation"],
-        },
-        "cases": study["summary"],
-    }
+    files = [*_recorded(source), *_recorded(source.with_suffix(".png"))]
+    study = read_json(source)
+    with reading(source, "convergence study"):
+        own, missing = study["settings"]["convergence"], study["missing"]
+        table = {
+            "studied": {
+                "time_step_s": study["settings"]["time_step_s"],
+                "window_s": own["window_s"],
+                "mean_distance_m": own["mean_distance_m"],
+                "simulation": study["settings"]["simulation"],
+            },
+            "cases": study["summary"],
+        }
+    if missing:
+        raise BadInput(
+            f"{source}: not finished: {missing[0]} is not run ({len(missing)} runs are missing); "
+            f"only a whole study is published; {_AGAIN}"
+        )
+    for file in files:
+        with atomic_path(Path(folder) / file.name) as temporary:
+            temporary.write_bytes(file.read_bytes())
     write_json(MEASURED, table)
-    return len(study["summary"])
+    return len(table["cases"])
+
+
+def _recorded(file: Path) -> tuple[Path, Path]:
+    """A file and the record of its origin, without which nothing is published."""
+    side = file.with_name(file.name + SIDECAR_SUFFIX)
+    for needed in (file, side):
+        if not needed.is_file():
+            raise BadInput(f"{needed}: no such file; {_AGAIN}")
+    record = read_json(side)
+    if not isinstance(record, dict) or record.get("sha256") != file_digest(file):
+        raise Damaged(file, "its content does not match its record")
+    return file, side
