@@ -245,11 +245,25 @@ def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_converg
         ({"vertices_per_side": [81, 41]}, "must increase"),
         ({"materials": ["silk"]}, "unknown material 'silk'"),
         ({"window_s": 0}, "window_s: must be greater than 0"),
+        ({"halvings": 0, "vertices_per_side": [41]}, "convergence: nothing to compare: halvings"),
+        ({"frictions": [0.1234, 0.1232]}, "frictions: friction coefficients must increase"),
+        ({"frictions": [0.5, 0.5]}, "frictions: friction coefficients must increase"),
+        # Both would be run as f0123, once.
+        ({"frictions": [0.1232, 0.1234]}, "frictions: must be a multiple of 0.001, .* not 0.1232"),
+        ({"materials": ["royal-target", "royal-target"]}, "materials: duplicate material"),
     ],
 )
 def test_an_impossible_study_is_refused(change, message):
     with pytest.raises(BadInput, match=message):
         resolve_config({"convergence": change})
+
+
+@pytest.mark.parametrize(
+    "change", [{"halvings": 0}, {"vertices_per_side": [41]}, {"frictions": [0.123, 0.124]}]
+)
+def test_time_step_or_mesh_alone_may_be_studied_and_every_run_has_an_id_of_its_own(change):
+    found = cases(resolve_config({"convergence": change}))
+    assert len({case.id for case in found}) == len(found)
 
 
 def _record(tmp_path, material, friction, **settings):

@@ -3,9 +3,9 @@
 import math
 from itertools import pairwise
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from slipstitch.config.section import Fabrics, Friction, Section
+from slipstitch.config.section import Fabrics, Frictions, Section
 
 
 class ConvergenceSettings(Section):
@@ -33,10 +33,11 @@ class ConvergenceSettings(Section):
         min_length=1,
         description="fabrics of the catalogue",
     )
-    frictions: tuple[Friction, ...] = Field(
+    frictions: Frictions = Field(
         (0.1, 0.5, 1.5),
         min_length=1,
-        description="friction coefficients, increasing; between two, the worse of them is said",
+        description="friction coefficients, increasing, multiples of 0.001; between two, the worse "
+        "of them is said",
     )
     vertices_per_side: tuple[int, ...] = Field(
         (41, 81),
@@ -44,7 +45,12 @@ class ConvergenceSettings(Section):
         description="vertices per side of the meshes, increasing, with vertices at common "
         "positions on the cloth",
     )
-    halvings: int = Field(2, ge=0, le=6, description="number of halvings of the time step")
+    halvings: int = Field(
+        2,
+        ge=0,
+        le=6,
+        description="number of halvings of the time step; 0: only meshes are compared",
+    )
     window_s: float = Field(
         56.0,
         gt=0,
@@ -74,3 +80,12 @@ class ConvergenceSettings(Section):
                 "41, 61, 81"
             )
         return sides
+
+    @model_validator(mode="after")
+    def _compares_something(self) -> "ConvergenceSettings":
+        if not self.halvings and len(self.vertices_per_side) < 2:
+            raise ValueError(
+                "nothing to compare: halvings must be at least 1, or vertices_per_side must "
+                "contain a second mesh"
+            )
+        return self

@@ -10,13 +10,12 @@ import math
 import os
 import re
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.config.section import Fabrics, Friction, Section
+from slipstitch.config.section import Fabrics, Frictions, Section
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
@@ -33,7 +32,7 @@ class GridSettings(Section):
         min_length=1,
         description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
     )
-    frictions: tuple[Friction, ...] = Field(
+    frictions: Frictions = Field(
         (0.1, 0.3, 0.6, 1.0),
         min_length=1,
         max_length=100,
@@ -45,7 +44,7 @@ class GridSettings(Section):
         le=100,
         description="simulations of each pair with different perturbations; ids r00..",
     )
-    test_frictions: tuple[Friction, ...] = Field(
+    test_frictions: Frictions = Field(
         (),
         max_length=100,
         description="off-grid coefficients, increasing, for testing only, simulated with every "
@@ -71,22 +70,6 @@ class GridSettings(Section):
             "material": sorted(self.materials, key=fabric_names().index),
             "friction": list(self.frictions),
         }
-
-    @field_validator("materials", "test_materials")
-    @classmethod
-    def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(names)) != len(names):
-            raise ValueError(f"duplicate material: {', '.join(names)}")
-        return names
-
-    @field_validator("frictions", "test_frictions")
-    @classmethod
-    def _increasing(cls, frictions: tuple[float, ...]) -> tuple[float, ...]:
-        if any(after <= before for before, after in pairwise(frictions)):
-            raise ValueError("friction coefficients must increase along the list")
-        if too_fine := [f for f in frictions if abs(1000 * f - round(1000 * f)) > 1e-6]:
-            raise ValueError(f"must be a multiple of 0.001, as its id is, not {too_fine[0]:g}")
-        return frictions
 
     @model_validator(mode="after")
     def _training_and_testing_are_apart(self) -> GridSettings:

@@ -1,5 +1,6 @@
 """Common parts of the sections of the configuration. Pydantic and the standard library only."""
 
+from itertools import pairwise
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -20,6 +21,20 @@ def _in_the_catalogue(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+def _named_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) != len(names):
+        raise ValueError(f"duplicate material: {', '.join(names)}")
+    return names
+
+
+def _increasing(frictions: tuple[float, ...]) -> tuple[float, ...]:
+    if any(after <= before for before, after in pairwise(frictions)):
+        raise ValueError("friction coefficients must increase along the list")
+    if too_fine := [f for f in frictions if abs(1000 * f - round(1000 * f)) > 1e-6]:
+        raise ValueError(f"must be a multiple of 0.001, as its id is, not {too_fine[0]:g}")
+    return frictions
+
+
 def _different(seeds: list[int]) -> list[int]:
     if len(set(seeds)) != len(seeds) or min(seeds) < 0:
         raise ValueError("seeds must be distinct and non-negative")
@@ -28,6 +43,7 @@ def _different(seeds: list[int]) -> list[int]:
 
 FRICTION_MAX = 10.0
 Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX, allow_inf_nan=False)]
+Frictions = Annotated[tuple[Friction, ...], AfterValidator(_increasing)]
 Fabric = Annotated[str, AfterValidator(lambda name: _in_the_catalogue((name,))[0])]
-Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue)]
+Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue), AfterValidator(_named_once)]
 Seeds = Annotated[list[int], Field(min_length=1), AfterValidator(_different)]
