@@ -12,11 +12,17 @@ from support.untrained import untrained_instrument
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, distance, subsets
 from slipstitch.instrument.measuring import save_instrument
+from slipstitch.provenance import read_provenance
 from slipstitch.render.camera import pose
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.train.model_file import load_model
 from slipstitch.train.training import train_network
 
 KNOWN = [
@@ -124,6 +130,8 @@ def bench(tmp_path_factory):
     instrument = untrained_instrument(
         InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
     )
+    of_dataset = load_model(networks / "friction_baseline" / "seed0").card["dataset_digest"]
+    instrument.card.update(split="by_simulation", dataset_digest=of_dataset)
     save_instrument(instrument, folder / "instrument" / "by_simulation" / "seed0")
     write_config(config, folder / "config.json")
     lens = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
@@ -183,6 +191,45 @@ def test_captures_go_through_all_networks(bench, capsys):
         row["spread"] is None for models in metrics.values() for row in models.values()
     )
     assert all(f"{share} %" in page for share in (61.9, 76.2, 86.1, 93.6))
+
+
+def evaluated(bench, out, instruments, **which):
+    captured(bench, "left", "yes")
+    return write_captures_evaluation(
+        EvaluateSettings(),
+        bench / "left",
+        bench / "train",
+        instruments,
+        out / "metrics.json",
+        out / "predictions.parquet",
+        **which,
+    )
+
+
+def test_models_of_an_earlier_configuration_do_not_count(bench, tmp_path, monkeypatch):
+    monkeypatch.chdir(bench)  # records name files by their path from the working folder
+    train = TrainSettings(splits=["by_video"])
+    metrics = evaluated(bench, tmp_path, bench / "instrument", train=train)
+    assert list(metrics["surrogate_all"]) == [
+        "lrcn_baseline, trained by_video",
+        "lrcn_conditional, trained by_video",
+    ]
+    inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
+    assert sum(name.endswith("model.safetensors") for name in inputs) == 3
+    assert not any("instrument" in name for name in inputs)
+    of_seed = evaluated(bench, tmp_path, bench / "instrument", instrument_seeds=[1])
+    assert list(of_seed["surrogate_all"]) == list(metrics["surrogate_all"])
+
+
+def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp_path):
+    other = untrained_instrument(
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
+    )
+    other.card.update(split="by_simulation", dataset_digest="00" * 32)
+    save_instrument(other, tmp_path / "by_simulation" / "seed0")
+    with pytest.raises(BadInput, match="seed 0 were trained on different datasets"):
+        evaluated(bench, tmp_path, tmp_path)
+    assert not (tmp_path / "metrics.json").exists()
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):

@@ -244,6 +244,28 @@ def test_models_of_an_earlier_configuration_do_not_count(chain):
         find_models(chain / "train", CONFIG.train.model_copy(update=seeds))
 
 
+def test_the_record_names_the_models_that_count_and_no_others(chain, tmp_path, monkeypatch):
+    monkeypatch.chdir(chain)
+    metrics = write_evaluation(
+        EvaluateSettings(),
+        chain / "sample",
+        chain / "train",
+        *(tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")),
+        calibrated="calibrated",
+        train=CONFIG.train.model_copy(update={"splits": ["by_simulation"]}),
+        instruments_folder=chain / "instrument",
+    )
+    assert set(metrics) == {"by_simulation", "off_grid", "unseen_fabric"}
+    inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
+    weights = sorted(name for name in inputs if name.endswith(".safetensors"))
+    assert weights == [
+        "instrument/by_simulation/seed0/instrument.safetensors",
+        "train/by_simulation/friction_baseline/seed0/model.safetensors",
+        "train/by_simulation/friction_conditional/seed0/model.safetensors",
+        "train/by_simulation/material_baseline/seed0/model.safetensors",
+    ]
+
+
 def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
     source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
     shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")

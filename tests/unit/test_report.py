@@ -391,6 +391,19 @@ def test_what_is_there_is_shown_and_what_is_not_is_said(write, there, absent, tm
     assert absent in text
 
 
+def test_curves_of_an_earlier_configuration_are_not_shown(tmp_path):
+    synthetic_results.write_train(tmp_path)
+    shutil.copytree(tmp_path / "train/by_video", tmp_path / "train/by_video_reflective")
+    seed = tmp_path / "train/by_video/friction_baseline/seed"
+    shutil.copytree(f"{seed}0", f"{seed}7")
+    shutil.copytree(f"{seed}0", tmp_path / "instrument/by_video/seed7")
+    found = Results(tmp_path, CONFIG).histories()
+    networks = ("material_baseline", "friction_baseline", "friction_conditional")
+    assert [(one.split, one.network, one.seed) for one in found] == [
+        (split, network, 0) for split in ("by_video", "by_simulation") for network in networks
+    ]
+
+
 def test_missing_simulations_are_named(tmp_path):
     synthetic_results.write_simulate(CONFIG, tmp_path)
     (tmp_path / "simulate" / "m05_f0300_r00.parquet").unlink()

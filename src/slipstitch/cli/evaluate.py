@@ -94,6 +94,8 @@ def _captures(config, arguments: argparse.Namespace) -> None:
         arguments.out,
         arguments.predictions,
         arguments.page,
-        arguments.threads,
+        train=config.train,
+        instrument_seeds=config.instrument.seeds,
+        threads=arguments.threads,
     )
     print(*capture_lines(metrics), sep="\n")

@@ -12,11 +12,17 @@ import pyarrow as pa
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.capture.ingest.dataset import CAPTURES, read_known
 from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
-from slipstitch.evaluate.evaluation import MODELS, find_models, predicted_probabilities
+from slipstitch.evaluate.evaluation import (
+    MODELS,
+    find_models,
+    network_weights,
+    predicted_probabilities,
+)
+from slipstitch.evaluate.instruments import find_instruments, instrument_weights
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.instrument.measuring import WEIGHTS, load_instrument
 from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     provenance_record,
@@ -35,6 +41,9 @@ def predict_captures(
     dataset: str | os.PathLike,
     models: str | os.PathLike | None,
     instruments: str | os.PathLike | None,
+    *,
+    train: TrainSettings | None = None,
+    instrument_seeds: list[int] | None = None,
     threads: int = 1,
 ) -> list[Predictions]:
     """All trained models on all captures.
@@ -46,26 +55,45 @@ def predict_captures(
         What `slipstitch capture ingest` wrote.
     models, instruments : path, optional
         Folders ``{split}/{network}/seed{seed}`` and ``{split}/seed{seed}``.
+    train : TrainSettings, optional
+        The splits and seeds that count; by default every model in the folders.
+    instrument_seeds : list of int, optional
+        Seeds of instruments that count; by default all.
     threads : int
 
     Raises
     ------
     BadInput
-        If there is no model, or files are damaged or of another shape.
+        If there is no model, two were trained on different datasets, or files are damaged or of
+        another shape.
     """
     set_up_torch(threads)
+    networks = {} if models is None else find_models(models, train)
+    measuring = (
+        {} if instruments is None else find_instruments(instruments, train, instrument_seeds)
+    )
+    # Captures are of no training, so nothing else tells that these are of one dataset.
+    of_dataset = {
+        model.card["dataset_digest"]: f"{network} {split} seed {seed}"
+        for (split, network, seed), model in networks.items()
+    } | {
+        instrument.card.get("dataset_digest"): f"instrument {split} seed {seed}"
+        for (split, seed), instrument in measuring.items()
+    }
+    if len(of_dataset) > 1:
+        one, other, *_ = of_dataset.values()
+        raise BadInput(f"{one} and {other} were trained on different datasets")
     found = []
-    if models is not None:
-        found += _lrcn(settings, dataset, models)
-    if instruments is not None:
-        found += _instruments(dataset, instruments)
+    if networks:
+        found += _lrcn(settings, dataset, models, networks)
+    if measuring:
+        found += _instruments(dataset, measuring)
     if not found:
         raise BadInput(f"{models or instruments}: no trained model for captures found")
     return found
 
 
-def _lrcn(settings, dataset, folder) -> list[Predictions]:
-    models = find_models(folder)
+def _lrcn(settings, dataset, folder, models) -> list[Predictions]:
     found = []
     cards = [model.card for model in models.values()]
     videos = read_videos(dataset, pixels=cards[0]["pixels"])
@@ -79,7 +107,6 @@ def _lrcn(settings, dataset, folder) -> list[Predictions]:
         if name is None:
             continue
         card = models[split, network, seed].card
-        # These videos are of no training; the networks beside one another must be of one.
         own = Videos(videos.rows, videos.pixels, card["dataset_digest"])
         probabilities = predicted_probabilities(
             models, (split, network, seed), own, settings.batch_size
@@ -106,11 +133,10 @@ def _materials(models, key, videos: Videos, settings) -> dict[str, Any]:
     return {"materials": [[names[k] for k in row] for row in order], "known_materials": names}
 
 
-def _instruments(dataset, folder) -> list[Predictions]:
+def _instruments(dataset, instruments) -> list[Predictions]:
     found = []
-    for path in sorted(Path(folder).glob(f"*/seed*/{WEIGHTS}")):
-        instrument = load_instrument(path.parent)
-        videos = read_videos(dataset)
+    videos = read_videos(dataset)
+    for (split, seed), instrument in instruments.items():
         frames = sampled_frames(videos.pixels.shape[1], instrument.card["frames"])
         measurements = [
             instrument.measure(np.ascontiguousarray(pixels[frames]), np.random.default_rng(0), pose)
@@ -119,8 +145,8 @@ def _instruments(dataset, folder) -> list[Predictions]:
         found.append(
             Predictions(
                 "instrument",
-                path.parts[-3],
-                int(path.parts[-2].removeprefix("seed")),
+                split,
+                seed,
                 np.array([measurement.friction_coefficient for measurement in measurements]),
                 np.array([measurement.interval_90 for measurement in measurements], dtype=float),
                 [
@@ -202,22 +228,29 @@ def write_captures_evaluation(
     out: str | os.PathLike,
     predictions_out: str | os.PathLike,
     page_out: str | os.PathLike | None = None,
+    *,
+    train: TrainSettings | None = None,
+    instrument_seeds: list[int] | None = None,
     threads: int = 1,
 ) -> dict[str, Any]:
     """Evaluate on captures; write metrics (JSON), single predictions (Parquet) and the page."""
     from slipstitch.evaluate.captures_page import captures_page
 
     started = start_clock()
-    found = predict_captures(settings, dataset, models, instruments, threads)
+    found = predict_captures(
+        settings,
+        dataset,
+        models,
+        instruments,
+        train=train,
+        instrument_seeds=instrument_seeds,
+        threads=threads,
+    )
     metrics, rows = evaluate_captures(settings, dataset, found)
     known = read_known(dataset)
-    weights = [
-        path
-        for folder in (models, instruments)
-        if folder is not None
-        for path in sorted(Path(folder).glob("**/*.safetensors"))
-        if path.stem in ("model", "instrument")
-    ]
+    weights = [] if models is None else network_weights(models, train)
+    if instruments is not None:
+        weights += instrument_weights(instruments, train, instrument_seeds)
     inputs = [Path(dataset) / name for name in (MANIFEST, CAPTURES)]
     keys = {"evaluate": settings}
     record = provenance_record("evaluate", inputs=inputs + weights, config=keys, started=started)

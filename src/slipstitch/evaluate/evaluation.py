@@ -20,6 +20,7 @@ from slipstitch.evaluate.instruments import (
     alarm_rates,
     evaluate_instruments,
     find_instruments,
+    instrument_weights,
     prediction_of,
 )
 from slipstitch.evaluate.metrics import (
@@ -35,7 +36,6 @@ from slipstitch.evaluate.metrics import (
 )
 from slipstitch.evaluate.probes import entries as probe_entries
 from slipstitch.evaluate.probes import probes
-from slipstitch.instrument.measuring import WEIGHTS as INSTRUMENT
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
 from slipstitch.train.classes import labels_of
@@ -137,7 +137,7 @@ def evaluation_sets(
     return [test for test in sets if any(map(test.holds, rows))]
 
 
-def _weights(folder: str | os.PathLike, train: TrainSettings | None) -> list[Path]:
+def network_weights(folder: str | os.PathLike, train: TrainSettings | None = None) -> list[Path]:
     """Weights in ``{split}/{network}/seed{seed}/``: all, or of the configured trainings only."""
     return [
         path
@@ -167,7 +167,7 @@ def find_models(
         If there is none, one is damaged, or one is not what its place says.
     """
     models = {}
-    for path in _weights(folder, train):
+    for path in network_weights(folder, train):
         model = load_model(path.parent)
         card = model.card
         named = (card["split"], card["network"], f"seed{card['seed']}")
@@ -273,8 +273,10 @@ def evaluate(
 
     instruments = {}
     if instruments_folder is not None:
-        splits = TRAINED_ON if train is None else train.splits
-        instruments = find_instruments(instruments_folder, splits, instrument_seeds, videos.digest)
+        instruments = find_instruments(instruments_folder, train, instrument_seeds)
+    for (split, seed), instrument in instruments.items():
+        if instrument.card.get("dataset_digest") != videos.digest:
+            raise BadInput(f"instrument {split} seed {seed} was not trained on {dataset}")
 
     probed = probes(settings, dataset)
     side = pixels.pop() if pixels else None
@@ -422,6 +424,7 @@ def write_evaluation(
     *,
     train: TrainSettings | None = None,
     instruments_folder: str | os.PathLike | None = None,
+    instrument_seeds: list[int] | None = None,
     **options: Any,
 ) -> dict[str, Any]:
     """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
@@ -432,14 +435,15 @@ def write_evaluation(
         models_folder,
         train=train,
         instruments_folder=instruments_folder,
+        instrument_seeds=instrument_seeds,
         **options,
     )
     inputs = [Path(dataset) / "manifest.parquet"]
     if models_folder is not None:
-        weights = _weights(models_folder, train)
+        weights = network_weights(models_folder, train)
         inputs += [path.with_name(name) for path in weights for name in (WEIGHTS, CARD)]
     if instruments_folder is not None:
-        inputs += sorted(Path(instruments_folder).glob(f"*/seed*/{INSTRUMENT}"))
+        inputs += instrument_weights(instruments_folder, train, instrument_seeds)
     record = provenance_record(
         "evaluate", inputs=inputs, config={"evaluate": settings}, started=started
     )

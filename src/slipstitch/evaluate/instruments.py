@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.metrics import (
     BY_NAME,
@@ -30,33 +31,50 @@ from slipstitch.sample.videos import Videos
 Row = dict[str, Any]
 
 
+def instrument_weights(
+    folder: str | os.PathLike,
+    train: TrainSettings | None = None,
+    seeds: Sequence[int] | None = None,
+) -> list[Path]:
+    """Weights in ``{split}/seed{seed}/``: all, or of the configured splits and seeds only."""
+    return [
+        path
+        for split in (TRAINED_ON if train is None else train.splits)
+        for path in sorted(Path(folder, split).glob(f"seed*/{WEIGHTS}"))
+        if seeds is None or path.parent.name in {f"seed{seed}" for seed in seeds}
+    ]
+
+
 def find_instruments(
     folder: str | os.PathLike,
-    splits: Sequence[str],
-    seeds: Sequence[int] | None,
-    dataset_digest: str,
+    train: TrainSettings | None = None,
+    seeds: Sequence[int] | None = None,
 ) -> dict[tuple[str, int], Instrument]:
     """The instruments in ``{split}/seed{seed}/``, by (split, seed).
+
+    Parameters
+    ----------
+    folder : path
+    train : TrainSettings, optional
+        Which splits count; others, left by an earlier configuration, do not.
+    seeds : sequence of int, optional
+        Likewise.
 
     Raises
     ------
     BadInput
-        If one is damaged, does not match its folder, or of another dataset.
+        If one is damaged, or does not match its folder.
     """
     found = {}
-    for split in splits:
-        for path in sorted(Path(folder, split).glob(f"seed*/{WEIGHTS}")):
-            instrument = load_instrument(path)
-            card = instrument.card
-            if seeds is not None and card["seed"] not in seeds:
-                continue
-            if (card["split"], f"seed{card['seed']}") != path.parts[-3:-1]:
-                raise BadInput(
-                    f"{path}: holds {card['split']} seed {card['seed']}: does not match its folder"
-                )
-            if card["dataset_digest"] != dataset_digest:
-                raise BadInput(f"{path}: was trained on another dataset")
-            found[split, card["seed"]] = instrument
+    for path in instrument_weights(folder, train, seeds):
+        instrument = load_instrument(path)
+        card = instrument.card
+        if (card.get("split"), f"seed{card.get('seed')}") != path.parts[-3:-1]:
+            raise BadInput(
+                f"{path}: holds {card.get('split')} seed {card.get('seed')}: does not match its "
+                "folder"
+            )
+        found[card["split"], card["seed"]] = instrument
     return found
 
 

@@ -202,22 +202,29 @@ class Results:
         found = {position: png for _, position, png in read_frames(path, video["video"])}
         return [found[position] for position in wanted if position in found]
 
+    def _trainings(self) -> Iterator[tuple[Path, str, str, int]]:
+        """The configured trainings: folder, split, network, seed."""
+        for split in self.config.train.splits:
+            for network, seed in self.config.train.trainings(split):
+                yield self.folder / f"train/{split}/{network}/seed{seed}", split, network, seed
+        for split in self.config.train.splits:
+            for seed in self.config.instrument.seeds:
+                yield self.folder / f"instrument/{split}/seed{seed}", split, "instrument", seed
+
     def histories(self) -> list[History]:
-        """Training curves, in the order of the configuration."""
+        """Training curves, in the order of the configuration; others, left by another, not."""
         found = []
-        paths = sorted((self.folder / "train").glob("*/*/seed*/history.csv"))
-        paths += sorted((self.folder / "instrument").glob("*/seed*/history.csv"))
-        for path in paths:
-            split, network, seed = path.relative_to(self.folder).parts[-4:-1]
-            if split == "instrument":
-                split, network = network, "instrument"
+        for folder, split, network, seed in self._trainings():
+            path = folder / "history.csv"
+            if not path.exists():
+                continue
             try:
                 rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
                 epochs = [
                     {key: _number(value) for key, value in row.items() if key is not None}
                     for row in rows
                 ]
-                found.append(History(split, network, int(seed.removeprefix("seed")), epochs))
+                found.append(History(split, network, seed, epochs))
             except ValueError as error:
                 raise BadInput(f"{path}: not a training history: {error}") from None
         return [history for history in found if history.epochs]
@@ -334,7 +341,11 @@ class Results:
             *map(self.simulation_path, self.simulated()[:1]),
             *sorted((self.folder / "render").glob("m*_v*.parquet"))[:1],
             self.folder / "sample" / "manifest.parquet",
-            *sorted((self.folder / "train").glob("*/*/*/model.safetensors"))[:1],
+            *[
+                path
+                for folder, *_ in self._trainings()
+                if (path := folder / "model.safetensors").exists()
+            ][:1],
             self.folder / "evaluate" / "metrics.json",
         ]
         found = []
