@@ -457,6 +457,22 @@ def test_confusion_counts_have_true_rows_and_predicted_columns():
     assert confusion_counts(predictions, "s", "n", [0.1, 0.3]).tolist() == [[1, 1], [0, 0]]
 
 
+def test_predictions_of_another_grid_are_refused_in_one_line(tmp_path, capsys):
+    other = synthetic_results.config(
+        grid={"materials": ["gray-interlock"], "frictions": [0.0, 0.3, 1.0], "replicates": 2}
+    )
+    synthetic_results.write_evaluate(other, tmp_path / "results")
+    (tmp_path / "config.json").write_text(CONFIG.model_dump_json())
+    words = ["report", "--config", str(tmp_path / "config.json")]
+    words += ["--results", str(tmp_path / "results"), "--out", str(tmp_path / "index.html")]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "predictions.parquet: friction_baseline by_video has friction 0, not one of" in said
+    assert "grid's: 0.1, 0.3, 1; evaluate again" in said
+    assert not (tmp_path / "index.html").exists()
+
+
 def test_cumulative_error_is_the_share_within_each_error():
     errors, shares = cumulative_error(np.array([0.0, 0.2, 0.0, 0.7]))
     assert errors == pytest.approx([0.0, 0.2, 0.7])

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import draw_cumulative
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
@@ -96,11 +97,24 @@ def confusion_counts(
     Returns
     -------
     ndarray of int, shape (len(frictions), len(frictions))
+
+    Raises
+    ------
+    BadInput
+        If a coefficient is not one of `frictions`.
     """
     counts = np.zeros((len(frictions), len(frictions)), int)
     number = {round(value, 9): index for index, value in enumerate(frictions)}
-    for true, predicted in zip(*_friction_rows(predictions, split, network), strict=True):
-        counts[number[round(true, 9)], number[round(predicted, 9)]] += 1
+    for pair in zip(*_friction_rows(predictions, split, network), strict=True):
+        for value in pair:
+            if round(value, 9) not in number:
+                raise BadInput(
+                    f"evaluate/predictions.parquet: {network} {split} has friction {value:g}, not "
+                    f"one of the configured grid's: {', '.join(f'{one:g}' for one in frictions)}; "
+                    "evaluate again, or give the configuration of these results"
+                )
+        true, predicted = (number[round(value, 9)] for value in pair)
+        counts[true, predicted] += 1
     return counts
 
 
