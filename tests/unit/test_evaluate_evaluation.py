@@ -12,6 +12,7 @@ from support import synthetic_videos
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.grid import friction_id
 from slipstitch.config.train import REFLECTIVE, SPLITS, TRAINED_ON
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.evaluation import find_models, write_evaluation
@@ -187,6 +188,13 @@ def test_the_instruments_rows_follow_from_its_predictions(evaluated):
     assert entry["n"] == len(said) == 4
     errors = [abs(row["predicted_value"] - row["true_value"]) for row in said]
     assert entry["mean_absolute_error"] == pytest.approx(np.mean(errors))
+    # True and predicted are ids of coefficients, as the networks' are; the fabric has a column.
+    grid = {friction_id(friction): friction for friction in CONFIG.grid.frictions}
+    for row in said:
+        assert row["true_value"] == pytest.approx(grid[row["true"]])
+        nearest = min(grid, key=lambda name, row=row: abs(grid[name] - row["predicted_value"]))
+        assert row["predicted"] == nearest
+        assert row["likeliest_material"] in CONFIG.grid.materials
     covered = [row["low"] <= row["true_value"] <= row["high"] for row in said]
     assert entry["coverage_90"] == pytest.approx(np.mean(covered))
     alarms = details["by_simulation"]["instrument"]["alarms"]["0"]

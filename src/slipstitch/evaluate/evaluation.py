@@ -37,8 +37,9 @@ from slipstitch.evaluate.metrics import (
 from slipstitch.evaluate.probes import entries as probe_entries
 from slipstitch.evaluate.probes import probes
 from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
+from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
-from slipstitch.train.classes import labels_of
+from slipstitch.train.classes import classes_of, labels_of
 from slipstitch.train.loop import simulations
 from slipstitch.train.model_file import CARD, WEIGHTS, TrainedModel, load_model
 from slipstitch.train.prediction import check_material_model, predict, predicted_materials
@@ -62,6 +63,7 @@ PREDICTIONS_SCHEMA = pa.schema(
         ("true_value", pa.float64()),
         ("predicted_value", pa.float64()),
         ("probabilities", pa.list_(pa.float64())),  # of classes; an instrument's on its grid
+        ("likeliest_material", pa.string()),  # by an instrument
         ("low", pa.float64()),  # of the instrument's interval
         ("high", pa.float64()),
         ("alarm", pa.string()),  # its reason, empty without
@@ -278,6 +280,7 @@ def evaluate(
         if instrument.card.get("dataset_digest") != videos.digest:
             raise BadInput(f"instrument {split} seed {seed} was not trained on {dataset}")
 
+    grid = classes_of([row for row in read_manifest(dataset)[0] if takes_part(row)], "friction")
     probed = probes(settings, dataset)
     side = pixels.pop() if pixels else None
     metrics: dict[str, Any] = {}
@@ -293,7 +296,7 @@ def evaluate(
                 probabilities = predicted_probabilities(models, key, part, settings.batch_size)
                 by_network[key[1]][key[2]] = probabilities
                 predictions += _rows(part, test, key, models[key], probabilities)
-        measured, rows = evaluate_instruments(settings, test, whole, instruments)
+        measured, rows = evaluate_instruments(settings, test, whole, instruments, grid)
         if not by_network and not measured:
             continue
         scores = {

@@ -175,11 +175,26 @@ def breakdown(
 
 
 def evaluate_instruments(
-    settings: EvaluateSettings, test, videos: Videos, instruments: dict[tuple[str, int], Instrument]
+    settings: EvaluateSettings,
+    test,
+    videos: Videos,
+    instruments: dict[tuple[str, int], Instrument],
+    grid: Sequence[Row],
 ) -> tuple[dict[str, Any] | None, list[Row]]:
     """All instruments of a test set's split on its videos from the viewpoint that they know.
 
     On the test sets of other viewpoints (turned by some degrees) every video is measured.
+
+    Parameters
+    ----------
+    settings : EvaluateSettings
+    test : slipstitch.evaluate.evaluation.EvaluationSet
+    videos : Videos
+        Of the test set.
+    instruments : dict
+        By (split, seed).
+    grid : sequence of mapping
+        Friction coefficients that train, as `slipstitch.train.classes.classes_of` gives them.
 
     Returns
     -------
@@ -208,7 +223,7 @@ def evaluate_instruments(
         each[str(seed)] = scores(measurements, rows, settings)
         everything += measurements
         predictions += [
-            _prediction(row, test, seed, measurement)
+            _prediction(row, test, seed, measurement, grid)
             for row, measurement in zip(rows, measurements, strict=True)
         ]
     if not each:
@@ -266,15 +281,17 @@ def prediction_of(row: Row, test, network: str, seed: int) -> Row:
     return video | told
 
 
-def _prediction(row: Row, test, seed: int, measurement: Measurement) -> Row:
-    probabilities = measurement.material_probabilities
+def _prediction(row: Row, test, seed: int, measurement: Measurement, grid: Sequence[Row]) -> Row:
+    friction = measurement.friction_coefficient
+    materials = measurement.material_probabilities
     return {
         **prediction_of(row, test, "instrument", seed),
         "true": row["friction_id"],
-        "predicted": max(probabilities, key=probabilities.__getitem__),
+        "predicted": min(grid, key=lambda of_class: abs(of_class["value"] - friction))["id"],
         "true_value": row["friction"],
-        "predicted_value": measurement.friction_coefficient,
+        "predicted_value": friction,
         "probabilities": measurement.distribution[1].tolist(),
+        "likeliest_material": max(materials, key=materials.__getitem__),
         "low": measurement.interval_90[0],
         "high": measurement.interval_90[1],
         "alarm": measurement.alarm_reason,
