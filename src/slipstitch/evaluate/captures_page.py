@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.capture_scores import Predictions, pair_medians, subsets, what_they_are
 from slipstitch.evaluate.cumulative import draw_cumulative
-from slipstitch.evaluate.metrics import CAPTURES, distance, metrics_of
+from slipstitch.evaluate.metrics import CAPTURES, metrics_of
 from slipstitch.page.figures import new_figure, png_uri, styled, svg_uri
 from slipstitch.page.palette import INK, SERIES
 from slipstitch.page.templates import render
@@ -54,7 +54,7 @@ def captures_page(
             for subset in paper.CAPTURES
         },
         seeds_in_words=seeds_in_words,
-        plot=svg_uri(_cumulative(known, found)),
+        plot=svg_uri(_cumulative(known, found, step)),
         models=[
             {
                 "label": f"{predictions.label}, seed {predictions.seed}".replace("_", " "),
@@ -78,26 +78,33 @@ def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
 
 
 @styled
-def _cumulative(known, found: Sequence[Predictions]) -> Figure:
-    """Share of the captures whose error is at most so large, as in the paper's Fig. 6."""
-    reference = np.array([row["mu_ref"] for row in known])
-    error = np.array([row["mu_ref_error"] for row in known])
+def _cumulative(known, found: Sequence[Predictions], step: float) -> Figure:
+    """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
     figure = new_figure(7.6, 3.6)
     axes = figure.subplots()
     groups: dict[str, list[Predictions]] = {}
     for predictions in found:
         groups.setdefault(predictions.label, []).append(predictions)
     off = {
-        label: np.concatenate([distance(seed.friction, reference, error) for seed in members])
+        label: {
+            name: np.array(
+                [
+                    pair["error"]
+                    for seed in members
+                    for pair in pair_medians(known, seed, chosen, step)
+                ]
+            )
+            for name, chosen in subsets(known).items()
+        }
         for label, members in groups.items()
     }
-    largest = max(0.3, *(float(errors.max()) for errors in off.values()))
-    for colour, (label, errors) in zip(SERIES, off.items(), strict=False):
-        for name, chosen in subsets(known).items():
+    largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
+    for colour, (label, of_label) in zip(SERIES, off.items(), strict=False):
+        for name, errors in of_label.items():
             kind = name.split("_")[1]
             draw_cumulative(
                 axes,
-                errors[np.tile(chosen, len(groups[label]))],
+                errors,
                 largest,
                 color=colour,
                 linestyle=_DASHES[kind],
@@ -105,8 +112,8 @@ def _cumulative(known, found: Sequence[Predictions]) -> Figure:
                 linewidth=1.8 if kind == "all" else 1.1,
             )
     axes.set(xlim=(0, largest), ylim=(0, 1.02))
-    axes.set_xlabel("distance of µ from the reference interval")
-    axes.set_ylabel("share of videos")
+    axes.set_xlabel("distance of a pair’s median µ from the reference interval")
+    axes.set_ylabel("share of pairs")
     colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
     kinds = [name.split("_")[1] for name in subsets(known)]
     if len(kinds) > 1:  # two short legends for a long one: colours, dashes

@@ -138,7 +138,7 @@ def captures_section(results: Results, metrics, details, predictions) -> dict[st
             learning_pictures.cumulative_captures(
                 panels,
                 {
-                    SUBSET_TITLES.get(subset, LAST_CURVE): figures["within_0.1"]
+                    SUBSET_TITLES.get(subset, LAST_CURVE): figures["median_within_0.1"]
                     for subset, figures in paper.CAPTURES.items()
                     if figures
                 },
@@ -152,13 +152,17 @@ def _of_model(rows: Sequence[Mapping[str, Any]], model: str, split: str) -> list
 
 
 def _capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Errors of all seeds together, by subset."""
+    """Errors of the pairs' medians, as the paper counts, of all seeds together, by subset."""
+    repeats: dict[tuple[int, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        repeats.setdefault((row["seed"], row["pair"]), []).append(row)
+    pairs = [of_pair[0] for of_pair in repeats.values()]
     off = distance(
-        np.array([row["friction"] for row in rows]),
-        np.array([row["mu_ref"] for row in rows]),
-        np.array([row["mu_ref_error"] for row in rows]),
+        [np.median([row["friction"] for row in of_pair]) for of_pair in repeats.values()],
+        [pair["mu_ref"] for pair in pairs],
+        [pair["mu_ref_error"] for pair in pairs],
     )
-    return {name.split("_")[1]: off[chosen] for name, chosen in subsets(rows).items()}
+    return {name.split("_")[1]: off[chosen] for name, chosen in subsets(pairs).items()}
 
 
 def _simulated_errors(predictions, model: str, split: str) -> dict[int, np.ndarray]:

@@ -56,8 +56,10 @@ class Score(NamedTuple):
     spread: float | None
 
 
-def score(metrics, details, test_set: str, network: str, metric: str) -> Score:
-    """A network's score on a test set.
+def score(
+    metrics, details, test_set: str, network: str, metric: str, viewpoint: str | None = None
+) -> Score:
+    """A network's score on a test set, or on its videos from a viewpoint.
 
     Parameters
     ----------
@@ -66,6 +68,9 @@ def score(metrics, details, test_set: str, network: str, metric: str) -> Score:
     """
     entry = metrics.get(test_set, {}).get(ENTRIES[network]) or {}
     detail = details.get(test_set, {}).get(network) or {}
+    if viewpoint is not None:
+        detail = detail.get("viewpoints", {}).get(viewpoint) or {}
+        entry = detail.get("mean", {})
     return Score(entry.get(metric), (detail.get("spread") or {}).get(metric))
 
 
@@ -146,38 +151,56 @@ def share_interval(
 
 
 def beside_paper(
-    metrics, details, titles: Mapping[str, str], quoted: Mapping[tuple[str, str], float]
+    metrics,
+    details,
+    titles: Mapping[tuple[str, str | None], str],
+    quoted: Mapping[tuple[str, str], float],
+    videos: int,
 ) -> dict[str, Any]:
     """A table of the paper's metrics: its own figures, then one column per test set of ours.
 
     Parameters
     ----------
     titles : mapping
-        Test set -> heading of its column; those that were not run are left out.
+        (test set, viewpoint or None for all) -> heading of its column; those that were not run are
+        left out.
     quoted : mapping
         (network, metric) -> the paper's figure.
+    videos : int
+        Of how many videos these are.
     """
-    shown = [name for name in titles if metrics.get(name)]
     networks = ("material_baseline", *MODELS.values())
 
-    def column(name: str) -> dict[str, Any]:
+    def of_each(name: str, view: str | None) -> list[Mapping[str, Any]]:
+        found = [details.get(name, {}).get(network, {}) for network in networks]
+        return found if view is None else [one.get("viewpoints", {}).get(view, {}) for one in found]
+
+    shown = [
+        (name, view)
+        for name, view in titles
+        if metrics.get(name) and (view is None or any(of_each(name, view)))
+    ]
+
+    def column(name: str, view: str | None) -> dict[str, Any]:
         rows = {key: metrics[name][key] for key in MODELS if key in metrics[name]}
-        of_each = [details.get(name, {}).get(network, {}) for network in networks]
+        counted = of_each(name, view)
         return {
-            "title": titles[name],
-            "n": max((row["n"] for row in rows.values()), default=0),
-            "simulations": max(detail.get("simulations") or 0 for detail in of_each),
+            "title": titles[name, view],
+            "n": max((row.get("n", 0) for row in (counted if view else rows.values())), default=0),
+            "simulations": max(detail.get("simulations") or 0 for detail in counted),
             "seeds": seeds_of(rows),
         }
 
     return {
-        "columns": [column(name) for name in shown],
+        "paper_videos": videos,
+        "columns": [column(*key) for key in shown],
         "rows": [
             {
                 "title": metric.title + COUNTED[network][1],
                 "paper": quoted.get((network, metric.name)),
                 "cells": [
-                    percent(*score(metrics, details, name, network, metric.name)) for name in shown
+                    percent(*score(metrics, details, name, network, metric.name, view))
+                    for name, view in shown
                 ],
             }
             for network in networks
@@ -188,18 +211,30 @@ def beside_paper(
 
 def table_2(metrics, details) -> dict[str, Any] | None:
     """The paper's Table 2: the paper's split, and the honest one."""
-    titles = {"by_video": "ours, by video", "by_simulation": "ours, by simulation"}
-    if not any((metrics or {}).get(name) for name in titles):
+    titles = {("by_video", None): "ours, by video", ("by_simulation", None): "ours, by simulation"}
+    if not any((metrics or {}).get(name) for name, _ in titles):
         return None
-    return beside_paper(metrics, details, titles, paper.TABLE_2)
+    return beside_paper(metrics, details, titles, paper.TABLE_2, paper.TABLE_2_VIDEOS)
 
 
-def unseen_texture(metrics, details) -> dict[str, Any] | None:
-    """The paper's Sec. 6.2.1, and the same networks on textures that they trained on."""
+def unseen_texture(metrics, details, calibrated: str) -> dict[str, Any] | None:
+    """The paper's Sec. 6.2.1, and the same networks on textures that they trained on.
+
+    Parameters
+    ----------
+    metrics, details : mapping
+        metrics.json and details.json.
+    calibrated : str
+        Name of the calibrated viewpoint.
+    """
     if not (metrics or {}).get("unseen_texture"):
         return None
-    titles = {"unseen_texture": "ours, unseen texture", "by_video": "ours, trained textures"}
-    return beside_paper(metrics, details, titles, paper.UNSEEN_TEXTURE)
+    titles = {
+        ("unseen_texture", calibrated): "ours, unseen texture, calibrated view",
+        ("unseen_texture", None): "ours, unseen texture, all views",
+        ("by_video", None): "ours, trained textures, all views",
+    }
+    return beside_paper(metrics, details, titles, paper.UNSEEN_TEXTURE, paper.UNSEEN_TEXTURE_VIDEOS)
 
 
 def not_tested(metrics, captures) -> list[str]:

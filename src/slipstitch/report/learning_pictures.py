@@ -255,14 +255,14 @@ _CURVES = {
 def cumulative_captures(
     panels: Sequence[Mapping[str, Any]], paper_shares: Mapping[str, float]
 ) -> Figure | None:
-    """Share of videos against the error, simulated and captured, a panel a model.
+    """Share of simulated videos, and of pairs of captures, against the error, a panel a model.
 
     Parameters
     ----------
     panels : sequence of mapping
         ``title``, and ``curves``: name -> errors, shape (n,).
     paper_shares : mapping
-        Name of a curve -> the paper's share of real films with an error of 0.1 at most.
+        Name of a curve -> the paper's share of real pairs with an error of 0.1 at most.
     """
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
@@ -282,8 +282,11 @@ def cumulative_captures(
         axes.set(xlim=(0, widest), ylim=(0, 1.02))
         axes.set_title(panel["title"], fontsize=8.5)
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.supxlabel("error of µ; of captures, distance from the reference’s interval", fontsize=9)
-    figure.supylabel("share of videos", fontsize=9)
+    figure.supxlabel(
+        "error of µ; of captures, distance of a pair’s median from the reference’s interval",
+        fontsize=9,
+    )
+    figure.supylabel("share of videos; of captures, of pairs", fontsize=9)
     figure.legend(
         [*lines.values()], [*lines], loc="outside upper center", ncols=3, frameon=False, fontsize=8
     )

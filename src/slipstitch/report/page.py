@@ -144,7 +144,7 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "training": svg_uri(learning_pictures.training(histories)),
         "networks": len(histories),
         "table_2": table_2(metrics, details),
-        "unseen_texture": unseen_texture(metrics, details),
+        "unseen_texture": unseen_texture(metrics, details, calibrated),
         "table_3": table_3(metrics, details, calibrated),
         "drawn_turns": config.render.test_viewpoint_videos is not None,
         "captures": captures,

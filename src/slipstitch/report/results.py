@@ -254,7 +254,7 @@ class Results:
         path = self.folder / "captures" / "predictions.parquet"
         if not path.exists():
             return None
-        columns = ["video", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
+        columns = ["video", "pair", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
         columns += ["model", "trained_on", "seed", "friction"]
         return read_parquet(path, columns).to_pylist()
 
