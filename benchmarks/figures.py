@@ -3,9 +3,10 @@
 A result stands in the text in one of four ways:
 
 - ``43<!-- results/published/paper/simulations.csv: /cpu_s | median | .0f -->``: a JSON pointer
-  (RFC 6901; ``*`` for all members), or a column of a CSV file, then ``min``, ``max``, ``mean``,
-  ``median``, ``sum`` or ``len``, a factor such as ``* 1e3``, and a format (``.1%`` without the
-  sign);
+  (RFC 6901; ``*`` for all members), a column of a CSV file, or ``/SPLIT/NETWORK/low`` or ``high``
+  of predictions.parquet, the report's 90 % interval of the share of right answers; then ``min``,
+  ``max``, ``mean``, ``median``, ``sum`` or ``len``, a factor such as ``* 1e3``, and a format
+  (``.1%`` without the sign);
 - in a table between ``<!-- table: NAME -->`` and ``<!-- end -->``, or on a page, that ``TABLES`` or
   ``PAGES`` writes;
 - in a section (from heading to heading) with "Measured once: `COMMAND`" or "Estimated: `COMMAND`";
@@ -28,6 +29,9 @@ from pathlib import Path
 import model_card
 import pandas
 from figure_tables import PAGES, TABLES
+
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.report.learning import share_interval
 
 ROOT = Path(__file__).parents[1]
 NUMBER = r"[−-]?\d[\d.,]*"
@@ -62,11 +66,21 @@ def looked_up(data, pointer):
     return data
 
 
+def intervals(path, split, network):
+    """The interval of the share of right answers, over simulations and seeds, as on the report."""
+    columns = ["simulation", "split", "network", "seed", "true_value", "predicted_value"]
+    rows = pandas.read_parquet(path, columns=columns).to_dict("records")
+    low, high = share_interval(rows, split, network, EvaluateSettings().friction_step)
+    return {split: {network: {"low": low, "high": high}}}
+
+
 def figure(root, file, steps):
     """The figure as text; ValueError or KeyError if the file does not have it."""
     pointer, *steps, form = (step.strip() for step in steps.split("|"))
     if file.endswith(".csv"):
         data = pandas.read_csv(root / file).to_dict("list")
+    elif file.endswith(".parquet"):
+        data = intervals(root / file, *pointer.split("/")[1:3])
     else:
         data = json.loads((root / file).read_text(encoding="utf-8"))
     value = looked_up(data, pointer)

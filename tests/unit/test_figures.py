@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+import pandas
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -57,6 +58,36 @@ def test_a_figure_is_written_from_its_file(figures, tmp_path, steps, figure):
     assert found[0].startswith("docs/page.md:3: 'It is right in 99 % of all.'")
     assert f"has {figure} (make figures)" in found[0]
     assert _page(figures, tmp_path, text)[1] == []
+
+
+def test_the_interval_of_a_share_comes_from_the_predictions(figures, tmp_path):
+    """All of four simulations right: Clopper and Pearson's lower bound is 0.05^(1/4)."""
+    rows = {"simulation": list("abcd"), "split": "by_video", "network": "n", "seed": 0,
+            "true_value": 0.3, "predicted_value": 0.3}  # fmt: skip
+    path = tmp_path / "results" / "published" / "run" / "predictions.parquet"
+    path.parent.mkdir(parents=True)
+    pandas.DataFrame(rows).to_parquet(path)
+    source = "results/published/run/predictions.parquet: /by_video/n/{} | .1%"
+    text = (
+        f"# Page\n\nFrom 0<!-- {source.format('low')} --> to 0<!-- {source.format('high')} -->.\n"
+    )
+    new, _ = _page(figures, tmp_path, text)
+    assert f"From {100 * 0.05**0.25:.1f}<!--" in new and "to 100.0<!--" in new
+
+
+def test_an_interval_of_few_videos_is_wilsons(figures):
+    z, share, number = 1.6448536, 0.25, 20
+    centre = (share * number + z**2 / 2) / (number + z**2)
+    half = z / (number + z**2) * (number * share * (1 - share) + z**2 / 4) ** 0.5
+    shown = f"({100 * (centre - half):.0f} ... {100 * (centre + half):.0f})"
+    tables = importlib.import_module("figure_tables")
+    assert tables.wilson(share, number) == shown == "(13 ... 43)"
+    row = next(line for line in tables.paper_unseen(ROOT).splitlines() if "by -15°" in line)
+    assert f"25.0 {shown}" in row
+    three_views = next(
+        line for line in tables.paper_unseen(ROOT).splitlines() if "all three" in line
+    )
+    assert "..." not in three_views  # of one motion each, so not independent
 
 
 @pytest.mark.parametrize(
