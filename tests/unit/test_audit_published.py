@@ -170,6 +170,8 @@ def test_an_index_that_is_none_and_options_of_a_release_are_refused_in_one_line(
     for words in (["--explain", "clip"], ["--page", "audit.html"]):
         assert main(["audit", str(folder), *words]) == 2
         assert "cannot be combined with a published folder" in capsys.readouterr().err
-    (folder / INDEX).write_text("{")
-    assert main(["audit", str(folder)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    for name, text in ((f"{INDEX}.provenance.json", "[]"), (INDEX, "{")):
+        (folder / name).write_text(text)
+        assert main(["audit", str(folder)]) == 2
+        said = capsys.readouterr().err
+        assert name in said and said.count("\n") == 1

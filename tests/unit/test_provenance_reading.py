@@ -17,6 +17,8 @@ from slipstitch.provenance import (
     read_json,
     read_metadata,
     read_parquet,
+    read_provenance,
+    read_sidecar,
     read_yaml,
     write_parquet,
     write_sidecar,
@@ -96,6 +98,16 @@ def test_json_that_is_not_what_its_record_was_written_for_is_damaged(tmp_path):
     path.write_text('{"friction": 0.7}')
     with pytest.raises(Damaged, match="its content does not match its record"):
         read_json(path)
+
+
+@pytest.mark.parametrize("text", ["[]", "null", '"x"', "3", "{", "[" * 200_000])
+def test_a_record_that_is_no_mapping_is_damaged(tmp_path, text):
+    path = tmp_path / "x.json"
+    path.write_text("{}")
+    path.with_name("x.json.provenance.json").write_text(text)
+    for read in (read_json, read_sidecar, read_provenance):
+        with pytest.raises(Damaged, match=r"x\.json\.provenance\.json: damaged or not a record"):
+            read(path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 200_000, '{"a": NaNs}', "9" * 10_000, "\x00"])

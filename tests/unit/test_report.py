@@ -321,6 +321,9 @@ def test_captures_scored_with_other_networks_are_said_to_be(tmp_path):
         write_sidecar(tmp_path / folder / "metrics.json", record)
         said.append("Different networks." in text_of(page_of(tmp_path)))
     assert said == [True, True, False]
+    for folder in ("captures", "evaluate"):
+        (tmp_path / folder / "metrics.json.provenance.json").write_text("{}")
+    assert "Different networks." not in text_of(page_of(tmp_path))
 
 
 def test_floors_of_the_training_simulations_are_counted():

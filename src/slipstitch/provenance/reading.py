@@ -159,13 +159,29 @@ def read_json(path: str | os.PathLike) -> Any:
         return json.loads(raw.decode("utf-8"))
 
 
+def record_beside(path: str | os.PathLike) -> dict[str, Any] | None:
+    """The record in ``<path>.provenance.json``; None if there is none.
+
+    Raises
+    ------
+    Damaged
+        If it is no JSON, or no mapping.
+    """
+    side = Path(os.fspath(path) + SIDECAR_SUFFIX)
+    if not side.is_file():
+        return None
+    with reading(side, "record of provenance"):
+        record = json.loads(side.read_text(encoding="utf-8"))
+        if not isinstance(record, dict):
+            raise ValueError("must be a mapping")
+        return record
+
+
 def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
     """Refuse content that is not what the record beside the file was written for, if one is."""
-    side = Path(os.fspath(path) + SIDECAR_SUFFIX)
-    if side.is_file():
-        noted = json.loads(side.read_text(encoding="utf-8")).get("sha256")
-        if noted is not None and noted != hashlib.sha256(raw).hexdigest():
-            raise ValueError("its content does not match its record")
+    noted = (record_beside(path) or {}).get("sha256")
+    if noted is not None and noted != hashlib.sha256(raw).hexdigest():
+        raise ValueError("its content does not match its record")
 
 
 def _values(content: Any) -> int:

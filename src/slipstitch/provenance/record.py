@@ -17,7 +17,7 @@ from typing import Any
 from slipstitch import __version__
 from slipstitch.provenance.code import code_digest
 from slipstitch.provenance.files import atomic_path, file_digest
-from slipstitch.provenance.reading import SIDECAR_SUFFIX, open_parquet
+from slipstitch.provenance.reading import SIDECAR_SUFFIX, open_parquet, record_beside
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
@@ -215,8 +215,18 @@ def recorded_path(path: str | os.PathLike, record: Mapping[str, Any]) -> Iterato
 
 
 def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
-    """The record beside the file `path`; FileNotFoundError if it has none."""
-    record = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+    """The record beside the file `path`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it has none.
+    Damaged
+        If it is no JSON, or no mapping.
+    """
+    record = record_beside(path)
+    if record is None:
+        raise FileNotFoundError(_sidecar(path))
     record.pop("sha256", None)  # of the file, not of its origin
     return record
 

@@ -263,7 +263,7 @@ class Results:
         weights = []
         for stage in ("captures", "evaluate"):
             try:
-                inputs = read_sidecar(self.folder / stage / "metrics.json")["inputs"]
+                inputs = read_sidecar(self.folder / stage / "metrics.json").get("inputs", {})
             except FileNotFoundError:
                 return False
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
