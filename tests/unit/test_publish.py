@@ -121,6 +121,65 @@ def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tm
     assert index["partial"] and index["missing"] == ["evaluate/details.json"]
 
 
+def _contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_only_a_folder_that_was_published_before_is_replaced(run, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    publish(CONFIG, run, out)
+    (out / "index.html").write_text("older")
+    publish(CONFIG, run, out)
+    assert (out / "index.html").read_bytes() == (run / "report" / "index.html").read_bytes()
+
+    (out / "notes.txt").write_text("mine")
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "letter.txt").write_text("mine")
+    books = tmp_path / "books"
+    books.mkdir()
+    (books / INDEX).write_text('["Persuasion"]')
+    (tmp_path / "link").symlink_to(mine)
+    before = _contents(tmp_path)
+    for target, why in (
+        (out, "also holds notes.txt"),
+        (mine, "holds no published run"),
+        (books, "holds no published run"),
+        (mine / "letter.txt", "is not a folder"),
+        (tmp_path / "link", "is not a folder"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            publish(CONFIG, run, target)
+    assert _contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        (".", "contains the results"),
+        ("..", "contains the results"),
+        ("train", "part of the results"),
+        ("evaluate/published", "part of the results"),
+        ("benchmarks", "part of the results"),
+        ("criticise", "part of the results"),
+    ],
+)
+@pytest.mark.parametrize("partial", [False, True])
+def test_nothing_is_published_in_the_place_of_results(run, tmp_path, place, why, partial):
+    """Not even where a stage has not run yet, or where somebody has put an index."""
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    shutil.rmtree(results / "criticise")
+    for folder in (tmp_path, results, results / "train"):
+        (folder / INDEX).write_text('{"files": {}}')
+    before = _contents(tmp_path)
+    with pytest.raises(BadInput, match=why):
+        publish(CONFIG, results, results / place, partial)
+    assert _contents(tmp_path) == before
+    assert publish(CONFIG, results, results / "published" / "paper")["files"]
+
+
 def test_a_folder_without_a_run_is_refused(tmp_path):
     for partial in (False, True):
         with pytest.raises(BadInput, match="nothing of a run in it"):

@@ -23,13 +23,16 @@ from slipstitch.provenance import (
     start_clock,
 )
 from slipstitch.provenance.record import write_json
-from slipstitch.report.results import Results
+from slipstitch.provenance.reading import SIDECAR_SUFFIX, read_json
+from slipstitch.report.results import STAGES, Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.convergence import measured_convergence
 from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import read_benchmark
 
 INDEX = "published.json"
+# What the workflow keeps below the results beside its stages.
+_KEPT = (*STAGES, "ablate", "captures", "benchmarks", "logs")
 _PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
 # Beside what a finished run must have; there if the target `captures` was run.
 _OPTIONAL = {
@@ -74,7 +77,9 @@ def publish(
     ----------
     config : Config
         What the results were made with.
-    results, out : path
+    results : path
+    out : path
+        Absent, empty, or a folder that was published before and is replaced.
     partial : bool
         Publish an unfinished run, with what it lacks said at the head of every page.
 
@@ -87,11 +92,12 @@ def publish(
     Raises
     ------
     BadInput
-        If the run is not finished, without `partial`; if there is nothing of it; if a file is
-        damaged.
+        If `out` holds anything else, or results; if the run is not finished, without `partial`; if
+        there is nothing of it; if a file is damaged.
     """
     started = start_clock()
     found = Results(results, config)
+    _check_target(Path(out), found.folder)
     wanted = finished_files(config)
     missing = sorted(name for name in wanted if not (found.folder / name).is_file())
     if len(missing) == len(wanted):
@@ -144,6 +150,27 @@ def publish(
         }
         write_json(folder / INDEX, index, record)
     return index
+
+
+def _check_target(out: Path, results: Path) -> None:
+    """Refuse a folder in whose place something would be lost."""
+    place, kept = out.resolve(), results.resolve()
+    if kept.is_relative_to(place):
+        raise BadInput(f"{out}: contains the results {results}; choose another folder")
+    if place.is_relative_to(kept) and (stage := place.relative_to(kept).parts[0]) in _KEPT:
+        raise BadInput(f"{out}: lies in {results / stage}, part of the results; choose another one")
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise BadInput(f"{out}: exists and is not a folder; choose another one")
+    if not out.is_dir() or not any(out.iterdir()):
+        return
+    index = read_json(out / INDEX) if (out / INDEX).is_file() else None
+    listed = index.get("files") if isinstance(index, dict) else None
+    if not isinstance(listed, dict):
+        raise BadInput(f"{out}: exists and holds no published run ({INDEX}); choose another folder")
+    own = {INDEX, INDEX + SIDECAR_SUFFIX, *listed}
+    there = {path.relative_to(out).as_posix() for path in out.rglob("*") if not path.is_dir()}
+    if others := sorted(there - own):
+        raise BadInput(f"{out}: also holds {others[0]}, which {INDEX} does not list; move it first")
 
 
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
