@@ -12,7 +12,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import file_digest, read_provenance, write_sidecar
+from slipstitch.provenance import file_digest, read_provenance, write_json, write_sidecar
 from slipstitch.publish.publishing import INDEX, finished_files, publish
 from slipstitch.report.page import write_report
 from slipstitch.sample.manifest import read_manifest
@@ -23,7 +23,7 @@ CONFIG = synthetic_results.config()
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Every file that a finished run has; weights that are none."""
+    """Every file that a finished run has; weights that are text, with cards and records."""
     folder = tmp_path_factory.mktemp("results")
     with contextlib.chdir(folder.parent):  # records name files by their path from there
         synthetic_results.write_all(CONFIG, folder)
@@ -34,11 +34,21 @@ def run(tmp_path_factory):
             )
     write_report(CONFIG, folder, folder / "report" / "index.html")
     for name in finished_files(CONFIG):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not path.exists():
-            path.write_text(f"{name}\n")
+        if name.endswith(".safetensors"):
+            train(folder / name)
     return folder
+
+
+def train(weights, content=None):
+    """Weights with their card, curve and records."""
+    weights.parent.mkdir(parents=True, exist_ok=True)
+    weights.write_text(content or f"{weights}\n")
+    card, history = weights.with_suffix(".json"), weights.with_name("history.csv")
+    write_json(card, {"weights_sha256": file_digest(weights)})
+    if not history.exists():
+        history.write_text("epoch\n")
+    for path in (weights, card, history):
+        write_sidecar(path, {"stage": "train"})
 
 
 def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
@@ -119,6 +129,55 @@ def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tm
         assert "evaluate/details.json lacking" in body
     index = json.loads((tmp_path / "out" / INDEX).read_text())
     assert index["partial"] and index["missing"] == ["evaluate/details.json"]
+
+
+WEIGHTS = "train/by_video/friction_conditional/seed0/model.safetensors"
+CARD = WEIGHTS.replace(".safetensors", ".json")
+
+
+def _with_another_byte(path):
+    content = bytearray(path.read_bytes())
+    content[-2] ^= 1
+    path.write_bytes(content)
+
+
+def _without_record(path, content):
+    path.with_name(f"{path.name}.provenance.json").unlink(missing_ok=True)
+    path.write_bytes(content)
+
+
+def _empty(path):
+    _without_record(path, b"{}")
+
+
+def _text(path):
+    _without_record(path, b"no weights\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "why"),
+    [
+        (WEIGHTS, _with_another_byte, "does not match its record"),
+        (WEIGHTS, _text, "not the weights that its card model.json describes"),
+        (CARD, _with_another_byte, "does not match its record"),
+        (CARD, _text, "damaged or not a JSON file"),
+        (CARD, _empty, "must be a mapping, and not empty"),
+        (WEIGHTS.replace("model.safetensors", "history.csv"), _with_another_byte, "its record"),
+        ("evaluate/metrics.json", _empty, "must be a mapping, and not empty"),
+        ("evaluate/details.json", _empty, "must be a mapping, and not empty"),
+        ("evaluate/predictions.parquet", _with_another_byte, "not a Parquet file"),
+        ("sample/manifest.parquet", _with_another_byte, "not a Parquet file"),
+        ("calibrate/calibration.json", _with_another_byte, "does not match its record"),
+        ("report/index.html", _with_another_byte, "does not match its record"),
+    ],
+)
+def test_a_damaged_file_is_not_published(run, tmp_path, name, damage, why):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    damage(results / name)
+    with pytest.raises(BadInput, match=why) as refused:
+        publish(CONFIG, results, tmp_path / "out")
+    assert name in str(refused.value) and not (tmp_path / "out").exists()
 
 
 def _contents(folder):

@@ -16,7 +16,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "YAML or JSON configuration that the results were made with")
     parser.add_argument("--results", default="results", help="folder of the results")
     parser.add_argument(
-        "--out-dir", type=output_folder, required=True, help="folder; new, empty, or published before: then replaced entirely"
+        "--out-dir",
+        type=output_folder,
+        required=True,
+        help="folder: new, empty, or published before and then replaced entirely",
     )
     parser.add_argument(
         "--partial",

@@ -4,6 +4,7 @@ from slipstitch.provenance.code import code_digest, code_sources
 from slipstitch.provenance.files import atomic_path, file_digest
 from slipstitch.provenance.reading import (
     check_image,
+    check_recorded,
     image_bytes,
     load_yaml,
     open_parquet,
@@ -31,6 +32,7 @@ __all__ = [
     "atomic_path",
     "attach_metadata",
     "check_image",
+    "check_recorded",
     "code_digest",
     "code_sources",
     "file_digest",

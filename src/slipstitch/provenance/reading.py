@@ -177,8 +177,19 @@ def record_beside(path: str | os.PathLike) -> dict[str, Any] | None:
         return record
 
 
+def check_recorded(path: str | os.PathLike) -> None:
+    """Refuse a file that is not what the record beside it was written for, if there is one.
+
+    Raises
+    ------
+    BadInput
+        Also if there is no such file.
+    """
+    with reading(path, "file"):
+        _check_digest(path, Path(path).read_bytes())
+
+
 def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
-    """Refuse content that is not what the record beside the file was written for, if one is."""
     noted = (record_beside(path) or {}).get("sha256")
     if noted is not None and noted != hashlib.sha256(raw).hexdigest():
         raise ValueError("its content does not match its record")

@@ -14,16 +14,19 @@ import pandas
 
 from slipstitch.config import Config
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.errors import BadInput
+from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
     atomic_path,
+    check_recorded,
     file_digest,
     provenance_record,
+    read_json,
+    read_parquet,
     read_provenance,
     start_clock,
 )
+from slipstitch.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.provenance.record import write_json
-from slipstitch.provenance.reading import SIDECAR_SUFFIX, read_json
 from slipstitch.report.results import STAGES, Results
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.convergence import measured_convergence
@@ -112,6 +115,8 @@ def publish(
         for name, to in {**wanted, **_PAGES, **_OPTIONAL}.items()
         if (found.folder / name).is_file()
     }
+    for name in there:
+        _check_file(found.folder / name)
     with atomic_path(out) as folder:
         for name, to in there.items():
             _copy(found.folder / name, folder / to, missing if name in _PAGES else [])
@@ -173,6 +178,26 @@ def _check_target(out: Path, results: Path) -> None:
         raise BadInput(f"{out}: also holds {others[0]}, which {INDEX} does not list; move it first")
 
 
+def _check_file(path: Path) -> None:
+    """Refuse a file that cannot be read, or is not what its record or its card describes."""
+    check_recorded(path)
+    if path.suffix == ".json":
+        _mapping(path)
+    elif path.suffix == ".parquet":
+        read_parquet(path)
+    elif path.suffix == ".safetensors":
+        card = _mapping(path.with_suffix(".json"))
+        if card.get("weights_sha256") != file_digest(path):
+            raise Damaged(path, f"not the weights that its card {path.stem}.json describes")
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    content = read_json(path)
+    if not isinstance(content, dict) or not content:
+        raise Damaged(path, "must be a mapping, and not empty")
+    return content
+
+
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
     """Artefact -> path and SHA-256 of what it was made from, from the files of images back.
 
@@ -193,7 +218,7 @@ def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
 def _copy(source: Path, to: Path, missing: list[str]) -> None:
     """Copy a file and its record; say at the head of a page what the run lacks."""
     to.parent.mkdir(parents=True, exist_ok=True)
-    record = source.with_name(f"{source.name}.provenance.json")
+    record = source.with_name(source.name + SIDECAR_SUFFIX)
     if missing:
         text = source.read_text(encoding="utf-8")
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
