@@ -107,6 +107,46 @@ def _swap_weights(folder):
     listed(folder)
 
 
+def _swap_model(folder):
+    """A model, with its card and records, for one that was not evaluated."""
+    for path in (folder / MODELS / "seed0").iterdir():
+        shutil.copy(folder / MODELS / "seed1" / path.name, path)
+    listed(folder)
+
+
+def _recorded(folder, name, change):
+    path = folder / f"{name}.provenance.json"
+    record = json.loads(path.read_text())
+    change(record["inputs"])
+    write_json(path, record)
+    listed(folder)
+
+
+def _model_without_scores(folder):
+    def change(inputs):
+        del inputs["results/instrument/by_simulation/seed0/instrument.safetensors"]
+
+    _recorded(folder, "metrics.json", change)
+
+
+def _other_dataset(folder):
+    def change(inputs):
+        inputs["results/sample/manifest.parquet"] = "0" * 64
+
+    _recorded(folder, "details.json", change)
+
+
+def _scores_without_record(folder):
+    (folder / "metrics.json.provenance.json").unlink()
+    listed(folder)
+
+
+def _predictions_of_another_run(folder):
+    other = PUBLISHED.with_name("paper") / "predictions.parquet"
+    shutil.copy(other, folder / "predictions.parquet")
+    listed(folder)
+
+
 def _no_training_record(folder):
     (folder / MODELS / "seed0/instrument.safetensors.provenance.json").unlink()
     listed(folder)
@@ -150,6 +190,11 @@ def _shard_without_origin(folder):
             "seed0/instrument.safetensors",
             "that their card describes",
         ),
+        (_swap_model, "broken chain", "metrics.json", "scores of another results/instrument"),
+        (_model_without_scores, "broken chain", "metrics.json", f"has no scores of {MODELS}/seed0"),
+        (_other_dataset, "broken chain", "details.json", "another results/sample/manifest.parquet"),
+        (_scores_without_record, "broken chain", "metrics.json", "has no record of what was"),
+        (_predictions_of_another_run, "broken chain", "predictions.parquet", "scores of another"),
         (_no_training_record, "broken chain", "seed0/instrument.safetensors", "has no record"),
         (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
         (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
@@ -164,6 +209,14 @@ def test_what_was_changed_is_named(folder, change, kind, where, what):
     assert told["verdict"] == "damaged"
     found = [(one["kind"], one["where"], one["what"]) for one in told["findings"]]
     assert any(k == kind and w.endswith(where) and what in why for k, w, why in found), found
+
+
+def test_a_model_may_lack_scores_where_the_index_says_so(folder):
+    _model_without_scores(folder)
+    index = json.loads((folder / INDEX).read_text())
+    index["missing"].append(f"scores of {MODELS}/seed0/instrument.safetensors")
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    assert audited(folder, 0)["findings"] == []
 
 
 def test_an_index_that_is_none_and_options_of_a_release_are_refused_in_one_line(folder, capsys):

@@ -5,14 +5,24 @@ import csv
 import json
 import shutil
 
+import pyarrow.parquet as pq
 import pytest
 from support import synthetic_results
 
+from slipstitch.audit.published import audit_published
+from slipstitch.audit.scored import SCORES
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import file_digest, read_provenance, write_json, write_sidecar
+from slipstitch.provenance import (
+    file_digest,
+    provenance_record,
+    read_provenance,
+    write_json,
+    write_parquet,
+    write_sidecar,
+)
 from slipstitch.publish.publishing import INDEX, finished_files, publish
 from slipstitch.report.page import write_report
 from slipstitch.sample.manifest import read_manifest
@@ -36,6 +46,7 @@ def run(tmp_path_factory):
     for name in finished_files(CONFIG):
         if name.endswith(".safetensors"):
             train(folder / name)
+    evaluate(folder)
     return folder
 
 
@@ -131,6 +142,20 @@ def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tm
     assert index["partial"] and index["missing"] == ["evaluate/details.json"]
 
 
+def evaluate(results, without=()):
+    """The records of an evaluation of all weights, or of all but some."""
+    weights = [path for path in results.rglob("*.safetensors") if path not in without]
+    with contextlib.chdir(results.parent):
+        names = [path.relative_to(results.parent) for path in weights]
+        record = provenance_record(
+            "evaluate", inputs=[*names, f"{results.name}/sample/manifest.parquet"]
+        )
+    for name in ("metrics.json", "details.json"):
+        write_sidecar(results / "evaluate" / name, record)
+    predictions = results / "evaluate" / "predictions.parquet"
+    write_parquet(pq.read_table(predictions), predictions, {}, record)
+
+
 WEIGHTS = "train/by_video/friction_conditional/seed0/model.safetensors"
 CARD = WEIGHTS.replace(".safetensors", ".json")
 
@@ -178,6 +203,55 @@ def test_a_damaged_file_is_not_published(run, tmp_path, name, damage, why):
     with pytest.raises(BadInput, match=why) as refused:
         publish(CONFIG, results, tmp_path / "out")
     assert name in str(refused.value) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", SCORES)
+@pytest.mark.parametrize(
+    "other",
+    [WEIGHTS, "instrument/by_video/seed0/instrument.safetensors", "sample/manifest.parquet"],
+)
+@pytest.mark.parametrize("partial", [False, True])
+def test_scores_of_another_model_or_dataset_are_refused(run, tmp_path, name, other, partial):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    if other.endswith(".parquet"):
+        table = pq.read_table(results / other)
+        write_parquet(table, results / other, {"made": "again"})
+    else:
+        train(results / other, "trained again")
+    evaluate(results)
+    for older in (run / "evaluate").glob(f"{name}*"):
+        shutil.copyfile(older, results / "evaluate" / older.name)
+    why = f"{name}: scores of another [^ ]*{other} than is there; run slipstitch evaluate again"
+    with pytest.raises(BadInput, match=why):
+        publish(CONFIG, results, tmp_path / "out", partial)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_scores_without_a_record_are_refused(run, tmp_path, name):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    path = results / "evaluate" / name
+    if name.endswith(".parquet"):
+        pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
+    else:
+        path.with_name(f"{name}.provenance.json").unlink()
+    with pytest.raises(BadInput, match=f"{name}: has no record of what was evaluated"):
+        publish(CONFIG, results, tmp_path / "out", partial=True)
+
+
+def test_models_trained_after_the_evaluation_are_refused_or_said_to_have_no_scores(run, tmp_path):
+    results, out = tmp_path / "results", tmp_path / "out"
+    shutil.copytree(run, results)
+    evaluate(results, without=[results / WEIGHTS])
+    with pytest.raises(BadInput, match=f"not include {WEIGHTS}; run slipstitch evaluate again"):
+        publish(CONFIG, results, out)
+    index = publish(CONFIG, results, out, partial=True)
+    said = f"scores of {WEIGHTS.replace('train/', 'models/')}"
+    assert index["partial"] and index["missing"] == [said]
+    assert f"{said} lacking" in (out / "index.html").read_text()
+    assert not {one.where for one in audit_published(out).findings} & set(SCORES)
 
 
 def _contents(folder):

@@ -8,6 +8,7 @@ from typing import Any
 from slipstitch.audit.admission import check_entries, limited_memory
 from slipstitch.audit.audit_page import printable
 from slipstitch.audit.findings import Finding, Kind, sorted_findings
+from slipstitch.audit.scored import SCORES, SCORES_OF, and_more, compare
 from slipstitch.errors import BadInput, first_line
 from slipstitch.measure import SHIPPED
 from slipstitch.provenance import file_digest, read_json, read_metadata
@@ -108,6 +109,8 @@ class _Published:
         index = _mapping(read_json(folder / INDEX))
         self.name = str(index.get("name"))
         self.listed = _mapping(index.get("files"))
+        missing = index.get("missing")
+        self.missing = [str(name) for name in missing] if isinstance(missing, list) else []
         own = (INDEX, INDEX + SIDECAR_SUFFIX)
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         names = [path.relative_to(folder).as_posix() for path in paths]
@@ -117,6 +120,7 @@ class _Published:
 
     def audit(self) -> PublishedAudit:
         self.check_files()
+        self.check_scores()
         shards = self.check_dataset()
         lineage = {name: _mapping(inputs) for name, inputs in self.json(_LINEAGE).items()}
         chains = [
@@ -157,6 +161,32 @@ class _Published:
             of = name.removesuffix(SIDECAR_SUFFIX)
             if self.json(name).get("sha256") != self.digests.get(of):
                 self.find(Kind.BROKEN, of, "not the file that its record was written for")
+
+    def record(self, name: str) -> dict[str, Any]:
+        """Provenance of a published file; empty where it has none that can be read."""
+        if not name.endswith(".parquet"):
+            return self.json(name + SIDECAR_SUFFIX)
+        try:
+            return _mapping(read_metadata(self.folder / name).get("provenance"))
+        except (BadInput, ValueError) as problem:
+            self.find(Kind.BROKEN, name, first_line(problem))
+            return {}
+
+    def check_scores(self) -> None:
+        """Whether the scores are of the published models and dataset."""
+        for name in SCORES:
+            if name not in self.digests:
+                continue
+            record = self.record(name)
+            if not record:
+                self.find(Kind.BROKEN, name, "has no record of what was evaluated")
+                continue
+            others, unscored = compare(record, self.digests)
+            if others:
+                what = f"scores of another {and_more(others)} than the published"
+                self.find(Kind.BROKEN, name, what)
+            if unsaid := [one for one in unscored if SCORES_OF + one not in self.missing]:
+                self.find(Kind.BROKEN, name, f"has no scores of {and_more(unsaid)}")
 
     def check_dataset(self) -> dict[str, str]:
         """Digest of each file of images, by its name, as three files agree on it."""
@@ -199,8 +229,7 @@ class _Published:
             if digest != known:
                 others.append(name)
         if others:
-            more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-            what = f"trained on another {others[0]}{more} than the published"
+            what = f"trained on another {and_more(others)} than the published"
             self.find(Kind.BROKEN, weights, what)
         if card.get("dataset_digest") != self.json(_DIGESTS).get("digest"):
             self.find(Kind.BROKEN, weights, "trained on another dataset than the published one")

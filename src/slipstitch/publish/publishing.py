@@ -5,13 +5,14 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas
 
+from slipstitch.audit.scored import SCORES, SCORES_OF, and_more, compare
 from slipstitch.config import Config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
@@ -34,6 +35,8 @@ from slipstitch.simulate.trajectory import read_trajectory
 from slipstitch.status.state import read_benchmark
 
 INDEX = "published.json"
+# In the folder of the results, as records call files elsewhere by their names alone.
+_AGAIN = "run slipstitch evaluate again, in the folder that contains the results"
 # What the workflow keeps below the results beside its stages.
 _KEPT = (*STAGES, "ablate", "captures", "benchmarks", "logs")
 _PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
@@ -84,7 +87,8 @@ def publish(
     out : path
         Absent, empty, or a folder that was published before and is replaced.
     partial : bool
-        Publish an unfinished run, with what it lacks said at the head of every page.
+        Publish an unfinished run, with what it lacks said at the head of every page: files, and
+        scores of models that were trained after the evaluation.
 
     Returns
     -------
@@ -96,7 +100,8 @@ def publish(
     ------
     BadInput
         If `out` holds anything else, or results; if the run is not finished, without `partial`; if
-        there is nothing of it; if a file is damaged.
+        there is nothing of it; if a file is damaged; if the scores are of other models or of
+        another dataset.
     """
     started = start_clock()
     found = Results(results, config)
@@ -117,6 +122,13 @@ def publish(
     }
     for name in there:
         _check_file(found.folder / name)
+    unscored = _unscored(found.folder, there)
+    if unscored and not partial:
+        raise BadInput(
+            f"{results}: the scores do not include {and_more(unscored)}; {_AGAIN}, or "
+            "publish with --partial, which says so on every page"
+        )
+    missing += [SCORES_OF + there[name] for name in unscored]
     with atomic_path(out) as folder:
         for name, to in there.items():
             _copy(found.folder / name, folder / to, missing if name in _PAGES else [])
@@ -191,6 +203,24 @@ def _check_file(path: Path) -> None:
             raise Damaged(path, f"not the weights that its card {path.stem}.json describes")
 
 
+def _unscored(results: Path, there: Mapping[str, str]) -> list[str]:
+    """Models that the scores do not include; BadInput if these are of what is not there."""
+    digests = {name: file_digest(results / name) for name in there}
+    found: set[str] = set()
+    for path in [results / "evaluate" / name for name in SCORES]:
+        if not path.is_file():
+            continue
+        try:
+            record = read_provenance(path)
+        except FileNotFoundError:
+            raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
+        others, unscored = compare(record, digests)
+        if others:
+            raise BadInput(f"{path}: scores of another {and_more(others)} than is there; {_AGAIN}")
+        found.update(unscored)
+    return sorted(found)
+
+
 def _mapping(path: Path) -> dict[str, Any]:
     content = read_json(path)
     if not isinstance(content, dict) or not content:
@@ -221,10 +251,9 @@ def _copy(source: Path, to: Path, missing: list[str]) -> None:
     record = source.with_name(source.name + SIDECAR_SUFFIX)
     if missing:
         text = source.read_text(encoding="utf-8")
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         note = (
             '<p style="margin:0;padding:10px;background:#fff3cd;color:#000"><b>Partial.</b> This '
-            f"run is not finished: {missing[0]}{more} lacking.</p>"
+            f"run is not finished: {and_more(missing)} lacking.</p>"
         )
         page, count = re.subn(r"(<body[^>]*>)", rf"\1{note}", text, count=1)
         if not count:
