@@ -8,7 +8,7 @@ import pytest
 
 from slipstitch.audit.published import audit_published
 from slipstitch.cli.main import main
-from slipstitch.provenance import file_digest, write_json
+from slipstitch.provenance import file_digest, read_metadata, write_json
 from slipstitch.publish.publishing import INDEX
 
 PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
@@ -78,6 +78,43 @@ def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
     told = audited(listed(folder), 0)
     assert told["models"][0]["shards"] and not told["models"][0]["simulations"]
     assert "the chain ends at the files of images" in capsys.readouterr().out
+
+
+def notes_of(folder, start):
+    return [note for note in audited(folder, 0)["notes"] if note.startswith(start)]
+
+
+def test_what_the_run_lacks_is_said_and_no_damage(folder):
+    index = json.loads((folder / INDEX).read_text())
+    index["missing"] = ["report/index.html", "train/a", "train/b", "scores of models/a"]
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    assert notes_of(folder, "partial") == [
+        "partial: 3 files of the run are missing: report/index.html and 2 more",
+        "partial: missing are scores of models/a",
+    ]
+
+
+def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeypatch):
+    """Of published files, and of those that only origin.json tells of."""
+    (said,) = notes_of(folder, "made by the code of commit")
+    assert "9d3c2c34be3f (evaluate, instrument, publish)" in said
+    assert "3120c0138774 (simulate)" in said and "ece70d8f813c (calibrate)" in said
+
+    def recorded(stage, *_):
+        records = [json.loads(path.read_text()) for path in PUBLISHED.rglob("*.provenance.json")]
+        records += json.loads((PUBLISHED / "origin.json").read_text()).values()
+        records += [read_metadata(PUBLISHED / "dataset/manifest.parquet")["provenance"]]
+        return next(one["code_digest"] for one in records if one["stage"] == stage)
+
+    monkeypatch.setattr("slipstitch.audit.staleness.current_digest", recorded)
+    assert not notes_of(folder, "made by other code")
+    path = folder / "origin.json"
+    origin = json.loads(path.read_text())
+    origin["simulate/m00_f0000_r00.parquet"]["code_digest"] = "0" * 64
+    write_json(path, origin | {"other": [], "odd": {"stage": "../simulate"}})
+    assert notes_of(listed(folder), "made by other code") == [
+        "made by other code or libraries than those that audit: simulate"
+    ]
 
 
 def _lose(folder):

@@ -1,5 +1,6 @@
 """The audit of a published folder: its files, and its models back to their simulations."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,10 +10,12 @@ from slipstitch.audit.admission import check_entries, limited_memory
 from slipstitch.audit.audit_page import printable
 from slipstitch.audit.findings import Finding, Kind, sorted_findings
 from slipstitch.audit.scored import SCORES, SCORES_OF, and_more, compare
+from slipstitch.audit.staleness import other_code
 from slipstitch.errors import BadInput, first_line
 from slipstitch.measure import SHIPPED
 from slipstitch.provenance import file_digest, read_json, read_metadata
 from slipstitch.provenance.reading import SIDECAR_SUFFIX
+from slipstitch.release.records import Artefact
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 
 #: Of a folder that `slipstitch publish` wrote.
@@ -128,13 +131,9 @@ class _Published:
             for name in self.digests
             if name.startswith("models/") and name.endswith(".safetensors")
         ]
-        return PublishedAudit(
-            self.name,
-            len(self.digests),
-            sorted_findings(self.findings),
-            chains,
-            self.notes(chains, bool(lineage)),
-        )
+        notes = self.notes(bool(lineage))
+        findings = sorted_findings(self.findings)
+        return PublishedAudit(self.name, len(self.digests), findings, chains, notes)
 
     def find(self, kind: Kind, where: str, what: str) -> None:
         self.findings.append(Finding(kind, where, what))
@@ -258,22 +257,71 @@ class _Published:
                     self.find(Kind.BROKEN, _LINEAGE, f"has two digests of {name}")
         return found
 
-    def notes(self, chains: list[Chain], followed: bool) -> list[str]:
-        notes = [
+    def notes(self, followed: bool) -> list[str]:
+        notes = self.lacking()
+        notes += self.origin()
+        notes.append(
             "only the digests of images, renders and simulations are published: they were compared "
             "with each other, not with files"
-        ]
-        if chains and not followed:
-            notes.append(f"{_LINEAGE} is not published: the chain ends at the files of images")
-        records = {name: self.json(name) for name in self.digests if name.endswith(SIDECAR_SUFFIX)}
-        dirty = sorted({str(one.get("stage")) for one in records.values() if one.get("git_dirty")})
-        if dirty:
-            notes.append(f"made with uncommitted changes: {', '.join(dirty)}")
+        )
+        if not followed:
+            notes.append(
+                f"{_LINEAGE} is not published, so that the digests of the simulations are not: the "
+                "chain ends at the files of images"
+            )
         return notes
+
+    def lacking(self) -> list[str]:
+        """What of the run is not published, as the index says."""
+        files = [name for name in self.missing if not name.startswith(SCORES_OF)]
+        scores = [name for name in self.missing if name.startswith(SCORES_OF)]
+        notes = []
+        if files:
+            notes.append(f"partial: {len(files)} files of the run are missing: {and_more(files)}")
+        if scores:
+            notes.append(f"partial: missing are {and_more(scores)}")
+        return notes
+
+    def origin(self) -> list[str]:
+        """The commits that the stages ran with, and those whose code is another by now."""
+        commits: dict[str, set[str]] = defaultdict(set)
+        dirty, others = set(), set()
+        for record in self.records():
+            stage, commit = record.get("stage"), record.get("git_commit")
+            if not (isinstance(stage, str) and stage.isidentifier()):
+                continue
+            commits[commit[:12] if isinstance(commit, str) else "unknown"].add(stage)
+            if record.get("git_dirty"):
+                dirty.add(stage)
+            if "code_digest" in record and any(other_code(Artefact("", "", provenance=record))):
+                others.add(stage)
+        notes = []
+        if commits:
+            of_each = (f"{name} ({_list(stages)})" for name, stages in sorted(commits.items()))
+            notes.append(f"made by the code of commit {', '.join(of_each)}")
+        if dirty:
+            notes.append(f"made with uncommitted changes: {_list(dirty)}")
+        if others:
+            notes.append(f"made by other code or libraries than those that audit: {_list(others)}")
+        return notes
+
+    def records(self) -> list[dict[str, Any]]:
+        """Every record in the folder, and those of the stages whose files are not published."""
+        own = self.folder / (INDEX + SIDECAR_SUFFIX)
+        return [
+            *(self.json(name) for name in self.digests if name.endswith(SIDECAR_SUFFIX)),
+            *(self.record(name) for name in self.digests if name.endswith(".parquet")),
+            *map(_mapping, self.json("origin.json").values()),
+            _mapping(read_json(own)) if own.is_file() else {},
+        ]
 
 
 def _mapping(value: Any) -> dict[str, Any]:
     return dict(value) if isinstance(value, Mapping) else {}
+
+
+def _list(stages: set[str]) -> str:
+    return ", ".join(sorted(stages))
 
 
 def _by_file(record: Mapping[str, Any]) -> dict[str, str]:

@@ -42,7 +42,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     for path, artefact in contents.artefacts.items():
         if artefact.provenance is None or not is_ours(path):
             continue
-        for reason in _other_code(artefact):
+        for reason in other_code(artefact):
             touched[artefact.stage, reason].update(lineage.clips(path))
         if quoted_study(artefact) not in (None, study):
             reason = "it quotes the verdict of another convergence study than today's"
@@ -63,7 +63,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     ]
 
 
-def _other_code(artefact: Artefact) -> Iterator[str]:
+def other_code(artefact: Artefact) -> Iterator[str]:
     """Why today's code would make something else: its sources, or what they are installed with."""
     made_by, versions = artefact.record["code_digest"], artefact.versions
     if made_by == current_digest(artefact.stage):
