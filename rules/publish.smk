@@ -28,8 +28,16 @@ rule publish_folder:
         runtime=15,
     params:
         *settings("publish"),
-        captures=digest_if_there("results/captures/metrics.json"),
         study=digest_if_there(MEASURED),
+        optional=[
+            digest_if_there(f"results/{name}")
+            for name in (
+                "ablate/ablate.json",
+                "captures/index.html",
+                "captures/metrics.json",
+                "captures/predictions.parquet",
+            )
+        ],
         code=code_of("publish"),
         config=CONFIG_FILE,
     message:

@@ -3,7 +3,9 @@
 import contextlib
 import csv
 import json
+import re
 import shutil
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -23,7 +25,7 @@ from slipstitch.provenance import (
     write_parquet,
     write_sidecar,
 )
-from slipstitch.publish.publishing import INDEX, finished_files, publish
+from slipstitch.publish.publishing import INDEX, OPTIONAL, finished_files, publish
 from slipstitch.report.page import write_report
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
@@ -311,6 +313,13 @@ def test_nothing_is_published_in_the_place_of_results(run, tmp_path, place, why,
         publish(CONFIG, results, results / place, partial)
     assert _contents(tmp_path) == before
     assert publish(CONFIG, results, results / "published" / "paper")["files"]
+
+
+def test_the_workflow_publishes_again_when_an_optional_file_changes():
+    rule = (Path(__file__).parents[2] / "rules" / "publish.smk").read_text()
+    tracked = rule.partition("optional=[")[2].partition("]")[0]
+    assert "digest_if_there" in tracked
+    assert set(re.findall(r'"([a-z]+/[a-z.]+)"', tracked)) == set(OPTIONAL)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):

@@ -39,12 +39,14 @@ INDEX = "published.json"
 _AGAIN = "run slipstitch evaluate again, in the folder that contains the results"
 # What the workflow keeps below the results beside its stages.
 _KEPT = (*STAGES, "ablate", "captures", "benchmarks", "logs")
-_PAGES = {"report/index.html": "index.html", "captures/index.html": "captures/index.html"}
-# Beside what a finished run must have; there if the target `captures` was run.
-_OPTIONAL = {
-    name: name
-    for name in ("captures/metrics.json", "captures/predictions.parquet", "ablate/ablate.json")
-}
+_PAGES = ("report/index.html", "captures/index.html")
+#: Beside what a finished run must have; there if the target `ablate` or `captures` was run.
+OPTIONAL = (
+    "ablate/ablate.json",
+    "captures/index.html",
+    "captures/metrics.json",
+    "captures/predictions.parquet",
+)
 
 
 def finished_files(config: Config) -> dict[str, str]:
@@ -117,7 +119,7 @@ def publish(
         )
     there = {
         name: to
-        for name, to in {**wanted, **_PAGES, **_OPTIONAL}.items()
+        for name, to in {**wanted, **{name: name for name in OPTIONAL}}.items()
         if (found.folder / name).is_file()
     }
     for name in there:
