@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -320,16 +321,24 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
         viewpoints=["calibrated", "bench_1"],
         frames=6,
     )
+    trained = Path("instrument/by_simulation/seed0/instrument.safetensors")
+    left_over = tmp_path / "instrument/by_simulation/seed7" / trained.name
+    left_over.parent.mkdir()
+    left_over.write_text("of an earlier configuration")
     names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
-    metrics = write_evaluation(
-        EvaluateSettings(),
-        tmp_path / "sample",
-        None,
-        *names,
-        calibrated="calibrated",
-        instruments_folder=tmp_path / "instrument",
-    )
+    with contextlib.chdir(tmp_path):
+        metrics = write_evaluation(
+            EvaluateSettings(),
+            tmp_path / "sample",
+            None,
+            *names,
+            calibrated="calibrated",
+            instruments_folder=tmp_path / "instrument",
+            instrument_seeds=[0],
+        )
     assert set(metrics) == {"by_simulation"}
+    for name in names:
+        assert set(read_provenance(name)["inputs"]) == {"sample/manifest.parquet", str(trained)}
     instrument = content(names[2])["by_simulation"]["instrument"]
     rows = pq.read_table(names[1]).to_pylist()
     assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
