@@ -247,6 +247,10 @@ def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
     assert "text.mp4: a text file, not a video" in capsys.readouterr().err
 
 
+AT_THE_TRACK = {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation_m": [-0.15, 0, -0.07]}
+
+
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -256,6 +260,9 @@ def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "not a rotation matrix"),
         ({"distortion": {"k1": 0.1}}, "distortion must contain k1, k2, p1, p2, k3"),
         ({"translation_m": None}, "does not contain the position of the camera"),
+        (AT_THE_TRACK, "the camera is 0 m from the middle of the track; must be 0.1 to 100 m"),
+        ({"translation_m": [1e200, 1, 1]}, r"the camera is 1e\+200 m from the middle of the track"),
+        ({"translation_m": [1.7e308, 1.7e308, -1.7e308]}, "the camera is inf m from the middle"),
     ],
 )
 def test_a_damaged_camera_file_is_bad_input(work, tmp_path, change, message):

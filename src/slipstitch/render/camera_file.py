@@ -5,6 +5,7 @@ same pinhole (`slipstitch.render.rectification`).
 """
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import numpy as np
 
 from slipstitch.errors import BadInput
 from slipstitch.provenance import reading, write_json
-from slipstitch.render.camera import Camera
+from slipstitch.render.camera import AIM_M, Camera
 
 FORMAT = "slipstitch camera 1"
 CONVENTION = (
@@ -26,6 +27,8 @@ CONVENTION = (
 )
 #: Terms of the distortion in OpenCV's order.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+# From the middle of the track: at it no direction is defined, and a bench stands in a room.
+_NEAREST_M, _FARTHEST_M = 0.1, 100.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
     Raises
     ------
     BadInput
-        If the file is missing, no camera file, or does not say where the camera stands.
+        If the file is missing, no camera file, or does not say where the camera stands, or a place
+        that no camera of a bench has.
     """
     with reading(path, "JSON file"):
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -92,6 +96,13 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
         raise BadInput(f"{path}: distortion must contain {', '.join(DISTORTION)}")
     matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
     translation = _numbers(path, content, "translation_m", (3,))
+    # hypot, because the square of a large number would overflow
+    distance_m = math.hypot(*(rotation @ AIM_M + translation))
+    if not _NEAREST_M <= distance_m <= _FARTHEST_M:
+        raise BadInput(
+            f"{path}: translation_m: the camera is {distance_m:g} m from the middle of the track; "
+            f"must be {_NEAREST_M:g} to {_FARTHEST_M:g} m"
+        )
     camera = Camera(rotation, translation, matrix, int(size[0]), int(size[1]))
     ordered = {"distortion": [terms[name] for name in DISTORTION]}
     return LensCamera(camera, _numbers(path, ordered, "distortion", (5,)))
