@@ -64,7 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="measure even if the pose of the camera is outside the training range",
+        help="measure, with an alarm, even if the pose of the camera is outside the training range",
     )
     add_threads(parser, default=2)
 
@@ -126,4 +126,4 @@ def run(arguments: argparse.Namespace) -> int:
         print(known_of_example())
     if pair.refused:
         return BAD_INPUT_EXIT_CODE
-    return ALARM_EXIT_CODE if any(v.measurement.alarm for v in pair.videos) else 0
+    return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0

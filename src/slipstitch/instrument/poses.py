@@ -62,3 +62,11 @@ def outside(
         for name, (low, high) in ((name, tested[name]) for name in POSE)
         if not low - tolerance[name] <= pose[name] <= high + tolerance[name]
     ]
+
+
+def just_beyond(pose: Mapping[str, float], tested: Mapping[str, Sequence[float]]) -> str:
+    """What is to be said of a pose that only the tolerance admits; empty if the range holds it."""
+    beyond = outside(pose, tested, dict.fromkeys(POSE, 1e-3))
+    if not beyond or outside(pose, tested):
+        return ""
+    return f"just beyond the training range, within the tolerance: {'; '.join(beyond)}"

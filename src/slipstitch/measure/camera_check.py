@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.instrument import load_instrument
-from slipstitch.instrument.poses import in_words, outside
+from slipstitch.instrument.poses import in_words, just_beyond, outside
 from slipstitch.measure import SHIPPED
 from slipstitch.measure.measuring import schedule_of
 from slipstitch.page.figures import new_figure, styled
@@ -44,12 +44,7 @@ class CameraCheck:
         lines = [in_words(name, self.pose[name], self.tested[name]) for name in POSE]
         if self.outside:
             return lines + [f"OUTSIDE: {problem}" for problem in self.outside]
-        if beyond := outside(self.pose, self.tested, dict.fromkeys(POSE, 1e-3)):
-            return [
-                *lines,
-                f"just beyond the training range, within the tolerance: {'; '.join(beyond)}",
-            ]
-        return [*lines, "within the training range"]
+        return [*lines, just_beyond(self.pose, self.tested) or "within the training range"]
 
 
 def check_camera(

@@ -44,7 +44,7 @@ class MeasuredPair:
     @property
     def used(self) -> list[MeasuredVideo]:
         """Those without an alarm, which the combined value rests on."""
-        return [video for video in self.videos if not video.measurement.alarm]
+        return [video for video in self.videos if not video.alarm_reason]
 
     @cached_property
     def together(self) -> Repeats | None:
@@ -111,7 +111,7 @@ class MeasuredPair:
                     *(f"{end:.4f}" for end in measured.interval_90),
                     video.fabric[0],
                     f"{video.fabric[1]:.3f}",
-                    measured.alarm_reason,
+                    video.alarm_reason,
                     int(video.name in self.outliers),
                     "; ".join(video.notes),
                 ]

@@ -59,7 +59,7 @@ def page(result: MeasuredVideo) -> str:
         without_error_bar=result.without_error_bar,
         notes=result.notes,
         materials=materials,
-        alarm=measured.alarm_reason if measured.alarm else None,
+        alarm=result.alarm_reason,
         frames=frames,
         decisive=[frame["time"] for frame in frames if frame["decisive"]],
         distribution=_distribution(result),

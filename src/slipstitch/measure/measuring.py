@@ -15,7 +15,7 @@ from slipstitch.capture.videos import StageVideo, read_stage_video
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.instrument import Instrument, Measurement, load_instrument
-from slipstitch.instrument.poses import outside
+from slipstitch.instrument.poses import just_beyond, outside
 from slipstitch.measure import SHIPPED
 from slipstitch.provenance import file_digest
 from slipstitch.render.bench_camera import relative_pose
@@ -24,6 +24,7 @@ from slipstitch.render.pose import POSE
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
+_OUTSIDE = "the pose of the camera is outside the training range of the instrument"
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class MeasuredVideo:
         Why the interval is the whole grid; empty where it is not.
     caveats : tuple of str
         What an error bar of the instrument does not cover.
+    outside : tuple of str
+        Where the camera's pose is outside the training range, in words.
     points_px : ndarray, shape (frames, points, 2), optional
         Where the instrument sees points of the cloth in the frames, if it learnt to.
     """
@@ -58,12 +61,19 @@ class MeasuredVideo:
     stage_path: StagePath
     without_error_bar: str = ""
     caveats: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
     points_px: np.ndarray | None = None
 
     @property
     def notes(self) -> list[str]:
         """What is to be known of the video and of the instrument."""
         return [*self.video.notes, *self.caveats]
+
+    @property
+    def alarm_reason(self) -> str:
+        """Why the numbers are not reliable: the images, the camera's pose; empty without alarm."""
+        pose = f"{_OUTSIDE}: {'; '.join(self.outside)}" if self.outside else ""
+        return "; ".join(filter(None, (self.measurement.alarm_reason, pose)))
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -82,8 +92,8 @@ class MeasuredVideo:
             f"most similar fabric {fabric} ({100 * share:.0f} %)",
         ]
         lines += [f"note: {note}" for note in self.notes]
-        if measured.alarm:
-            lines.append(f"ALARM: {measured.alarm_reason}: these numbers are not reliable")
+        if self.alarm_reason:
+            lines.append(f"ALARM: {self.alarm_reason}: these numbers are not reliable")
         else:
             lines.append("no alarm")
         return lines
@@ -98,8 +108,9 @@ class MeasuredVideo:
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
             "material_probabilities": measured.material_probabilities,
-            "alarm": bool(measured.alarm),
-            "alarm_reason": measured.alarm_reason,
+            "alarm": bool(self.alarm_reason),
+            "alarm_reason": self.alarm_reason,
+            "alarm_of_images": bool(measured.alarm),
             "frame_time_s": video.time_s.tolist(),
             "moments": np.asarray(measured.attention_weights).tolist(),
             "stage_start_s": video.start.time_s,
@@ -123,23 +134,33 @@ class MeasuringBench:
     config_path : path
         The configuration that told which frames to take.
     schedule : Schedule
-    outside : tuple of str
-        Where the camera's pose lies beyond what the instrument was tried with, in words.
     """
 
     lens: LensCamera
     instrument: Instrument
     config_path: Path
     schedule: Schedule
-    outside: tuple[str, ...] = ()
+
+    @property
+    def pose_range(self) -> dict[str, list[float]] | None:
+        """Least and largest of each number of the training poses, if the instrument knows them."""
+        return self.instrument.card.get("pose_range")
+
+    @property
+    def pose(self) -> dict[str, float]:
+        """Pose of the camera relative to the calibrated viewpoint."""
+        return relative_pose(*self.lens.pose, self.schedule.pose)
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Where the camera's pose is outside the training range, in words."""
+        return tuple(outside(self.pose, self.pose_range)) if self.pose_range else ()
 
     @property
     def caveats(self) -> tuple[str, ...]:
         """What an error bar does not cover here."""
-        beyond = (
-            f"outside the tested range: {what}: the interval does not hold" for what in self.outside
-        )
-        return (*self.instrument.caveats, *beyond)
+        beyond = just_beyond(self.pose, self.pose_range) if self.pose_range else ""
+        return (*self.instrument.caveats, *filter(None, [beyond]))
 
     def measure(
         self,
@@ -167,7 +188,7 @@ class MeasuringBench:
             self.schedule,
             start_s=start_s,
             frame_rate_hz=frame_rate_hz,
-            note_far_view="pose_range" not in self.instrument.card,
+            note_far_view=self.pose_range is None,
         )
         pose = np.array([video.pose[name] for name in POSE])
         measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
@@ -181,6 +202,7 @@ class MeasuringBench:
             self.schedule.path,
             self.instrument.without_error_bar,
             self.caveats,
+            self.outside,
             self._points_px(video, measured),
         )
 
@@ -217,7 +239,7 @@ def measuring_bench(
         What the instrument was trained with; by default the nearest ``config.json`` above it.
     threads : int
     force : bool
-        Measure although the camera stands where the instrument was never tried.
+        Measure although the camera stands where the instrument was never tried; with an alarm.
 
     Raises
     ------
@@ -228,17 +250,16 @@ def measuring_bench(
     model = model or SHIPPED
     instrument = load_instrument(model)
     config_path, schedule = schedule_of(instrument, model, config)
-    tested = instrument.card.get("pose_range")
-    strange = outside(relative_pose(*lens.pose, schedule.pose), tested) if tested else []
-    if strange and not force:
+    bench = MeasuringBench(lens, instrument, config_path, schedule)
+    if bench.outside and not force:
         raise BadInput(
-            f"{camera}: the pose of the camera is outside the training range of the instrument: "
-            f"{'; '.join(strange)}; see `slipstitch capture check`; --force measures anyway"
+            f"{camera}: {_OUTSIDE}: {'; '.join(bench.outside)}; see `slipstitch capture check`; "
+            "--force measures anyway, with an alarm"
         )
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
     torch.set_num_threads(threads)
-    return MeasuringBench(lens, instrument, config_path, schedule, tuple(strange))
+    return bench
 
 
 def schedule_of(

@@ -31,7 +31,7 @@ def page(pair: "MeasuredPair") -> str:
                 "mu": number(video.measurement.friction_coefficient),
                 "interval": video.without_error_bar or span(video.measurement.interval_90),
                 "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
-                "alarm": video.measurement.alarm_reason,
+                "alarm": video.alarm_reason,
                 "outlier": video.name in pair.outliers,
                 "notes": video.notes,
                 "frames": decisive_frames(video),
@@ -54,7 +54,7 @@ def _figure(pair: "MeasuredPair"):
     axes = figure.subplots()
     for row, video in enumerate(pair.videos):
         measured = video.measurement
-        stray = measured.alarm or video.name in pair.outliers
+        stray = video.alarm_reason or video.name in pair.outliers
         axes.plot(measured.interval_90, [row, row], color=VERMILION if stray else SOFT, lw=2)
         axes.plot(measured.friction_coefficient, row, "o", color=VERMILION if stray else INK, ms=5)
     if pair.together:
