@@ -1,5 +1,6 @@
 """``slipstitch capture check`` and ``measure``: cameras outside the poses of the training."""
 
+import cv2
 import numpy as np
 import pytest
 from support import analytic_stage as stage
@@ -11,6 +12,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.measuring import save_instrument
 from slipstitch.instrument.poses import outside, pose_range, poses_of
+from slipstitch.measure.camera_check import check_camera, check_figure
 from slipstitch.measure.measuring import measuring_bench
 from slipstitch.render.camera import pose
 
@@ -38,6 +40,13 @@ def bench(tmp_path_factory):
         ("far", Viewpoint(40.0, 24.0, 2.4)),
     ):
         stage.camera_file(stage.lens_camera(*pose(viewpoint)), folder / f"{name}.json")
+    rotation, translation_m = pose(Viewpoint(40.0, 24.0, 1.4))
+    turn, _ = cv2.Rodrigues(np.array([0.0, np.pi, 0.0]))
+    panned = stage.lens_camera(turn @ rotation, turn @ translation_m)
+    stage.camera_file(panned, folder / "panned_away.json")
+    stage.camera_file(
+        stage.lens_camera(rotation, translation_m, focal_px=5000.0), folder / "long_focus.json"
+    )
     return folder
 
 
@@ -50,6 +59,7 @@ def test_a_camera_inside_the_family_is_told_so(bench, capsys):
     assert check(bench, "inside", "--picture", str(bench / "check.png")) == 0
     said = capsys.readouterr().out
     assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
+    assert "sees 100 % of the crop, at the worst time of the protocol" in said
     assert "OUTSIDE" not in said
     assert (bench / "check.png").stat().st_size > 10_000
 
@@ -89,6 +99,39 @@ def test_a_camera_outside_is_named_and_not_measured_with(bench, capsys, name, pr
     assert problem in said and "--force measures anyway" in said
     assert main(["measure", str(bench / "no.mp4"), *words, "--force"]) == 2
     assert "no.mp4: no such file" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("name", "seen"), [("panned_away", 0), ("long_focus", 6)])
+def test_a_camera_that_does_not_see_the_track_is_told_so_before_any_film_is_read(
+    bench, capsys, name, seen
+):
+    problem = f"the camera sees only {seen} % of the crop; at least 80 % needed"
+    assert check(bench, name) == 3
+    told = capsys.readouterr().out
+    assert "OUTSIDE" in told and problem in told
+    assert f"sees {seen} % of the crop, at the worst time of the protocol" in told
+    words = ["--camera", str(bench / f"{name}.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words, "--force"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said and "no.mp4" not in said
+
+
+def test_the_picture_shows_the_range_the_tolerance_and_the_roll(bench):
+    figure = check_figure(check_camera(bench / "edge.json", bench / "instrument"))
+    above, aside, roll = figure.axes
+    for view in (above, aside):
+        trained, admitted = (
+            next(line for line in view.lines if line.get_label().startswith(name))
+            for name in ("training range", "tolerance")
+        )
+        assert admitted.get_linestyle() == "--"
+        assert np.ptp(admitted.get_xdata()) > np.ptp(trained.get_xdata())
+    assert [float(line.get_xdata()[0]) for line in roll.lines] == pytest.approx(
+        [-4, 4, 0], abs=1e-6
+    )
+    assert "just beyond the training range" in figure.get_suptitle()
 
 
 def test_the_range_is_that_of_the_videos():

@@ -1,6 +1,7 @@
 """From a video of the bench to the input frames of a network."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +15,7 @@ from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.mean_cloth import cloth_surface
-from slipstitch.render.rectification import rectify
+from slipstitch.render.rectification import fine_source_pixels, in_image, rectify
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -130,12 +131,8 @@ def read_stage_video(
         frames.append(picture[..., ::-1])
         inside.append(share)
         time_s.append(at_s)
-    if min(inside) < _LEAST_INSIDE:
-        worst = int(np.argmin(inside))
-        raise BadInput(
-            f"{path}: {time_s[worst]:.1f} s after the start the camera sees only "
-            f"{100 * inside[worst]:.0f} % of the crop; at least {100 * _LEAST_INSIDE:.0f} % needed"
-        )
+    if problem := seen_too_little(inside, time_s):
+        raise BadInput(f"{path}: {problem}")
     video = StageVideo(
         frames=np.stack(frames),
         time_s=np.array(time_s),
@@ -154,6 +151,36 @@ def read_stage_video(
             f"the camera is {video.view_angle_deg:.0f} degrees from the training viewpoint"
         )
     return video
+
+
+def seen_shares(lens: LensCamera, schedule: Schedule) -> np.ndarray:
+    """Share of each image of a schedule that a camera sees, shape (n,); needs no video."""
+    columns, rows = lens.camera.pixels, lens.camera.rows or lens.camera.pixels
+    shares = []
+    for time_s in map(float, schedule.time_s):
+        crop = schedule.crop(time_s)
+        place = fine_source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(time_s)))
+        shares.append(in_image(place, columns, rows).mean())
+    return np.array(shares)
+
+
+def seen_too_little(shares: Sequence[float] | np.ndarray, time_s: Sequence[float]) -> str:
+    """When a camera sees less of a crop than is needed, and how much; empty where it never does.
+
+    Parameters
+    ----------
+    shares : sequence of float, length n
+        Of each crop.
+    time_s : sequence of float, length n
+        From the start of the stage's motion.
+    """
+    worst = int(np.argmin(shares))
+    if shares[worst] >= _LEAST_INSIDE:
+        return ""
+    return (
+        f"{time_s[worst]:.1f} s after the start the camera sees only "
+        f"{100 * shares[worst]:.0f} % of the crop; at least {100 * _LEAST_INSIDE:.0f} % needed"
+    )
 
 
 def _check_size(recording: Recording, lens: LensCamera) -> None:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_instrument, output_path
 
-SUMMARY = "check whether the pose of a camera is in the training range of an instrument"
+SUMMARY = (
+    "check whether a camera sees the track, from a pose in the training range of an instrument"
+)
 EXAMPLE = (
     "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
     "--picture check.png"
@@ -30,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare, draw, print; exit code 3 if the camera stands outside."""
+    """Compare, draw, print; exit code 3 if the camera cannot be used."""
     from slipstitch.measure.camera_check import check_camera, check_figure
     from slipstitch.page.figures import save_figure
 

@@ -11,7 +11,7 @@ import torch
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
-from slipstitch.capture.videos import StageVideo, read_stage_video
+from slipstitch.capture.videos import StageVideo, read_stage_video, seen_shares, seen_too_little
 from slipstitch.config import load_config
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.instrument import Instrument, Measurement, load_instrument
@@ -244,7 +244,8 @@ def measuring_bench(
     Raises
     ------
     BadInput
-        If a file cannot be used, or the camera stands outside the poses of the training.
+        If a file cannot be used, or the camera stands outside the poses of the training, or does
+        not see the track.
     """
     lens = read_camera_file(camera)
     model = model or SHIPPED
@@ -256,6 +257,9 @@ def measuring_bench(
             f"{camera}: {_OUTSIDE}: {'; '.join(bench.outside)}; see `slipstitch capture check`; "
             "--force measures anyway, with an alarm"
         )
+    # Before any film is read: in one, such a camera would find no start of the stage's motion.
+    if problem := seen_too_little(seen_shares(lens, schedule), schedule.time_s):
+        raise BadInput(f"{camera}: {problem}; see `slipstitch capture check`")
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
     torch.set_num_threads(threads)

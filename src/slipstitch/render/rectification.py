@@ -118,8 +118,7 @@ def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndar
         Side of the crop.
     """
     rows, columns = image.shape[:2]
-    with np.errstate(invalid="ignore"):
-        inside = ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
+    inside = in_image(place, columns, rows)
     if not inside.any():
         return np.zeros((pixels, pixels, 3), np.uint8), 0.0
     # Only the part of the image that is used is turned into linear light.
@@ -132,6 +131,12 @@ def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndar
     light[~known] = 0
     light = cv2.resize(light, (pixels, pixels), interpolation=cv2.INTER_AREA)
     return encode_srgb(light), float(inside.mean())
+
+
+def in_image(place: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Whether an image has these pixels (..., 2), bool of shape (...); not where they are NaN."""
+    with np.errstate(invalid="ignore"):
+        return ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
 
 
 def _rays_per_side(lens: LensCamera, crop: Camera, surface: Surface) -> int:
