@@ -1,6 +1,8 @@
 """``slipstitch measure``: one video in, one line and one page out."""
 
+import csv
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,8 @@ from slipstitch.cli.main import main
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import save_instrument
+from slipstitch.instrument.alarm import Alarm
+from slipstitch.instrument.measuring import ErrorBars, save_instrument
 from slipstitch.measure.measurement_page import page
 from slipstitch.measure.measuring import measuring_bench
 from slipstitch.render.camera import pose
@@ -207,6 +210,37 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 3
     content = (tmp_path / "x.html").read_text()
     assert "No measurement" in content and content.count("data:image/png;base64,") == 10
+
+
+def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar(
+    bench, tmp_path, capsys
+):
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument.card["calibration_simulations"] = 4
+    width = 2 * settings.recurrent_units
+    parts = np.zeros((4, 6 * 144)), np.ones(4), np.zeros(width), np.eye(width)
+    calm = Alarm(np.zeros(6 * 144), *parts, np.zeros(4), np.ones(4), threshold=1e9)
+    bars = ErrorBars(1.0, 1.0, np.inf, calm)
+    save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
+    write_config(CONFIG, tmp_path / "config.json")
+    again = shutil.copy(bench / "video.mp4", tmp_path / "again.mp4")
+    files = [str(bench / "video.mp4"), str(again), "--camera", str(bench / "camera.json")]
+    out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
+    out += [f"--out={tmp_path / 'x.html'}", "--model", str(tmp_path / "model")]
+    assert main(["measure", *files, *out, "--threads", "1"]) == 0
+    why = "no error bar: calibrated on 4 simulations; 9 are needed"
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("combined (2 of 2 videos): friction 0.") and why in last
+    assert "interval" not in last
+    told = json.loads((tmp_path / "x.json").read_text())["combined"]
+    assert told["interval_90"] is None and told["without_error_bar"] == why
+    *rows, combined = csv.DictReader((tmp_path / "x.csv").read_text().splitlines())
+    for row in (*rows, combined):
+        assert (row["interval_90_low"], row["interval_90_high"], row["notes"]) == ("", "", why)
+    content = (tmp_path / "x.html").read_text()
+    assert f"N{why[1:]}, from 2 of 2 videos" in content
+    assert "0.000 … " not in content
 
 
 def test_a_stated_start_belongs_to_one_video(bench, capsys):

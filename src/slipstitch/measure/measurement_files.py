@@ -46,6 +46,11 @@ class MeasuredPair:
         """Those without an alarm, which the combined value rests on."""
         return [video for video in self.videos if not video.alarm_reason]
 
+    @property
+    def without_error_bar(self) -> str:
+        """Why the instrument states no interval; empty where it does."""
+        return self.videos[0].without_error_bar
+
     @cached_property
     def together(self) -> Repeats | None:
         """The combined result; None if every video raised its alarm."""
@@ -75,9 +80,10 @@ class MeasuredPair:
         if together is None:
             return [*lines, "ALARM in every video: no combined value"]
         low, high = together.interval_90
+        error_bar = self.without_error_bar or f"90 % interval {low:.3f} ... {high:.3f}"
         lines.append(
             f"combined ({len(self.used)} of {len(self.videos) + len(self.refused)} videos): "
-            f"friction {together.friction_coefficient:.3f}, 90 % interval {low:.3f} ... {high:.3f}"
+            f"friction {together.friction_coefficient:.3f}, {error_bar}"
         )
         return lines
 
@@ -90,7 +96,8 @@ class MeasuredPair:
             "combined": together
             and {
                 "friction_coefficient": together.friction_coefficient,
-                "interval_90": list(together.interval_90),
+                "interval_90": None if self.without_error_bar else list(together.interval_90),
+                "without_error_bar": self.without_error_bar,
                 "scatter": together.scatter if len(self.used) > 1 else None,
                 "videos": [video.name for video in self.used],
                 "outliers": self.outliers,
@@ -108,18 +115,29 @@ class MeasuredPair:
                 [
                     video.name,
                     f"{measured.friction_coefficient:.4f}",
-                    *(f"{end:.4f}" for end in measured.interval_90),
+                    *self._interval(measured.interval_90),
                     video.fabric[0],
                     f"{video.fabric[1]:.3f}",
                     video.alarm_reason,
                     int(video.name in self.outliers),
-                    "; ".join(video.notes),
+                    "; ".join(filter(None, [video.without_error_bar, *video.notes])),
                 ]
             )
         if together := self.together:
-            values = (together.friction_coefficient, *together.interval_90)
-            rows.writerow(["combined", *(f"{value:.4f}" for value in values), "", "", "", "", ""])
+            rows.writerow(
+                [
+                    "combined",
+                    f"{together.friction_coefficient:.4f}",
+                    *self._interval(together.interval_90),
+                    *[""] * 4,
+                    self.without_error_bar,
+                ]
+            )
         return text.getvalue()
+
+    def _interval(self, interval_90: tuple[float, float]) -> list[str]:
+        """Two cells; empty where the instrument has no error bar."""
+        return ["", ""] if self.without_error_bar else [f"{end:.4f}" for end in interval_90]
 
 
 def measure_to_files(

@@ -22,7 +22,8 @@ def page(pair: "MeasuredPair") -> str:
         _TEMPLATE,
         pair=pair,
         mu=number(together.friction_coefficient) if together else None,
-        interval=span(together.interval_90) if together else None,
+        error_bar=pair.without_error_bar
+        or (f"90 % interval {span(together.interval_90)}" if together else None),
         scatter=number(together.scatter) if together else None,
         figure=svg_element(_figure(pair), "Friction of each video with its interval"),
         rows=[
@@ -38,7 +39,7 @@ def page(pair: "MeasuredPair") -> str:
             }
             for video in pair.videos
         ],
-        instrument=pair.videos[0].instrument[:12] if pair.videos else "unknown",
+        instrument=pair.videos[0].instrument[:12],
     )
 
 
@@ -55,10 +56,12 @@ def _figure(pair: "MeasuredPair"):
     for row, video in enumerate(pair.videos):
         measured = video.measurement
         stray = video.alarm_reason or video.name in pair.outliers
-        axes.plot(measured.interval_90, [row, row], color=VERMILION if stray else SOFT, lw=2)
+        if not pair.without_error_bar:
+            axes.plot(measured.interval_90, [row, row], color=VERMILION if stray else SOFT, lw=2)
         axes.plot(measured.friction_coefficient, row, "o", color=VERMILION if stray else INK, ms=5)
     if pair.together:
-        axes.axvspan(*pair.together.interval_90, color=BLUE, alpha=0.18, lw=0)
+        if not pair.without_error_bar:
+            axes.axvspan(*pair.together.interval_90, color=BLUE, alpha=0.18, lw=0)
         axes.axvline(pair.together.friction_coefficient, color=BLUE, lw=1.5)
     axes.set_yticks(range(len(pair.videos)), [_short(video.name) for video in pair.videos])
     axes.invert_yaxis()
