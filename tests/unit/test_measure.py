@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.measuring import ErrorBars, save_instrument
+from slipstitch.measure.measurement_files import names_of
 from slipstitch.measure.measurement_page import page
 from slipstitch.measure.measuring import measuring_bench
 from slipstitch.render.camera import pose
@@ -190,7 +192,9 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     damaged = tmp_path / "damaged.mp4"
     _text(bench, damaged)
     missing = tmp_path / "missing.mp4"
-    files = [str(bench / "video.mp4"), str(bench / "video.mp4"), str(damaged), str(missing)]
+    (tmp_path / "again").mkdir()
+    again = shutil.copy(bench / "video.mp4", tmp_path / "again")
+    files = [str(bench / "video.mp4"), str(again), str(damaged), str(missing)]
     words = ["--camera", str(bench / "camera.json")]
     words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
     out = [
@@ -200,14 +204,24 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     ]
     assert main(["measure", *files, *words, *out]) == 2  # two could not be measured
     said = capsys.readouterr().out
-    assert said.count("video.mp4: friction ") == 2
+    # As much of each path as tells the films from one another.
+    assert f"\n{bench.name}/video.mp4: friction " in f"\n{said}"
+    assert "\nagain/video.mp4: friction " in said
     assert said.count("not measured: ") == 2 and "damaged.mp4: a text file" in said
     assert "missing.mp4" in said
     assert "ALARM in every video: no combined value" in said
     told = json.loads((tmp_path / "x.json").read_text())
     assert len(told["videos"]) == 2 and len(told["refused"]) == 2
     assert told["combined"] is None
-    assert len((tmp_path / "x.csv").read_text().splitlines()) == 3
+    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
+    assert [row["video"] for row in rows] == [
+        f"{bench.name}/video.mp4",
+        "again/video.mp4",
+        f"{tmp_path.name}/damaged.mp4",
+        f"{tmp_path.name}/missing.mp4",
+    ]
+    assert rows[2]["friction_coefficient"] == ""
+    assert rows[2]["notes"].startswith(f"not measured: {damaged}: a text file")
     content = (tmp_path / "x.html").read_text()
     assert "No measurement" in content and content.count("data:image/png;base64,") == 10
 
@@ -241,6 +255,29 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     content = (tmp_path / "x.html").read_text()
     assert f"N{why[1:]}, from 2 of 2 videos" in content
     assert "0.000 … " not in content
+
+
+def test_a_video_counts_once(bench, tmp_path, capsys):
+    other = tmp_path / "other.mp4"
+    other.symlink_to(bench / "video.mp4")
+    words = ["--camera", str(bench / "camera.json")]
+    words += ["--model", str(bench / "results/instrument/seed0")]
+    assert main(["measure", str(bench / "video.mp4"), str(other), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "other.mp4: given twice; each video counts once" in said
+
+
+@pytest.mark.parametrize(
+    ("videos", "names"),
+    [
+        (["day/film_1.mp4", "day/film_2.mp4"], ["film_1.mp4", "film_2.mp4"]),
+        (["a/film.mp4", "b/film.mp4", "c/film.mp4"], ["a/film.mp4", "b/film.mp4", "c/film.mp4"]),
+        (["a/1/film.mp4", "b/1/film.mp4"], ["a/1/film.mp4", "b/1/film.mp4"]),
+    ],
+)
+def test_films_are_named_by_what_tells_them_apart(videos, names):
+    assert names_of([Path(video) for video in videos]) == names
 
 
 def test_a_stated_start_belongs_to_one_video(bench, capsys):

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ COLUMNS = (
     "fabric_probability",
     "alarm",
     "outlier",
+    "scatter",
     "notes",
 )
 
@@ -34,17 +35,18 @@ class MeasuredPair:
     Attributes
     ----------
     videos : list of MeasuredVideo
-    refused : list of str
-        Why each of the other videos could not be measured.
+        At least one; no two have the same name.
+    refused : dict
+        Name of each of the other videos -> why it could not be measured.
     """
 
     videos: list[MeasuredVideo]
-    refused: list[str]
+    refused: dict[str, str]
 
-    @property
-    def used(self) -> list[MeasuredVideo]:
-        """Those without an alarm, which the combined value rests on."""
-        return [video for video in self.videos if not video.alarm_reason]
+    @cached_property
+    def used(self) -> list[int]:
+        """Which videos raised no alarm: the combined value rests on them."""
+        return [index for index, video in enumerate(self.videos) if not video.alarm_reason]
 
     @property
     def without_error_bar(self) -> str:
@@ -56,17 +58,20 @@ class MeasuredPair:
         """The combined result; None if every video raised its alarm."""
         if not self.used:
             return None
-        measured = [video.measurement for video in self.used]
+        measured = [self.videos[index].measurement for index in self.used]
         return combined(
             [each.friction_coefficient for each in measured],
             [each.interval_90 for each in measured],
         )
 
     @cached_property
-    def outliers(self) -> list[str]:
-        """Names of the videos that disagree with the others."""
-        together = self.together
-        return [self.used[number].name for number in together.outliers] if together else []
+    def outliers(self) -> list[int]:
+        """Which videos disagree with the others."""
+        return [self.used[number] for number in self.together.outliers] if self.together else []
+
+    def names(self, which: Sequence[int]) -> list[str]:
+        """Names of some videos."""
+        return [self.videos[index].name for index in which]
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
@@ -74,13 +79,17 @@ class MeasuredPair:
         for video in self.videos:
             first, *others = video.lines()
             lines += [f"{video.name}: {first}", *(f"  {other}" for other in others)]
-        lines += [f"not measured: {problem}" for problem in self.refused]
-        lines += [f"outlier: {name} disagrees with the others" for name in self.outliers]
+        lines += [f"not measured: {problem}" for problem in self.refused.values()]
+        lines += [
+            f"outlier: {name} disagrees with the others" for name in self.names(self.outliers)
+        ]
         together = self.together
         if together is None:
             return [*lines, "ALARM in every video: no combined value"]
         low, high = together.interval_90
         error_bar = self.without_error_bar or f"90 % interval {low:.3f} ... {high:.3f}"
+        if len(self.used) > 1:
+            error_bar += f"; standard deviation between the videos {together.scatter:.3f}"
         lines.append(
             f"combined ({len(self.used)} of {len(self.videos) + len(self.refused)} videos): "
             f"friction {together.friction_coefficient:.3f}, {error_bar}"
@@ -92,24 +101,24 @@ class MeasuredPair:
         together = self.together
         return {
             "videos": [video.numbers() for video in self.videos],
-            "refused": self.refused,
+            "refused": list(self.refused.values()),
             "combined": together
             and {
                 "friction_coefficient": together.friction_coefficient,
                 "interval_90": None if self.without_error_bar else list(together.interval_90),
                 "without_error_bar": self.without_error_bar,
                 "scatter": together.scatter if len(self.used) > 1 else None,
-                "videos": [video.name for video in self.used],
-                "outliers": self.outliers,
+                "videos": self.names(self.used),
+                "outliers": self.names(self.outliers),
             },
         }
 
     def table(self) -> str:
-        """CSV: one row per video, then the combined value."""
+        """CSV: one row per video, measured or not, then the combined value."""
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(COLUMNS)
-        for video in self.videos:
+        for index, video in enumerate(self.videos):
             measured = video.measurement
             rows.writerow(
                 [
@@ -119,10 +128,14 @@ class MeasuredPair:
                     video.fabric[0],
                     f"{video.fabric[1]:.3f}",
                     video.alarm_reason,
-                    int(video.name in self.outliers),
+                    int(index in self.outliers),
+                    "",
                     "; ".join(filter(None, [video.without_error_bar, *video.notes])),
                 ]
             )
+        rows.writerows(
+            [name, *[""] * 8, f"not measured: {problem}"] for name, problem in self.refused.items()
+        )
         if together := self.together:
             rows.writerow(
                 [
@@ -130,6 +143,7 @@ class MeasuredPair:
                     f"{together.friction_coefficient:.4f}",
                     *self._interval(together.interval_90),
                     *[""] * 4,
+                    f"{together.scatter:.4f}" if len(self.used) > 1 else "",
                     self.without_error_bar,
                 ]
             )
@@ -156,7 +170,7 @@ def measure_to_files(
     Parameters
     ----------
     videos : sequence of path
-        At least one. A single video has the page and the numbers of a single video.
+        At least one, each once. A single video has the page and the numbers of a single video.
     bench : MeasuringBench
     camera : path
         The camera file, for the record.
@@ -168,21 +182,24 @@ def measure_to_files(
     Raises
     ------
     BadInput
-        If no video could be measured: the first one's problem.
+        If a video is given twice, or none could be measured: the first one's problem.
     """
     started = start_clock()
     measured: list[MeasuredVideo] = []
-    refused: list[str] = []
-    for video in videos:
+    refused: dict[str, str] = {}
+    for name, video in zip(names_of(videos), videos, strict=True):
         try:
-            measured.append(bench.measure(video, start_s=start_s, frame_rate_hz=frame_rate_hz))
+            result = bench.measure(video, start_s=start_s, frame_rate_hz=frame_rate_hz)
         except BadInput as problem:
             if len(videos) == 1:
                 raise
-            refused.append(str(problem))
+            refused[name] = str(problem)
+        else:
+            measured.append(replace(result, name=name))
     pair = MeasuredPair(measured, refused)
     if not measured:
-        raise BadInput(f"none of {len(videos)} videos can be measured; the first: {refused[0]}")
+        first = next(iter(refused.values()))
+        raise BadInput(f"none of {len(videos)} videos can be measured; the first: {first}")
     if not (page_path or numbers_path or table_path):
         return pair
     read = [path for path in [*videos, camera, bench.config_path] if Path(path).is_file()]
@@ -197,3 +214,22 @@ def measure_to_files(
     if table_path:
         write_text(table_path, pair.table(), record)
     return pair
+
+
+def names_of(videos: Sequence[Path]) -> list[str]:
+    """As much of each path, from its end, as tells the videos from one another.
+
+    Raises
+    ------
+    BadInput
+        If a video is given twice.
+    """
+    files = [Path(video).resolve() for video in videos]
+    for index, file in enumerate(files):
+        if file in files[:index]:
+            raise BadInput(f"{videos[index]}: given twice; each video counts once")
+    parts = [Path(video).absolute().parts for video in videos]
+    length = 1
+    while len({part[-length:] for part in parts}) < len(parts):
+        length += 1
+    return [str(Path(*part[-length:])) for part in parts]

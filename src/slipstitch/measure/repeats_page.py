@@ -24,6 +24,7 @@ def page(pair: "MeasuredPair") -> str:
         mu=number(together.friction_coefficient) if together else None,
         error_bar=pair.without_error_bar
         or (f"90 % interval {span(together.interval_90)}" if together else None),
+        outliers=pair.names(pair.outliers),
         scatter=number(together.scatter) if together else None,
         figure=svg_element(_figure(pair), "Friction of each video with its interval"),
         rows=[
@@ -33,7 +34,6 @@ def page(pair: "MeasuredPair") -> str:
                 "interval": video.without_error_bar or span(video.measurement.interval_90),
                 "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
                 "alarm": video.alarm_reason,
-                "outlier": video.name in pair.outliers,
                 "notes": video.notes,
                 "frames": decisive_frames(video),
             }
@@ -55,7 +55,7 @@ def _figure(pair: "MeasuredPair"):
     axes = figure.subplots()
     for row, video in enumerate(pair.videos):
         measured = video.measurement
-        stray = video.alarm_reason or video.name in pair.outliers
+        stray = video.alarm_reason or row in pair.outliers
         if not pair.without_error_bar:
             axes.plot(measured.interval_90, [row, row], color=VERMILION if stray else SOFT, lw=2)
         axes.plot(measured.friction_coefficient, row, "o", color=VERMILION if stray else INK, ms=5)
@@ -63,7 +63,9 @@ def _figure(pair: "MeasuredPair"):
         if not pair.without_error_bar:
             axes.axvspan(*pair.together.interval_90, color=BLUE, alpha=0.18, lw=0)
         axes.axvline(pair.together.friction_coefficient, color=BLUE, lw=1.5)
-    axes.set_yticks(range(len(pair.videos)), [_short(video.name) for video in pair.videos])
+    names = [video.name for video in pair.videos]
+    short = [_short(name) for name in names]
+    axes.set_yticks(range(len(names)), short if len(set(short)) == len(names) else names)
     axes.invert_yaxis()
     axes.set_xlabel("friction coefficient")
     return figure
