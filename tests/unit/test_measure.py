@@ -162,7 +162,7 @@ def _portrait(bench, path):
     [
         (_text, "a text file, not a video"),
         (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
-        (_ten_frames, "no start of the stage's motion found"),
+        (_ten_frames, "if it does, give the start (--start-s, or start_s in a captures table)"),
         (
             _portrait,
             "240x320 pixels (portrait: the camera was calibrated in the other orientation)",

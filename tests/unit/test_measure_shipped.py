@@ -71,7 +71,8 @@ def test_it_is_what_its_configuration_trains():
 
 def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["measure", "--example", "--json", "numbers.json"]) == 0
+    words = ["--json", "numbers.json", "--out", "page.html"]
+    assert main(["measure", "--example", *words]) == 0
     said = capsys.readouterr().out
     assert "the example is simulated, not real" in said
     known = json.loads((EXAMPLE_FOLDER / "example.json").read_text())
@@ -79,6 +80,15 @@ def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, c
     low, high = told["interval_90"]
     assert low <= known["friction"] <= high
     assert not told["alarm"]
+    # The page says what this instrument knows: seven floors that reflect are among its floors.
+    page = (tmp_path / "page.html").read_text()
+    assert "° from the calibrated viewpoint<br>rotation about the vertical +2 degrees" in page
+    assert "roll +0.1 degrees (trained on -2.1 ... +2)" in page
+    config = load_config(SHIPPED / "config.json")
+    assert f"floors other than {', '.join(sorted(config.render.floors))};" in page
+    fabrics = load_instrument(SHIPPED).card["materials"]
+    assert f"fabrics other than {', '.join(sorted(fabrics))};" in page
+    assert "a reflective floor" not in page and "training viewpoint" not in page
 
 
 @pytest.mark.parametrize(

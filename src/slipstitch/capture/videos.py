@@ -30,6 +30,9 @@ _CERTAIN = 3.0
 _NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.004, 0.008
 # A shorter part of the drag does not tell a clock, and is not spoilt by a wrong one.
 _SHORTEST_DRAG_S = 15.0
+# How a user gives what cannot be found: to `measure`, and in the table of `capture ingest`.
+_GIVE_START = "--start-s, or start_s in a captures table"
+_GIVE_RATE = "--frame-rate-hz, or frame_rate_hz in a captures table"
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ def read_stage_video(
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
     if note_far_view and video.view_angle_deg > _FAR_VIEW_DEG:
         video.notes.append(
-            f"the camera is {video.view_angle_deg:.0f} degrees from the training viewpoint"
+            f"the camera is {video.view_angle_deg:.0f} degrees from the calibrated viewpoint"
         )
     return video
 
@@ -200,12 +203,12 @@ def _checked_start(path, start: StageStart | None) -> StageStart:
     if start is None:
         raise BadInput(
             f"{path}: no start of the stage's motion found: the cloth must hang still for 2 s, "
-            "then descend as in the protocol; if it does, give the start (start_s)"
+            f"then descend as in the protocol; if it does, give the start ({_GIVE_START})"
         )
     if not start.speed_is_right:
         raise BadInput(
             f"{path}: the stage descends {start.speed:.2f} times as fast as in the protocol; if "
-            "the frame rate is wrong, give the correct one (frame_rate_hz)"
+            f"the frame rate is wrong, give the correct one ({_GIVE_RATE})"
         )
     return start
 
@@ -219,7 +222,7 @@ def _checked_rate(path, time_base: TimeBase | None) -> float:
         raise BadInput(
             f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as "
             f"fast as in the protocol; at most {100 * _REFUSED_RATE:g} % deviation is allowed; "
-            "if the frame rate is wrong, give the correct one (--frame-rate-hz)"
+            f"if the frame rate is wrong, give the correct one ({_GIVE_RATE})"
         )
     worst_m = time_base.worst_offset_m()
     if worst_m > _REFUSED_OFFSET_M:

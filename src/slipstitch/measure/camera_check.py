@@ -10,7 +10,7 @@ from slipstitch.capture.videos import seen_shares, seen_too_little
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
 from slipstitch.measure import SHIPPED
-from slipstitch.measure.measuring import schedule_of
+from slipstitch.measure.measuring import trained_with
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.render.bench_camera import BenchCamera, relative_pose
@@ -80,7 +80,7 @@ def check_camera(
     lens = read_camera_file(camera)
     model = model or SHIPPED
     instrument = load_instrument(model)
-    _, schedule = schedule_of(instrument, model, config)
+    _, schedule, _ = trained_with(instrument, model, config)
     pose = relative_pose(*lens.pose, schedule.pose)
     tested = instrument.card.get("pose_range") or {name: [0.0, 0.0] for name in POSE}
     shares = seen_shares(lens, schedule)

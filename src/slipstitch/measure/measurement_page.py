@@ -5,12 +5,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from slipstitch.instrument.poses import in_words
 from slipstitch.measure.measuring import MeasuredVideo
 from slipstitch.page.figures import png_uri
 from slipstitch.page.palette import VERMILION
 from slipstitch.page.templates import render
 from slipstitch.page.wording import number, percent, span
 from slipstitch.render.encoding import encode_png
+from slipstitch.render.pose import POSE
 
 _TEMPLATE = Path(__file__).with_name("measurement.html.j2")
 _SIDE = 112  # pixels of a frame on the page
@@ -46,7 +48,7 @@ def decisive_frames(result: MeasuredVideo) -> list[dict]:
 
 def page(result: MeasuredVideo) -> str:
     """The page as HTML; it needs no other file."""
-    measured, video = result.measurement, result.video
+    measured, video, trained = result.measurement, result.video, result.pose_range
     weights = np.asarray(measured.attention_weights, dtype=float)
     frames = _frames(result)
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
@@ -67,6 +69,8 @@ def page(result: MeasuredVideo) -> str:
         start=video.start,
         video=video,
         instrument=result.instrument[:12],
+        poses=[in_words(one, video.pose[one], trained[one]) for one in POSE] if trained else [],
+        floors=result.floors,
         rings=result.points_px is not None,
     )
 

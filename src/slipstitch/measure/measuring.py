@@ -13,6 +13,7 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.videos import StageVideo, read_stage_video, seen_shares, seen_too_little
 from slipstitch.config import load_config
+from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.instrument import Instrument, Measurement, load_instrument
 from slipstitch.instrument.poses import just_beyond, outside
@@ -49,6 +50,10 @@ class MeasuredVideo:
         What an error bar of the instrument does not cover.
     outside : tuple of str
         Where the camera's pose is outside the training range, in words.
+    floors : tuple of str
+        Floors of the training.
+    pose_range : dict, optional
+        Least and largest of each number of the training poses.
     points_px : ndarray, shape (frames, points, 2), optional
         Where the instrument sees points of the cloth in the frames, if it learnt to.
     """
@@ -62,6 +67,8 @@ class MeasuredVideo:
     without_error_bar: str = ""
     caveats: tuple[str, ...] = ()
     outside: tuple[str, ...] = ()
+    floors: tuple[str, ...] = ()
+    pose_range: dict[str, list[float]] | None = None
     points_px: np.ndarray | None = None
 
     @property
@@ -134,12 +141,15 @@ class MeasuringBench:
     config_path : path
         The configuration that told which frames to take.
     schedule : Schedule
+    floors : tuple of str
+        Floors of the training.
     """
 
     lens: LensCamera
     instrument: Instrument
     config_path: Path
     schedule: Schedule
+    floors: tuple[str, ...]
 
     @property
     def pose_range(self) -> dict[str, list[float]] | None:
@@ -203,6 +213,8 @@ class MeasuringBench:
             self.instrument.without_error_bar,
             self.caveats,
             self.outside,
+            self.floors,
+            self.pose_range,
             self._points_px(video, measured),
         )
 
@@ -250,8 +262,8 @@ def measuring_bench(
     lens = read_camera_file(camera)
     model = model or SHIPPED
     instrument = load_instrument(model)
-    config_path, schedule = schedule_of(instrument, model, config)
-    bench = MeasuringBench(lens, instrument, config_path, schedule)
+    config_path, schedule, floors = trained_with(instrument, model, config)
+    bench = MeasuringBench(lens, instrument, config_path, schedule, floors)
     if bench.outside and not force:
         raise BadInput(
             f"{camera}: {_OUTSIDE}: {'; '.join(bench.outside)}; see `slipstitch capture check`; "
@@ -266,10 +278,10 @@ def measuring_bench(
     return bench
 
 
-def schedule_of(
+def trained_with(
     instrument: Instrument, model: str | os.PathLike, config: str | os.PathLike | None
-) -> tuple[Path, Schedule]:
-    """The configuration that an instrument was trained with, and the frames that it sees."""
+) -> tuple[Path, Schedule, tuple[str, ...]]:
+    """The configuration that an instrument was trained with, its frames and its floors."""
     config_path = _config_of(model, config)
     settings = load_config(config_path)
     frames, sampled = int(instrument.card["frames"]), settings.sample.frames
@@ -280,7 +292,11 @@ def schedule_of(
         )
     schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
-    return config_path, replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
+    schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
+    floors = list(settings.render.floors)
+    if instrument.card.get("split") == REFLECTIVE:
+        floors += settings.render.reflective_floors
+    return config_path, schedule, tuple(dict.fromkeys(floors))
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
