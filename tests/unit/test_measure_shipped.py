@@ -39,6 +39,13 @@ def test_its_card_and_its_list_of_digests_are_of_these_files():
     assert "shipped/*" in packaged["tool"]["setuptools"]["package-data"]["slipstitch.measure"]
 
 
+def test_an_audit_of_it_is_sent_to_the_folder_that_holds_its_chain(capsys):
+    assert main(["audit", str(SHIPPED)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "results/published/instrument of the repository: audit that folder" in said
+
+
 @pytest.mark.parametrize("name", ["config.json", "instrument.json", "instrument.safetensors"])
 def test_an_altered_one_is_refused_in_one_line(name, tmp_path, capsys):
     model = shutil.copytree(SHIPPED, tmp_path / "model")

@@ -105,6 +105,12 @@ NEEDED_COLUMNS = {
 }
 
 
+_OF_AN_INSTRUMENT = (
+    "; the chain from the instrument that comes with Slipstitch to its simulations is in "
+    "results/published/instrument of the repository: audit that folder"
+)
+
+
 def read_contents(folder: Path) -> Contents:
     """Read a release.
 
@@ -122,7 +128,8 @@ def read_contents(folder: Path) -> Contents:
     contents = Contents(folder, dict(read_sums(folder)))
     for name in (MANIFEST, RELEASE_RECORD, CONFIG):
         if name not in contents.sums:
-            raise BadInput(f"{folder}: not a release of Slipstitch: {SUMS} names no {name}")
+            hint = _OF_AN_INSTRUMENT if "instrument.safetensors" in contents.sums else ""
+            raise BadInput(f"{folder}: not a release of Slipstitch: {SUMS} names no {name}{hint}")
     _read(contents, MANIFEST, _read_manifest)
     _read(contents, RELEASE_RECORD, _read_release)
     _read(contents, CONFIG, _read_config)
