@@ -12,8 +12,14 @@ from slipstitch.catalogue import Viewpoint
 from slipstitch.cli.main import main
 from slipstitch.config.render import RenderSettings
 from slipstitch.provenance import read_metadata
-from slipstitch.render.bench_camera import BenchCamera, draw_bench_camera, relative_pose
-from slipstitch.render.camera import pose
+from slipstitch.render.bench_camera import (
+    BenchCamera,
+    bench_pixels,
+    draw_bench_camera,
+    relative_pose,
+)
+from slipstitch.render.camera import cloth_room, crop_to, pose
+from slipstitch.render.mean_cloth import lags_m
 from slipstitch.simulate.trajectory import Trajectory, write_trajectory
 
 BASE = pose(Viewpoint(40.0, 24.0, 1.4))
@@ -59,6 +65,46 @@ def test_cameras_fill_the_family_and_a_third_stands_as_calibrated():
     assert 14 < yaw.max() <= 15 and -15 <= yaw.min() < -14
     assert 7.5 < pitch.max() <= 8
     assert np.std([camera.position_error_m for camera in cameras]) == pytest.approx(1e-3, rel=0.1)
+    assert np.std([camera.rotation_error_deg for camera in cameras]) == pytest.approx(0.05, rel=0.1)
+    assert np.std([camera.focal_error for camera in cameras]) == pytest.approx(1e-3, rel=0.1)
+    late_s = [camera.start_error_s for camera in cameras]
+    assert -0.02 <= min(late_s) < -0.019 < 0.019 < max(late_s) <= 0.02
+
+
+ROOM_M = cloth_room(0.1, 0.15, 0.2, 0.2)
+SEEN = crop_to(BASE, ROOM_M, 64)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_camera_is_told_turned_by_its_error_of_rotation(axis):
+    error_deg = tuple(2.0 * np.eye(3)[axis])
+    told = BenchCamera(rotation_error_deg=error_deg).stated(SEEN)
+    turn, _ = cv2.Rodrigues(np.radians(error_deg))
+    # It is turned where it stands.
+    np.testing.assert_allclose(told.rotation, turn @ SEEN.rotation, atol=1e-12)
+    np.testing.assert_allclose(
+        told.rotation.T @ told.translation_m, SEEN.rotation.T @ SEEN.translation_m, atol=1e-12
+    )
+
+
+def test_a_camera_is_told_with_its_error_of_the_focal_length():
+    told = BenchCamera(focal_error=0.03).stated(SEEN)
+    middle = SEEN.matrix[:2, 2]
+    np.testing.assert_allclose(
+        told.project(ROOM_M) - middle, 1.03 * (SEEN.project(ROOM_M) - middle), atol=1e-9
+    )
+
+
+def test_a_start_found_too_late_takes_the_images_for_later_ones():
+    trajectory = Trajectory(**synthetic_cloth.motion(60))
+    late = BenchCamera(start_error_s=float(np.diff(trajectory.time_s)[0]))
+
+    def pixels(bench, row):
+        lags = lags_m(trajectory.stage_x_m, trajectory.stage_z_m, 0.2)
+        return bench_pixels(SEEN, bench, BASE, trajectory, lags, row, FAMILY, (0.2, 0.2))
+
+    np.testing.assert_allclose(pixels(late, 40), pixels(BenchCamera(), 41), atol=1e-4)
+    assert np.nanmax(np.abs(pixels(late, 40) - pixels(BenchCamera(), 40))) > 0.5
 
 
 def _decoded(png):
@@ -113,8 +159,20 @@ def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
     assert all(image.min() > 0 for image in turned.values())  # no blind part
 
 
-def test_a_wrong_calibration_shifts_the_image(shard):
-    _, exact = shard("bench_1", calibrated_share=1, **EXACT)
-    metadata, wrong = shard("bench_1", calibrated_share=1, **EXACT | {"position_error_m": 0.02})
+@pytest.fixture(scope="module")
+def exact(shard):
+    return shard("bench_1", calibrated_share=1, **EXACT)[1]
+
+
+@pytest.mark.parametrize(
+    ("error", "size", "drawn"),
+    [
+        ("position_error_m", 0.02, 0.003),
+        ("rotation_error_deg", 1.0, 0.1),
+        ("focal_error", 0.05, 0.005),
+    ],
+)
+def test_a_wrong_calibration_shifts_the_image(shard, exact, error, size, drawn):
+    metadata, wrong = shard("bench_1", calibrated_share=1, **EXACT | {error: size})
+    assert np.linalg.norm(metadata["camera"]["bench"][error]) > drawn
     assert _difference(exact, wrong) > 3
-    assert np.linalg.norm(metadata["camera"]["bench"]["position_error_m"]) > 0.003
