@@ -32,7 +32,7 @@ rule calibrate_sweep:
                 wildcards.swept, CONFIG.calibrate, CONFIG.simulation
             ).items()
         ],
-        code=code_of("calibrate"),
+        code=code_of("calibrate.sweep"),
         config=CONFIG_FILE,
     message:
         "Sweep {wildcards.swept} with the pushed strip"
@@ -55,7 +55,7 @@ rule calibrate_settings:
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
         *settings("simulation", "calibrate"),
-        code=code_of("calibrate"),
+        code=code_of("calibrate.calibration"),
         config=CONFIG_FILE,
     message:
         "Choose settings, check the simulator against theory"
@@ -95,7 +95,7 @@ rule calibrate_pictures:
         mem_mb=job_memory_mb("calibrate"),
         runtime=job_runtime_min("calibrate", CONFIG),
     params:
-        code=code_of("calibrate"),
+        code=code_of("calibrate.pictures"),
     message:
         "Draw the calibration"
     shell:

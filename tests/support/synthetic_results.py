@@ -104,7 +104,8 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
         result["strip"]["chosen"] |= {k: v for k, v in tried.items() if k != "runs"}
     result["settings"] |= chosen or {}
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
-    write_calibration(result, path, provenance_record("calibrate", config=sections))
+    record = provenance_record("calibrate.calibration", config=sections)
+    write_calibration(result, path, record)
 
 
 def write_simulate(config: Config, folder: Path) -> None:

@@ -393,7 +393,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     )
     # Simulations are told the step by the calibration: that is what has to be made anew first.
     stages = {finding.where for finding in audit_release(original, slower).findings}
-    assert stages == {"calibrate"}
+    assert stages == {"calibrate.calibration"}
     wider = synthetic_chain.config(simulation={"frames": 60, "yaw_sd_deg": 2.0})
     stages = {finding.where for finding in audit_release(original, wider).findings}
     assert "simulate" in stages

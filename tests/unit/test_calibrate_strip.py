@@ -1,6 +1,9 @@
 """Choosing settings by the pushed strip, on a runner that answers as told; no simulator here."""
 
 import json
+import re
+from functools import partial
+from pathlib import Path
 
 import pytest
 from support import synthetic_results
@@ -10,16 +13,16 @@ from slipstitch.calibrate.calibration import (
     calibrate_to_file,
     read_sweeps,
     strip_calibration,
-    sweep_to_file,
 )
+from slipstitch.calibrate.pictures import draw_again, draw_pictures
 from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
-from slipstitch.calibrate.sweep import gamma_of, sweep, variations
+from slipstitch.calibrate.sweep import gamma_of, sweep, sweep_to_file, variations
 from slipstitch.config import resolve_config
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
 from slipstitch.page.figures import save_figure
-from slipstitch.provenance import file_digest
+from slipstitch.provenance import file_digest, read_provenance
 from slipstitch.simulate.convergence import MEASURED
 
 SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
@@ -184,7 +187,7 @@ def sweeps(config, folder):
 def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, tmp_path):
     out = tmp_path / "calibration.json"
     pictures = {name: tmp_path / f"{name}.svg" for name in ("checks", "strip", "settings")}
-    calibrate_to_file(config, out, pictures, sweeps(config, tmp_path))
+    calibrate_to_file(config, out, sweeps(config, tmp_path), partial(draw_pictures, pictures))
     written = json.loads(out.read_text())
     assert written["settings"]["newton_iterations_max"] == 30
     assert written["strip"]["not_told"]
@@ -193,13 +196,28 @@ def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, t
     assert all(path.exists() for path in pictures.values())
 
 
+def test_sweeps_settings_and_pictures_name_the_code_that_their_rules_compare(config, tmp_path):
+    """Else a release would refuse as made by other code what the workflow finds up to date."""
+    out, picture = tmp_path / "calibration.json", tmp_path / "strip.svg"
+    paths = sweeps(config, tmp_path)
+    calibrate_to_file(config, out, paths)
+    draw_again(out, {"strip": picture})
+    stages = {path: read_provenance(path)["stage"] for path in (*paths, out, picture)}
+    assert stages == dict.fromkeys(paths, "calibrate.sweep") | {
+        out: "calibrate.calibration", picture: "calibrate.pictures"
+    }  # fmt: skip
+    rules = (Path(__file__).parents[2] / "rules/calibrate.smk").read_text(encoding="utf-8")
+    assert set(stages.values()) == set(re.findall(r'code_of\("(.*?)"\)', rules))
+
+
 def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed(config, tmp_path):
     paths = sweeps(config, tmp_path)
     demand = config.calibrate.model_copy(update={"strip_friction": 1e-9})
     impossible = config.model_copy(update={"calibrate": demand})
     out = tmp_path / "calibration.json"
+    draw = partial(draw_pictures, {"settings": tmp_path / "settings.svg"})
     with pytest.raises(DemandNotMet, match="closest: "):
-        calibrate_to_file(impossible, out, {"settings": tmp_path / "settings.svg"}, paths)
+        calibrate_to_file(impossible, out, paths, draw)
     assert not out.exists()
     assert (tmp_path / "settings.failed.svg").exists()
     assert not (tmp_path / "settings.svg").exists()

@@ -24,7 +24,8 @@ STAGES = sorted(
 )
 # An audit computes again what the records and the pages of a release say.
 OF_SHADING = {"render", "render.packing", "capture", "audit"}
-OF_CLOTH = {"simulate", "calibrate", "convergence", "capture", "criticise", "audit"}
+OF_CALIBRATION = {"calibrate.sweep", "calibrate.calibration"}
+OF_CLOTH = OF_CALIBRATION | {"simulate", "convergence", "capture", "criticise", "audit"}
 OF_EVERY_PAGE = {"ablate", "audit", "criticise", "evaluate.capture_evaluation", "release", "report"}
 
 
@@ -124,12 +125,12 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
     [
         ("wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)", "tangent", OF_CLOTH, ...),
         ("_PLANE_STIFFNESS = 0.3", "_PLANE_STIFFNESS = 0.4", OF_SHADING, ...),
-        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, {"calibrate"}),
+        ("& 0x7FFFFFFF", "& 0x7FFFFFFE", {"simulate", "sample"}, OF_CALIBRATION),
         ('[:8], "big"))', '[:7], "big"))', {"render", "render.packing"}, {"simulate", "train"}),
         (
             '\nFINER = ("vertices_per_side", ',
             "\nFINER = (",
-            {"simulate", "calibrate", "convergence", "publish", "audit"},
+            {"simulate", "calibrate.calibration", "convergence", "publish", "audit"},
             {"render", "train"},
         ),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
@@ -145,6 +146,26 @@ def test_what_computes_changes_the_stages_that_use_it(changed, old, new, using, 
     found = changed(old, new)
     assert using <= found
     assert not found & (set(STAGES) - using if others is ... else others)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "using"),
+    [
+        # A plot, in both of its modules: else another line width simulates the grid again.
+        ("ratio, theory, color=THEORY, lw=1.2", "ratio, theory, color=THEORY", {"pictures"}),
+        ("*points.T, color=THEORY, lw=1.3", "*points.T, color=THEORY, lw=1.2", {"pictures"}),
+        ("STEPS_OF_SHAPE = 4", "STEPS_OF_SHAPE = 5", {"sweep", "calibration"}),
+        ("\nLARGEST_STRAIN = 0.345", "\nLARGEST_STRAIN = 0.344", {"sweep", "calibration"}),
+        ('\nFREE = ("newton_iterations_max",)', "\nFREE = ()", {"calibration"}),
+    ],
+)  # fmt: skip
+def test_plots_pushes_and_choice_of_the_calibration_are_made_again_apart(changed, old, new, using):
+    found = changed(old, new)
+    parts = {stage for stage in STAGES if stage.startswith("calibrate.")}
+    assert parts == {f"calibrate.{part}" for part in ("pictures", "sweep", "calibration")}
+    assert found & parts == {f"calibrate.{part}" for part in using}
+    if using == {"pictures"}:
+        assert found == {"calibrate.pictures", "report"}
 
 
 @pytest.mark.parametrize(

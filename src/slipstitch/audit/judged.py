@@ -52,7 +52,7 @@ def check_judged(
     for path, artefact in sorted(contents.artefacts.items()):
         place = contents.folder / carried_file(path)
         check = None
-        if Path(path).name == CALIBRATION and "calibrate" not in stale:
+        if Path(path).name == CALIBRATION and "calibrate.calibration" not in stale:
             check = partial(_calibration, config=config)
         elif path == VERIFICATION and "render" not in stale:
             check = partial(_verification, contents=contents, config=config, shards=shards)

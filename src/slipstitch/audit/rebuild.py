@@ -112,7 +112,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     row = find_clip(contents, clip)
     lineage = Lineage(contents)
     simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
-    calibrated = lineage.of_stage(row, "calibrate")
+    calibrated = lineage.of_stage(row, "calibrate.calibration")
     of_view = [one for one in rendered if Path(one.path).stem.endswith(row["viewpoint_id"])]
     if contents.config is None or not (simulated and of_view and calibrated):
         raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")

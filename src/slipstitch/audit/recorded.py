@@ -32,7 +32,8 @@ from slipstitch.render.marked_points import MARKED_UV, marked_uv
 
 # Where a stage writes; the first that fits.
 STAGES = {
-    "results/calibrate/": "calibrate",
+    "results/calibrate/sweep/": "calibrate.sweep",
+    "results/calibrate/": "calibrate.calibration",
     "results/simulate/": "simulate",
     "results/render/shading/": "render.packing",
     "results/render/": "render",
@@ -47,7 +48,8 @@ _NOT_NEEDED = {
     }
 }
 _SECTIONS = {
-    "calibrate": ("simulation", "calibrate"),
+    "calibrate.sweep": ("simulation", "calibrate"),
+    "calibrate.calibration": ("simulation", "calibrate"),
     "simulate": ("simulation",),
     "render": ("render",),
     "render.packing": ("render",),
@@ -155,7 +157,7 @@ def _made_with(artefact: Artefact, known: _Known) -> Iterator[str]:
     seed: int | None = config.seed
     if artefact.stage == "simulate":
         seed = known.simulation_of(artefact).seed
-    elif artefact.stage == "calibrate":
+    elif artefact.stage.startswith("calibrate."):
         seed = None
     if artefact.record.get("seed") != seed:
         yield f"its seed is {artefact.record.get('seed')!r}, the configuration gives {seed!r}"
@@ -170,7 +172,9 @@ def _inputs(artefact: Artefact, known: _Known) -> set[str] | None:
     """Results that it must have been made from, shading packs left out; None if not known."""
     path = Path(artefact.path)
     # What the manifest was made from is followed clip by clip.
-    if artefact.path in (SAMPLED_MANIFEST, VERIFICATION) or artefact.stage == "calibrate":
+    if artefact.path in (SAMPLED_MANIFEST, VERIFICATION):
+        return None
+    if artefact.stage.startswith("calibrate."):
         return None
     filmed = set(known.trajectories(artefact))
     return {

@@ -5,7 +5,6 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -27,17 +26,9 @@ from slipstitch.calibrate.sweep import (
     verified_settings,
 )
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
-from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance import (
-    file_digest,
-    provenance_record,
-    read_json,
-    recorded_path,
-    start_clock,
-    write_json,
-)
+from slipstitch.provenance import file_digest, provenance_record, read_json, start_clock, write_json
 from slipstitch.simulate.convergence import (
     CONVERGED,
     MEASURED,
@@ -58,6 +49,7 @@ NOT_TOLD = (
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
+Draw = Callable[[Mapping[str, Any], Mapping[str, Any], bool], None]
 
 
 def calibrate(
@@ -215,28 +207,13 @@ def chosen_simulation(simulation: SimulationSettings, strip: Mapping[str, Any]):
     return simulation.model_copy(update=chosen)
 
 
-def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, Any]]:
-    """Try the settings of one key with the strip and write the runs, judged by nobody yet."""
-    from slipstitch.protocol.registry import run_protocol
-
-    started = start_clock()
-    trials = sweep(key, config.calibrate, config.simulation, run_protocol)
-    sections = {"simulation": config.simulation, "calibrate": config.calibrate}
-    record = provenance_record("calibrate", config=sections, started=started)
-    inputs = sweep_inputs(key, config.calibrate, config.simulation)
-    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
-    return trials
-
-
 def calibrate_to_file(
     config,
     out: str | os.PathLike,
-    pictures: Mapping[str, str | os.PathLike],
     sweeps: list[str | os.PathLike] | None = None,
-    *,
-    only_failures: bool = False,
+    draw: Draw | None = None,
 ) -> dict:
-    """Calibrate with a whole configuration and write JSON and pictures.
+    """Calibrate with a whole configuration and write the JSON file.
 
     Parameters
     ----------
@@ -244,13 +221,12 @@ def calibrate_to_file(
         The configuration.
     out : path
         The JSON file.
-    pictures : mapping
-        PNG or SVG files by name (``checks``, ``strip``, ``settings``); those that can be drawn
-        are drawn even if a requirement is not met, then with ``.failed`` before the suffix.
     sweeps : list of path, optional
-        What `sweep_to_file` wrote, of all keys; made now if not given.
-    only_failures : bool
-        Leave the drawing to `draw_again` where the demands are met.
+        What `slipstitch.calibrate.sweep.sweep_to_file` wrote, of all keys; made now if not given.
+    draw : callable, optional
+        Told what there is to draw, its record, and whether a requirement is not met; see
+        `slipstitch.calibrate.pictures.draw_pictures`. Handed over, so that plots are no part of
+        the calibration: else another line width would simulate everything again.
 
     Returns
     -------
@@ -261,7 +237,8 @@ def calibrate_to_file(
     ------
     BadInput
         If a sweep's file cannot be read or belongs to another configuration.
-    DemandNotMet        If a requirement is not met.
+    DemandNotMet
+        If a requirement is not met.
     """
     from slipstitch.protocol.registry import run_protocol
 
@@ -273,7 +250,7 @@ def calibrate_to_file(
     else:
         trials = read_sweeps(sweeps, config)
     record = provenance_record(
-        "calibrate",
+        "calibrate.calibration",
         inputs=list(sweeps or ()),
         config={"simulation": simulation, "calibrate": settings},
         started=started,
@@ -281,30 +258,17 @@ def calibrate_to_file(
     try:
         strip = strip_calibration(settings, simulation, trials, run_protocol)
     except DemandNotMet as error:
-        _draw(pictures, {"strip": {"trials": error.args[1]}}, record, failed=True)
+        if draw is not None:
+            draw({"strip": {"trials": error.args[1]}}, record, True)
         raise DemandNotMet(error.args[0]) from None
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
     calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
     calibration |= _known_convergence(chosen_simulation(simulation, strip))
-    if not (calibration["met"] and only_failures):
-        _draw(pictures, calibration, record, failed=not calibration["met"])
+    if draw is not None:
+        draw(calibration, record, not calibration["met"])
     write_calibration(calibration, out, record)
     return calibration
-
-
-def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike]) -> None:
-    """Draw the pictures of a calibration from its file.
-
-    Raises
-    ------
-    BadInput
-        If it cannot be read.
-    """
-    started = start_clock()
-    calibrated_settings(path)  # says what is wrong with it
-    record = provenance_record("calibrate", inputs=[path], started=started)
-    _draw(pictures, read_json(path), record, failed=False)
 
 
 def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
@@ -379,21 +343,3 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
                 f"the configuration's; {again}"
             )
     return trials
-
-
-def _draw(pictures, calibration: Mapping[str, Any], record, failed: bool) -> None:
-    from slipstitch.calibrate.calibration_figure import calibration_figure
-    from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
-    from slipstitch.page.figures import save_figure
-
-    figures = {"settings": settings_figure}
-    if "chosen" in calibration["strip"]:
-        figures |= {"checks": calibration_figure, "strip": strip_figure}
-    for name, figure in figures.items():
-        if name not in pictures:
-            continue
-        path = Path(pictures[name])
-        if failed:
-            path = path.with_suffix(f".failed{path.suffix}")
-        with recorded_path(path, record) as temporary:
-            save_figure(figure(calibration), temporary, path.suffix.lstrip(".") or "png")

@@ -1,5 +1,6 @@
 """The strip experiment with one numerical setting changed at a time."""
 
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -12,6 +13,7 @@ from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import NotConverged
+from slipstitch.provenance import provenance_record, start_clock, write_json
 
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
@@ -168,3 +170,16 @@ def sweep(
         shown = "as configured" if key == BASE else f"{key} = {setting[key]:g}"
         print(f"strip, {shown}: {cpu_s:.1f} CPU s", file=sys.stderr, flush=True)
     return results
+
+
+def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, Any]]:
+    """Try the settings of one key with the strip and write the runs, judged by nobody yet."""
+    from slipstitch.protocol.registry import run_protocol
+
+    started = start_clock()
+    trials = sweep(key, config.calibrate, config.simulation, run_protocol)
+    sections = {"simulation": config.simulation, "calibrate": config.calibrate}
+    record = provenance_record("calibrate.sweep", config=sections, started=started)
+    inputs = sweep_inputs(key, config.calibrate, config.simulation)
+    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
+    return trials

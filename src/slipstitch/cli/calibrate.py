@@ -1,6 +1,7 @@
 """slipstitch calibrate: compare the simulator with theory before any simulation."""
 
 import argparse
+from collections.abc import Mapping
 
 from slipstitch.cli.options import add_config, output_json, output_picture, refuse
 
@@ -49,7 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.calibrate.calibration import calibrate_to_file, draw_again, sweep_to_file
+    from slipstitch.calibrate.calibration import calibrate_to_file
+    from slipstitch.calibrate.sweep import sweep_to_file
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.errors import BadInput
@@ -59,6 +61,8 @@ def run(arguments: argparse.Namespace) -> None:
         refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
         if not pictures:
             raise BadInput("--draw requires --picture, --strip-picture or --settings-picture")
+        from slipstitch.calibrate.pictures import draw_again
+
         draw_again(arguments.draw, pictures)
         return
     if not arguments.config or not arguments.out:
@@ -73,9 +77,14 @@ def run(arguments: argparse.Namespace) -> None:
         refuse(arguments, ("sweeps", *drawing), "--sweep")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
-    calibration = calibrate_to_file(
-        config, arguments.out, pictures, arguments.sweeps, only_failures=arguments.only_failures
-    )
+
+    def draw(calibration: Mapping, record: Mapping, failed: bool) -> None:
+        if pictures and (failed or not arguments.only_failures):
+            from slipstitch.calibrate.pictures import draw_pictures
+
+            draw_pictures(pictures, calibration, record, failed)
+
+    calibration = calibrate_to_file(config, arguments.out, arguments.sweeps, draw)
     for trial in calibration["strip"]["trials"]:
         print(_trial_line(trial, calibration["strip"]["chosen"]))
     for check in calibration["checks"]:
