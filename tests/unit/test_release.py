@@ -19,7 +19,11 @@ from support import synthetic_chain
 from slipstitch.audit.auditing import audit_release
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.main import main
+from slipstitch.config.grid import films, simulations
+from slipstitch.config.interpolation import filmed_friction, interpolations
+from slipstitch.config.splits import sides_of_simulations
 from slipstitch.errors import BadInput, SlipstitchError
+from slipstitch.material import fabric_names
 from slipstitch.provenance import attach_metadata, read_metadata
 from slipstitch.release import assembly
 from slipstitch.release.assembly import write_release
@@ -156,15 +160,63 @@ def test_unseen_fabrics_are_drawn_with_the_seed_and_leave_some_to_train():
     assert len(unseen_fabrics(["one", "two"], 0.9, 1)) == 1
 
 
+def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
+    """Of 6 coefficients and 4 fabrics, films lie between any neighbours and of any two fabrics."""
+    config = synthetic_chain.config(
+        grid={
+            "materials": fabric_names()[:4],
+            "frictions": [0.2, 0.4, 0.6, 0.8, 1.0, 1.2],
+            "replicates": 2,
+        },
+        render={
+            "viewpoints": ["bench_1", "bench_2"],
+            "textures": ["stripes"],
+            "interpolation": {"share": 0.7, "fabric": 0.5, "from_friction": 0.0},
+        },
+        train={"splits": ["by_simulation"]},
+    )
+    grid, shown = {one.id: one for one in simulations(config)}, interpolations(config)
+    rows = [
+        {
+            "simulation": name,
+            "viewpoint_id": view,
+            "material": grid[name].material,
+            "friction": filmed_friction(grid[name], shown.get((name, view))),
+            "split_by_simulation": sides_of_simulations(config)[name],
+        }
+        for name, view in films(config)
+    ]
+    splits = split_columns(rows, config)
+    for split, key in (("unseen_friction", "friction"), ("unseen_fabric", "material")):
+        sides = dict(zip(films(config), splits[split], strict=True))
+        test = {film for film, side in sides.items() if side == "test"}
+        held = {getattr(grid[name], key) for name, _ in test}
+        assert len(held) == 1
+        assert not test & shown.keys(), "what is tested is simulated"
+        trained = {film for film, side in sides.items() if side == "train"}
+        assert trained & shown.keys()
+        for film in trained:
+            parents = [grid[name] for name in (shown[film].weights if film in shown else film[:1])]
+            assert held.isdisjoint(getattr(parent, key) for parent in parents)
+    labels = [
+        (row["friction"], side) for row, side in zip(rows, splits["unseen_friction"], strict=True)
+    ]
+    tested = {friction for friction, side in labels if side == "test"}
+    assert all(
+        abs(one - other) > 0.19 for one, side in labels if side == "train" for other in tested
+    )
+
+
 def test_any_kind_with_a_role_gets_its_split():
     base = {"material": "a", "friction": 0.1, "split_by_video": "train"}
+    base |= {"simulation": "m00_f0100_r00", "viewpoint_id": "v00"}
     base |= {"split_by_simulation": "train", "floor_role": "train", "texture_role": "train"}
     rows = [
         base,
         base | {"split_by_video": "test", "floor_role": "test"},
         base | {"split_by_video": "test", "floor_role": "test", "texture_role": "test"},
     ]
-    splits = split_columns(rows, 0.2, 1)
+    splits = split_columns(rows, CONFIG)
     assert splits == {"unseen_floor": ["train", "test", None]}
     assert parts(splits) == ["part00", "part01", "part02"]
     assert parts_of_splits(splits, parts(splits)) == {

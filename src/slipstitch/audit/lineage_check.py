@@ -331,7 +331,7 @@ def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
         if row["video"] in expected and found != expected[row["video"]]:
             what = f"{row['video']}: its sides are {found}, redrawn {expected[row['video']]}"
             yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-    splits = split_columns(sampled, config.release.unseen_share, config.seed)
+    splits = split_columns(sampled, config)
     for name, sides in splits.items():
         yield from _differing(contents.rows, PREFIX + name, sides)
     yield from _differing(contents.rows, "part", parts(splits))

@@ -189,7 +189,7 @@ def _fill(
     key: str | os.PathLike | None,
 ) -> Released:
     sample = results / "sample"
-    splits = split_columns(sampled, config.release.unseen_share, config.seed)
+    splits = split_columns(sampled, config)
     part_of = parts(splits)
     videos = [row["video"] for row in sampled]
     places = write_shards(

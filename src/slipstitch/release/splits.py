@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.config import Config
+from slipstitch.config.grid import Simulation, simulations
+from slipstitch.config.interpolation import interpolations
 from slipstitch.config.splits import SIDES
 
 PREFIX = "split_"
@@ -21,8 +24,8 @@ QUESTIONS = {
     "the training set, with another texture or view",
     "by_simulation": "generalisation to unseen simulations: whole simulations held out",
     "unseen_friction": "whole friction coefficients held out, between the lowest and the highest "
-    "unless the grid has test-only ones",
-    "unseen_fabric": "whole fabrics held out",
+    "unless the grid has test-only ones; videos interpolated from or across them are left out",
+    "unseen_fabric": "whole fabrics held out; videos interpolated from them are left out",
 }
 
 
@@ -70,18 +73,21 @@ def unseen_fabrics(materials: Sequence[str], share: float, seed: int) -> list[st
     return sorted(map(str, drawn))
 
 
-def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, list[str | None]]:
+def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | None]]:
     """Every named split's side of every video.
+
+    The coefficients and fabrics that are held out are simulated ones. A video whose cloth is
+    interpolated never tests them. It trains unless a held-out fabric is in its cloth, or a held-out
+    coefficient is one of its simulations' or lies between these.
 
     Parameters
     ----------
     rows : sequence of mappings
-        The sample stage's manifest: columns ``split_*`` (sides), ``*_role`` (train or test),
+        The sample stage's manifest: ids, columns ``split_*`` (sides), ``*_role`` (train or test),
         ``material`` and ``friction``.
-    share : float
-        Share of fabrics and inner friction coefficients that are kept for testing.
-    seed : int
-        Draws the fabrics.
+    config : Config
+        Its grid and interpolated films; ``release.unseen_share`` is the share of fabrics and inner
+        friction coefficients that are kept for testing, the seed draws the fabrics.
 
     Returns
     -------
@@ -95,20 +101,25 @@ def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, lis
         splits[column.removeprefix(PREFIX)] = [
             row[column] if trained else None for row, trained in zip(rows, trains, strict=True)
         ]
-    held: dict[str, tuple[str, Collection]] = {
-        "unseen_friction": (
-            "friction",
-            unseen_frictions([row["friction"] for row in rows if may_train(row)], share),
-        ),
-        "unseen_fabric": (
-            "material",
-            unseen_fabrics([row["material"] for row in rows if may_train(row)], share, seed),
-        ),
+    grid = {simulation.id: simulation for simulation in simulations(config)}
+    parents_of = {
+        film: [grid[name] for name in shown.weights]
+        for film, shown in interpolations(config).items()
     }
-    for name, (column, values) in held.items():
+    parents = [parents_of.get((row["simulation"], row["viewpoint_id"]), ()) for row in rows]
+    simulated = [
+        row for row, of, trained in zip(rows, parents, trains, strict=True) if trained and not of
+    ]
+    share = config.release.unseen_share
+    frictions = unseen_frictions([row["friction"] for row in simulated], share)
+    fabrics = unseen_fabrics([row["material"] for row in simulated], share, config.seed)
+    for name, shows in (
+        ("unseen_friction", lambda row, of: _shows_friction(row, of, frictions)),
+        ("unseen_fabric", lambda row, of: _shows_fabric(row, of, fabrics)),
+    ):
         splits[name] = [
-            _held_out(row, row[column] in values) if trained else None
-            for row, trained in zip(rows, trains, strict=True)
+            _held_out(row, bool(of), shows(row, of)) if trained else None
+            for row, of, trained in zip(rows, parents, trains, strict=True)
         ]
     for kind in _roles(rows[0]):
         # Where the grid itself keeps some for testing, those are the unseen ones.
@@ -118,10 +129,21 @@ def split_columns(rows: Sequence[Row], share: float, seed: int) -> dict[str, lis
     return {name: sides for name, sides in splits.items() if {"train", "test"} <= set(sides)}
 
 
-def _held_out(row: Row, held: bool) -> str:
-    """Side in unseen_friction or unseen_fabric."""
+def _shows_friction(row: Row, parents: Sequence[Simulation], held: Collection[float]) -> bool:
+    """Whether a video shows one of these coefficients, or lies between simulations around one."""
+    ends = [parent.friction for parent in parents] or [row["friction"]]
+    return any(min(ends) <= friction <= max(ends) for friction in held)
+
+
+def _shows_fabric(row: Row, parents: Sequence[Simulation], held: Collection[str]) -> bool:
+    """Whether one of these fabrics is in a video's cloth."""
+    return not {row["material"], *(parent.material for parent in parents)}.isdisjoint(held)
+
+
+def _held_out(row: Row, interpolated: bool, held: bool) -> str | None:
+    """Side in unseen_friction or unseen_fabric; only simulated cloths test."""
     if held:
-        return "test"
+        return None if interpolated else "test"
     return "validation" if row[f"{PREFIX}by_simulation"] == "validation" else "train"
 
 
