@@ -5,6 +5,7 @@ import hashlib
 import json
 import shutil
 from contextlib import redirect_stderr
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
+from slipstitch.provenance import file_digest, read_provenance
 
 KEYS = {
     "case",
@@ -115,6 +117,17 @@ def test_the_page_says_the_verdict_first(written):
     assert "<h1" in page and "warp differs" in page
     assert page.count("<svg") >= 4
     assert "against all covariates" in page
+
+
+def test_every_file_has_a_record_of_the_measured_data_that_it_was_made_from(written):
+    for name in ("verdict.json", "page.html"):
+        record = read_provenance(written / name)
+        assert record["stage"] == "criticise"
+        assert record["config"] == {"replicates": 300, "campaigns": 0}
+        assert record["seed"] == 1
+        read = {Path(path).name: digest for path, digest in record["inputs"].items()}
+        assert read.keys() == {"meta.json", "incline.csv"}  # not the table of no protocol
+        assert all(file_digest(written / "case" / name) == digest for name, digest in read.items())
 
 
 def test_bad_input_is_one_line_and_exit_code_two(tmp_path, capsys):

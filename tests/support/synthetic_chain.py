@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from slipstitch.bench.extended_model import read_extended_model
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config, write_config
@@ -89,6 +90,7 @@ def write(config: Config, folder: Path, chosen: dict | None = None) -> Path:
 
 
 def _write_simulate(config: Config, results: Path) -> None:
+    model = config.simulation.model
     step_s = 1 / config.simulation.frame_rate_hz / 5  # the largest below 84 ms that fits
     for one in simulations(config):
         run = DropAndDrag(one.material, one.friction, one.seed, one.replicate)
@@ -105,7 +107,7 @@ def _write_simulate(config: Config, results: Path) -> None:
             "perturbation": vars(draw_perturbation(config.simulation, one.seed, one.replicate)),
             "solver": {"steps": 400, "newton_iterations": 1200, "largest_residual": 4.7e-4},
             "stage_path": vars(StagePath()),
-            "extended_model": None,
+            "extended_model": asdict(read_extended_model(model)) if model else None,
             "step_s": step_s,
             "device": "cpu",
             "simulated_at_once": 1,
@@ -114,7 +116,7 @@ def _write_simulate(config: Config, results: Path) -> None:
         motion["pinned"] = np.array([0, 10])  # 11 vertices 2 cm apart, held by tabs of 1 cm
         record = provenance_record(
             "simulate",
-            inputs=[results / "calibrate/calibration.json"],
+            inputs=[results / "calibrate/calibration.json", *([model] if model else [])],
             config={"simulation": config.simulation, "catalogue": run.catalogue_entries()},
             seed=one.seed,
         )

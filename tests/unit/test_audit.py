@@ -1,5 +1,6 @@
 """An audit finds every planted alteration, says where, and raises no false alarm."""
 
+import contextlib
 import json
 import random
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
@@ -20,14 +22,15 @@ from slipstitch.audit.contents import read_contents
 from slipstitch.audit.findings import Kind
 from slipstitch.audit.lineage import Lineage
 from slipstitch.cli.main import main
-from slipstitch.config import write_config
+from slipstitch.config import load_config, write_config
 from slipstitch.config.interpolation import interpolations
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_names, load_fabric
-from slipstitch.provenance import attach_metadata, file_digest
+from slipstitch.provenance import attach_metadata, file_digest, write_parquet
 from slipstitch.release.assembly import RELEASE_RECORD, write_release
 from slipstitch.release.checksums import files_below, read_sums, write_sums
 from slipstitch.release.manifest import sampled_rows
+from slipstitch.release.records import Artefact
 from slipstitch.render import interpolation
 from slipstitch.render.surroundings import FLOORS
 from slipstitch.sample.manifest import dataset_digest
@@ -452,6 +455,66 @@ def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monke
         assert behind == set(one.weights)
 
 
+@pytest.fixture(scope="module")
+def criticised(tmp_path_factory):
+    """A working folder in which a case was criticised; also the same model at other places."""
+    folder = tmp_path_factory.mktemp("law") / "run"
+    folder.mkdir()
+    with contextlib.chdir(folder):
+        words = ["--out", "results/criticise/x/verdict.json", "--model", OWN_LAW]
+        case = str(ROOT / "data/cases/surrogate_anisotropic")
+        assert main(["criticise", case, "--replicates", "50", *words]) == 0
+        for place in ("laws/law.yaml", "../law.yaml"):
+            Path(place).parent.mkdir(exist_ok=True)
+            shutil.copyfile(OWN_LAW, place)
+    return folder
+
+
+OWN_LAW = "results/criticise/x/extended_model.yaml"
+
+
+@pytest.mark.parametrize(
+    ("model", "carried"),
+    [
+        (OWN_LAW, "records/criticise/x/extended_model.yaml"),
+        ("laws/law.yaml", "records/laws/law.yaml"),
+        ("../law.yaml", "records/law.yaml"),
+    ],
+)
+def test_release_takes_the_friction_law_along_and_the_audit_follows_it(
+    criticised, tmp_path, monkeypatch, model, carried
+):
+    """The law that a criticism found, and laws that lie in the working folder or outside."""
+    folder = Path(shutil.copytree(criticised, tmp_path / "run"))
+    shutil.copyfile(criticised.parent / "law.yaml", tmp_path / "law.yaml")
+    monkeypatch.chdir(folder)
+    config = synthetic_chain.config(
+        grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
+        simulation={"frames": 60, "vertices_per_side": 11, "model": model},
+        render={"pixels": 16, "textures": ["stripes"]},
+    )
+    results = synthetic_chain.write(config, folder)
+    release = tmp_path / "release"
+    write_release(config, results, release, ROOT)
+    assert (release / carried).read_bytes() == Path(model).read_bytes()
+    assert f"({carried})" in (release / "README.md").read_text()
+    audit = audit_release(release)
+    assert audit.verdict == "intact", audit.findings[:3]
+
+    made_again = rebuild._configuration(read_contents(release), config, tmp_path)
+    law = load_config(made_again).simulation.model
+    assert Path(law) == release / carried
+
+    for path in release.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    record = "simulate/m05_f0600_r00.parquet"
+    place = edit_record(release, record, lambda one: one["metadata"].update(extended_model=None))
+    reseal(release)
+    assert place in found(release, Kind.BROKEN), (
+        "the law that a simulation tells is the carried one"
+    )
+
+
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
     fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
@@ -662,6 +725,16 @@ def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
     other = rebuild.compare("a", pixels, pixels, True, told)
     assert same.same and not other.same
     assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
+
+
+def test_a_law_that_lay_elsewhere_is_no_difference_of_a_simulation_made_again(tmp_path):
+    metadata = {"settings": {"frames": 9, "model": "law.yaml"}, "extended_model": {"law": 1}}
+    recorded = Artefact("results/simulate/a.parquet", "", metadata=metadata)
+    made = tmp_path / "a.parquet"
+    for settings, told in (({"frames": 9}, []), ({"frames": 8}, [f"settings of {recorded.path}"])):
+        again = metadata | {"settings": settings | {"model": "/release/records/law.yaml"}}
+        write_parquet(pa.table({"frame": [0]}), made, again)
+        assert rebuild._differing(recorded, made) == told
 
 
 def test_clip_without_whole_records_is_not_rebuilt(release):

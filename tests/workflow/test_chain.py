@@ -13,7 +13,17 @@ from slipstitch.provenance import file_digest, read_provenance
 # One process of pytest-xdist for all of them: they share one run of the chain.
 pytestmark = pytest.mark.xdist_group("chain")
 
-STAGES = ("calibrate", "simulate", "render", "sample", "train", "instrument", "evaluate", "report")
+STAGES = (
+    "criticise",
+    "calibrate",
+    "simulate",
+    "render",
+    "sample",
+    "train",
+    "instrument",
+    "evaluate",
+    "report",
+)
 # The release is a folder, not a file below one: its audit stands for it.
 AFTER_SIMULATE = {"render", "sample", "train", "instrument", "evaluate", "audit", "report"}
 

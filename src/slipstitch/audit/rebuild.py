@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.explain import find_clip
 from slipstitch.audit.lineage import Lineage
 from slipstitch.config import Config, write_config
+from slipstitch.config.load import without_law
 from slipstitch.errors import BadInput, SlipstitchError
 from slipstitch.provenance import read_metadata
-from slipstitch.release.records import Artefact, carried_file, is_ours, rows_digest
+from slipstitch.release.records import Artefact, carried_file, recorded_name, rows_digest
 from slipstitch.sample.shards import decode, read_shard
 
 # How and beside what it ran; the trajectory's digest is of its times too.
@@ -71,24 +73,24 @@ def _run(*words: str) -> None:
 
 def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
     """The release's configuration, with files from outside taken from the release."""
-    carried = {
-        Path(path).name: str((contents.folder / carried_file(path)).resolve())
-        for path in contents.artefacts
-        if not is_ours(path)
-    }
-    render = config.render
-    outside = {render.camera, *render.texture_files()} - {None}
+    simulation, render = config.simulation, config.render
+    files = {simulation.model, render.camera, *render.texture_files()} - {None}
 
     def taken_along(name: str | None) -> str | None:
-        return carried.get(Path(name).name, name) if name and name in outside else name
+        path = recorded_name(name, contents.artefacts) if name and name in files else None
+        return str((contents.folder / carried_file(path)).resolve()) if path else name
 
-    changed = {
-        "camera": taken_along(render.camera),
-        "textures": [taken_along(name) for name in render.textures],
-        "test_textures": [taken_along(name) for name in render.test_textures],
+    sections = {
+        "simulation": simulation.model_copy(update={"model": taken_along(simulation.model)}),
+        "render": render.model_copy(
+            update={
+                "camera": taken_along(render.camera),
+                "textures": [taken_along(name) for name in render.textures],
+                "test_textures": [taken_along(name) for name in render.test_textures],
+            }
+        ),
     }
-    config = config.model_copy(update={"render": render.model_copy(update=changed)})
-    write_config(config, folder / "config.json")
+    write_config(config.model_copy(update=sections), folder / "config.json")
     return folder / "config.json"
 
 
@@ -150,12 +152,16 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
 
 def _differing(recorded: Artefact, made: Path) -> list[str]:
     """Entries of a record's metadata that a file made again has otherwise."""
-    now = read_metadata(made)
-    return [
-        f"{name} of {recorded.path}"
-        for name, value in recorded.metadata.items()
-        if name not in _OF_THE_RUN and now.get(name) != value
-    ]
+    then, now = (_comparable(metadata) for metadata in (recorded.metadata, read_metadata(made)))
+    return [f"{name} of {recorded.path}" for name, value in then.items() if now.get(name) != value]
+
+
+def _comparable(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be the same in a file made again; not where the law lay, whose content must."""
+    kept = {name: value for name, value in metadata.items() if name not in _OF_THE_RUN}
+    if isinstance(kept.get("settings"), dict):
+        kept["settings"] = without_law(kept["settings"])
+    return kept
 
 
 def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:

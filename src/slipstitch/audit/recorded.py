@@ -19,6 +19,7 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import SAMPLED_MANIFEST, Lineage
 from slipstitch.audit.staleness import quoted_study
+from slipstitch.bench.extended_model import read_extended_model
 from slipstitch.bench.stage_path import SIDE_M, TAB_M
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, films, simulations
@@ -27,11 +28,19 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import first_line
 from slipstitch.release.code import CODE, locked_versions
 from slipstitch.release.currency import CALIBRATION, calibrated_simulation, other_versions
-from slipstitch.release.records import VERIFICATION, Artefact, is_ours, record_file
+from slipstitch.release.records import (
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    is_ours,
+    record_file,
+    recorded_name,
+)
 from slipstitch.render.marked_points import MARKED_UV, marked_uv
 
 # Where a stage writes; the first that fits.
 STAGES = {
+    "results/criticise/": "criticise",
     "results/calibrate/sweep/": "calibrate.sweep",
     "results/calibrate/": "calibrate.calibration",
     "results/simulate/": "simulate",
@@ -48,6 +57,7 @@ _NOT_NEEDED = {
     }
 }
 _SECTIONS = {
+    "criticise": (),
     "calibrate.sweep": ("simulation", "calibrate"),
     "calibrate.calibration": ("simulation", "calibrate"),
     "simulate": ("simulation",),
@@ -159,13 +169,23 @@ def _made_with(artefact: Artefact, known: _Known) -> Iterator[str]:
         seed = known.simulation_of(artefact).seed
     elif artefact.stage.startswith("calibrate."):
         seed = None
-    if artefact.record.get("seed") != seed:
+    # A criticism's own is no part of the configuration.
+    if artefact.stage != "criticise" and artefact.record.get("seed") != seed:
         yield f"its seed is {artefact.record.get('seed')!r}, the configuration gives {seed!r}"
     made_from = {name for name in artefact.inputs if is_ours(name)}
     needed = _inputs(artefact, known)
     if needed is not None and {name for name in made_from if "/shading/" not in name} != needed:
         odd = min(made_from ^ needed)
         yield f"was made {'from' if odd in made_from else 'without'} {odd}"
+    model = config.simulation.model
+    if artefact.stage == "simulate" and model and _law(artefact, config) is None:
+        yield f"was made without {model}"
+
+
+def _law(artefact: Artefact, config: Config) -> str | None:
+    """What the record of a simulation calls the configured extended model."""
+    model = config.simulation.model
+    return recorded_name(model, artefact.inputs) if model else None
 
 
 def _inputs(artefact: Artefact, known: _Known) -> set[str] | None:
@@ -174,11 +194,12 @@ def _inputs(artefact: Artefact, known: _Known) -> set[str] | None:
     # What the manifest was made from is followed clip by clip.
     if artefact.path in (SAMPLED_MANIFEST, VERIFICATION):
         return None
-    if artefact.stage.startswith("calibrate."):
+    if artefact.stage == "criticise" or artefact.stage.startswith("calibrate."):
         return None
     filmed = set(known.trajectories(artefact))
+    law = _law(artefact, known.config)
     return {
-        "simulate": {f"results/calibrate/{CALIBRATION}"},
+        "simulate": {f"results/calibrate/{CALIBRATION}", *([law] if law and is_ours(law) else [])},
         "render": filmed,
         "render.packing": filmed,
         "sample": {
@@ -262,10 +283,10 @@ def _simulated(artefact: Artefact, contents: Contents, known: _Known) -> Iterato
         expected["convergence"] = measured
     else:
         metadata.pop("convergence")  # of another study: slipstitch.audit.staleness says so
-    if settings.model is None:
-        expected["extended_model"] = None
-    else:
-        metadata.pop("extended_model", None)
+    law = _law(artefact, known.config)
+    expected["extended_model"] = (
+        _plain(asdict(read_extended_model(contents.folder / carried_file(law)))) if law else None
+    )
     solver = metadata.pop("solver", {})
     device, at_once = metadata.pop("device", None), metadata.pop("simulated_at_once", 0)
     if not isinstance(device, str) or not 1 <= at_once <= len(known.grid):

@@ -24,7 +24,7 @@ class Case:
     """One fabric-substrate pair measured in one campaign.
 
     ``tables`` maps a table's name to its checked rows: numbers as float64 with NaN where a cell
-    is empty, text as str with '' where it is.
+    is empty, text as str with '' where it is. ``files`` are those that were read.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Case:
     nominal: dict[str, float]
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     ignored_files: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
     @property
     def protocols(self) -> tuple[str, ...]:
@@ -64,6 +65,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such case folder")
     meta = _read_meta(folder / "meta.json")
+    files = [folder / "meta.json"]
     tables: dict[str, pd.DataFrame] = {}
     known = set()
     for protocol in PROTOCOLS.values():
@@ -79,6 +81,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
             if paths:
                 read = _read_folder if paths[0].is_dir() else _read_table
                 found[table] = read(paths[0], columns, with_measurements)
+                files += _files_of(paths[0]) if paths[0].is_dir() else paths
         missing = [table for table in protocol.tables if table not in found]
         if found and missing and (with_measurements or missing[0] == protocol.runs_table):
             have, want = ", ".join(f"{t}.csv" for t in found), f"{missing[0]}.csv"
@@ -111,7 +114,7 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
         if path.suffix in (".csv", ".parquet") and path.name not in known
     )
     name = str(meta.get("case") or meta.get("case_id") or folder.resolve().name)
-    return Case(name, meta, nominal, tables, tuple(others))
+    return Case(name, meta, nominal, tables, tuple(others), tuple(files))
 
 
 def has_measurements(folder: Path | str) -> bool:
@@ -203,9 +206,14 @@ def _read_raw(path: Path) -> pd.DataFrame:
         raise BadInput(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
 
+def _files_of(path: Path) -> list[Path]:
+    """The files of a folder of traces."""
+    return sorted(file for file in path.iterdir() if file.suffix in (".csv", ".parquet"))
+
+
 def _read_folder(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
     """The traces of a folder with one file a run, which the file is called after."""
-    files = sorted(file for file in path.iterdir() if file.suffix in (".csv", ".parquet"))
+    files = _files_of(path)
     if not files:
         raise BadInput(f"{path}: no file; RUN_ID.csv or RUN_ID.parquet for each run is needed")
     columns = tuple(column for column in columns if column.name != "run_id")

@@ -16,7 +16,7 @@ from slipstitch.criticise.inference.certificate import of_design, plain_model
 from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import certificate, false_alarm_words, statement, verdict_of
-from slipstitch.provenance import write_json, write_text
+from slipstitch.provenance import provenance_record, start_clock, write_json, write_text
 
 
 def finite(content: Any) -> Any:
@@ -52,6 +52,7 @@ def criticise_to_files(
     verdict_path, page_path, picture_path, model_path, resimulation_path : path
         JSON, HTML (or Markdown, by its name), SVG, YAML, JSON; all but the verdict may be None.
     """
+    started = start_clock()
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
     verdict["certificate"]["false_alarm_rate"] = _false_alarm_rate(
@@ -62,7 +63,8 @@ def criticise_to_files(
         seed,
         replicates,
     )
-    write_json(verdict_path, finite(verdict))
+    record = _record(case, seed, replicates, campaigns, started)
+    write_json(verdict_path, finite(verdict), record)
     again = None
     if resimulation_path:
         from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
@@ -72,19 +74,33 @@ def criticise_to_files(
             again = resimulate_left_out(case, seed, replicates)
             why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
         summary = again.summary if again else {"case": case.name, "reason": why}
-        write_json(resimulation_path, finite(summary))
+        record = _record(case, seed, replicates, campaigns, started)
+        write_json(resimulation_path, finite(summary), record)
     if page_path or picture_path:
         from slipstitch.criticise.report import left_over, markdown, page
 
         if page_path:
             as_text = Path(page_path).suffix == ".md"
             text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
-            write_text(page_path, text)
+            write_text(page_path, text, record)
         if picture_path:
-            write_text(picture_path, left_over(verdict, analysis))
+            write_text(picture_path, left_over(verdict, analysis), record)
     if model_path:
-        write_extended_model(verdict, Path(model_path))
+        write_extended_model(verdict, Path(model_path), record)
     return statement(verdict)
+
+
+def _record(
+    case: Case, seed: int, replicates: int, campaigns: int, started: tuple[float, float]
+) -> dict[str, Any]:
+    """Where a file on a case comes from."""
+    return provenance_record(
+        "criticise",
+        inputs=case.files,
+        config={"replicates": replicates, "campaigns": campaigns},
+        seed=seed,
+        started=started,
+    )
 
 
 def _false_alarm_rate(measurements, null, scatters, campaigns, seed, replicates) -> dict | None:
@@ -95,6 +111,7 @@ def _false_alarm_rate(measurements, null, scatters, campaigns, seed, replicates)
 
 def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: int = 0) -> str:
     """Write what a design could show as JSON, and say it, a line a mechanism."""
+    started = start_clock()
     assumed = assumptions_of(case)
     design = expected(case, assumed, seed)
     plain, scatters = plain_model(design, assumed)
@@ -102,7 +119,8 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
     shown = certificate(found, SIGNIFICANCE)
     rate = _false_alarm_rate(design, plain, scatters, campaigns, seed, replicates)
     shown["false_alarm_rate"] = rate
-    write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown})
+    record = _record(case, seed, replicates, campaigns, started)
+    write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown}, record)
     lines = ["assumed (meta.json may say otherwise under design):"]
     for assumption in ASSUMPTIONS:
         if assumption.name in assumed:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
 from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS
 from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
-from slipstitch.provenance import atomic_path
+from slipstitch.provenance import write_text
 
 
 def extended_model(verdict: dict, which: str = "extended") -> dict:
@@ -59,8 +60,6 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     }
 
 
-def write_extended_model(verdict: dict, path: Path) -> None:
-    """Write :func:`extended_model` to a YAML file."""
-    text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+def write_extended_model(verdict: dict, path: Path, record: dict[str, Any]) -> None:
+    """Write :func:`extended_model` to a YAML file, with its record of provenance."""
+    write_text(path, yaml.safe_dump(extended_model(verdict), sort_keys=False), record)

@@ -102,7 +102,7 @@ def check_current(
 
 def _outside(config: Config) -> dict[str, Path]:
     """Name -> place of the files from outside that the configuration names."""
-    files = [config.render.camera, *config.render.texture_files()]
+    files = [config.simulation.model, config.render.camera, *config.render.texture_files()]
     return {Path(file).name: Path(file) for file in files if file}
 
 

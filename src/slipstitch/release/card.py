@@ -114,8 +114,8 @@ def card_text(facts: Mapping[str, Any], rows, parts, frame_columns, **more) -> s
     frame_columns : sequence of str
         Columns of the shards.
     **more
-        What else the template shows: ``config, calibration, verification, solver, pictures, code,
-        versions, example``.
+        What else the template shows: ``config, law, calibration, verification, solver, pictures,
+        code, versions, example``; ``law`` is the place of the extended model, None without one.
     """
     default = default_split(parts)
     images = sum(row["frames"] for row in rows)

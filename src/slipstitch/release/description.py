@@ -14,7 +14,13 @@ from slipstitch.catalogue import FLOORS
 from slipstitch.config import Config
 from slipstitch.provenance import read_json, read_yaml
 from slipstitch.release.card import card_text
-from slipstitch.release.records import VERIFICATION, Artefact, carried_file, is_carried
+from slipstitch.release.records import (
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    is_carried,
+    recorded_name,
+)
 from slipstitch.release.shards import features_of
 from slipstitch.release.splits import PREFIX, parts_of_splits
 
@@ -88,6 +94,7 @@ def card_of(
         sides_of_parts(rows),
         list(features_of(pq.read_schema(folder / rows[0]["shard"]))),
         config=config,
+        law=_law(config, artefacts),
         calibration=_calibration(folder, artefacts),
         verification=_verification(folder),
         solver=_solver(artefacts),
@@ -96,6 +103,13 @@ def card_of(
         versions=versions_of(artefacts),
         example=rows[0]["video"],
     )
+
+
+def _law(config: Config, artefacts: Mapping[str, Artefact]) -> str | None:
+    """Where the release has the extended model of its simulations, if they have one."""
+    model = config.simulation.model
+    path = recorded_name(model, artefacts) if model else None
+    return carried_file(path) if path else None
 
 
 def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import posixpath
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -58,8 +59,11 @@ class Artefact:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """Path -> SHA-256 of what it was made from."""
-        return self.record.get("inputs", {})
+        """Path -> SHA-256 of what it was made from, as far as that is followed.
+
+        Measured data behind an extended model are not: its record has their digests.
+        """
+        return {} if self.stage == "criticise" else self.record.get("inputs", {})
 
     @property
     def versions(self) -> dict[str, str]:
@@ -126,6 +130,15 @@ def read_artefact(path: str, place: Path) -> Artefact:
 def is_ours(path: str) -> bool:
     """Whether a stage of the workflow wrote the file; a camera file, say, comes from outside."""
     return path.startswith("results/")
+
+
+def recorded_name(configured: str, paths: Iterable[str]) -> str | None:
+    """Which of these paths of records is the file that the configuration names, if any is.
+
+    Records call a file by its place in the working folder, or by its name alone if it lies outside.
+    """
+    whole = f"/{posixpath.normpath(configured)}"
+    return max((path for path in paths if whole.endswith(f"/{path}")), key=len, default=None)
 
 
 def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
@@ -204,7 +217,7 @@ def record_file(path: str) -> str:
 
 def is_carried(artefact: Artefact) -> bool:
     """Whether a release carries the artefact whole: small text, and files from outside."""
-    return not is_ours(artefact.path) or artefact.path.endswith(".json")
+    return not is_ours(artefact.path) or artefact.path.endswith((".json", ".yaml"))
 
 
 def write_record(artefact: Artefact, folder: Path) -> None:
