@@ -375,9 +375,14 @@ def test_no_file_names_a_place_on_this_machine(release, results):
             assert not re.search(r"/(home|root|Users|tmp)/", text), path
 
 
-def test_camera_file_from_outside_is_taken_along(tmp_path):
-    camera = tmp_path / "bench" / "camera.json"
-    camera.parent.mkdir()
+@pytest.mark.parametrize(
+    ("place", "carried_as"),
+    [("bench/camera.json", "camera.json"), ("run/bench/camera.json", "bench/camera.json")],
+)
+def test_camera_file_is_taken_along_wherever_it_lies(tmp_path, place, carried_as):
+    """Outside the working folder ``run``, and in it."""
+    camera = tmp_path / place
+    camera.parent.mkdir(parents=True)
     rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
     lens = {
         "image_size_px": [1920, 1080],
@@ -388,14 +393,14 @@ def test_camera_file_from_outside_is_taken_along(tmp_path):
         "translation_m": translation.tolist(),
     }
     write_camera_file(camera, lens)
-    (tmp_path / "run").mkdir()
+    (tmp_path / "run").mkdir(exist_ok=True)
     config = synthetic_chain.config(
         grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
         render={"pixels": 16, "textures": ["stripes"], "camera": str(camera)},
     )
     results = synthetic_chain.write(config, tmp_path / "run")
     write_release(config, results, tmp_path / "release", ROOT)
-    carried = tmp_path / "release/records/camera.json"
+    carried = tmp_path / "release/records" / carried_as
     assert carried.read_bytes() == camera.read_bytes()
     record = json.loads((carried.parent / "camera.json.record.json").read_text())
     assert record["sha256"] == hashlib.sha256(carried.read_bytes()).hexdigest()

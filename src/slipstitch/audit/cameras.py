@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slipstitch.audit.contents import Contents
 from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation
-from slipstitch.release.records import carried_file
+from slipstitch.release.records import carried_file, recorded_name
 from slipstitch.render.shards import FilmJob, Rectifier
 from slipstitch.render.shots import Shot, camera_record, shots
 from slipstitch.simulate.drop_and_drag import draw_perturbation
@@ -23,14 +23,14 @@ class Cameras:
 
     Attributes
     ----------
-    folder : path
+    contents : Contents
         The release; a camera file is taken from it.
     config : Config
     simulation : Simulation
     viewpoint_id : str
     """
 
-    folder: Path
+    contents: Contents
     config: Config
     simulation: Simulation
     viewpoint_id: str
@@ -40,7 +40,8 @@ class Cameras:
         """The rendering job."""
         config, render = self.config, self.config.render
         if render.camera:
-            carried = self.folder / carried_file(Path(render.camera).name)
+            path = recorded_name(render.camera, self.contents.artefacts) or render.camera
+            carried = self.contents.folder / carried_file(path)
             render = render.model_copy(update={"camera": str(carried)})
             config = config.model_copy(update={"render": render})
         name = render.viewpoint_ids()[self.viewpoint_id]

@@ -240,7 +240,7 @@ def _photographed(
 
     row = contents.row_of[one["video"]]
     simulation = find_simulation(config, row["simulation"])
-    cameras = Cameras(contents.folder, config, simulation, row["viewpoint_id"])
+    cameras = Cameras(contents, config, simulation, row["viewpoint_id"])
     shot = next(shot for shot in cameras.shots if shot.frame == one["frame"])
     if composed.shape[:2] != (shot.camera.rows or shot.camera.pixels, shot.camera.pixels):
         return False

@@ -327,7 +327,7 @@ def _rendered(artefact: Artefact, contents: Contents, known: _Known) -> Iterator
     name = config.render.viewpoint_ids()[view]
     shown = known.shown(artefact)
     digests = {Path(path).stem: artefact.inputs.get(path) for path in known.trajectories(artefact)}
-    cameras = Cameras(contents.folder, config, simulation, view)
+    cameras = Cameras(contents, config, simulation, view)
     textures = dict(cameras.job.textures)
     drawn = draw_surroundings(config.render, config.seed, simulation.id, view)
     expected = {
