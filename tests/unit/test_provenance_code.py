@@ -159,6 +159,50 @@ def test_the_configuration_counts_where_it_computes(tree, old, new, reruns):
     assert digest("train", tree) == before["train"]
 
 
+BORROWING = """
+from slipstitch.errors import BadInput
+from slipstitch.material import law
+from slipstitch.theory.drag import reach
+from slipstitch.theory.sag import drop
+from slipstitch.gone import nothing
+def side(): return reach() + law.SLOPE + nothing
+def height(): return drop()
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "reruns"),
+    [
+        ("theory/drag.py", True),  # a function that render speaks of takes it from there
+        ("theory/domain.py", True),  # which imports this
+        ("material/law.py", True),
+        ("theory/sag.py", False),  # of another function of the same module
+        ("theory/__init__.py", False),
+        ("errors.py", False),
+    ],
+)
+def test_what_the_configuration_computes_with_counts_where_it_does(tree, name, reruns):
+    files = {
+        "config/images.py": BORROWING,
+        "render/__init__.py": "",
+        "render/command.py": "from slipstitch.config.images import side",
+        "render/images.py": "",
+        "theory/__init__.py": "from slipstitch.theory.sag import drop",
+        "theory/drag.py": "from slipstitch.theory.domain import require",
+        "theory/domain.py": "",
+        "theory/sag.py": "",
+        "material/law.py": "",
+    }
+    (tree / "slipstitch/theory").mkdir()
+    for file, content in files.items():
+        (tree / "slipstitch" / file).write_text(content, encoding="utf-8")
+    before = {stage: digest(stage, tree) for stage in ("render", "train")}
+    path = tree / "slipstitch" / name
+    path.write_text(path.read_text(encoding="utf-8") + "\nEDITED = 1\n", encoding="utf-8")
+    assert (digest("render", tree) != before["render"]) == reruns
+    assert digest("train", tree) == before["train"]
+
+
 def test_versions_that_change_results_count_where_they_are_imported(tree, monkeypatch):
     law = tree / "slipstitch/material/law.py"
     law.write_text(law.read_text() + "\nimport warp as wp\nimport numpy\n", encoding="utf-8")

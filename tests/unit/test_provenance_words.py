@@ -25,6 +25,7 @@ STAGES = sorted(
 # An audit computes again what the records and the pages of a release say.
 OF_SHADING = {"render", "render.packing", "capture", "audit"}
 OF_CALIBRATION = {"calibrate.sweep", "calibrate.calibration"}
+OF_INTERPOLATED_FILMS = {"render", "render.packing", "sample", "capture"}
 OF_CLOTH = OF_CALIBRATION | {"simulate", "convergence", "capture", "criticise", "audit"}
 OF_EVERY_PAGE = {"ablate", "audit", "criticise", "evaluate.capture_evaluation", "release", "report"}
 
@@ -134,6 +135,26 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
             {"render", "train"},
         ),
         ('f"t{i:02d}"', 'f"t{i:03d}"', {"render"}, {"render.packing", "train", "simulate"}),
+        # What the configuration computes the weights of interpolated films with.
+        (
+            "scale = friction * tail",
+            "scale = friction + tail",
+            OF_INTERPOLATED_FILMS | {"calibrate.calibration"},
+            {"simulate", "train", "instrument", "evaluate.evaluation"},
+        ),
+        (
+            "SIDE_M = 0.20",
+            "SIDE_M = 0.21",
+            OF_INTERPOLATED_FILMS | {"simulate"},
+            {"train", "instrument", "evaluate.evaluation"},
+        ),
+        # In the same package, and used by none of them.
+        (
+            "brentq(lambda x: _shape",
+            "root(lambda x: _shape",
+            {"calibrate.calibration"},
+            OF_INTERPOLATED_FILMS,
+        ),
         (
             "def load_fabric(name: str)",
             "def load_fabric(name: str = None)",

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.section import Fabrics, Frictions, Section
 from slipstitch.errors import BadInput
-from slipstitch.material import fabric_names
+from slipstitch.material.fabrics import fabric_names
 from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
 
 if TYPE_CHECKING:

@@ -14,8 +14,9 @@ comments, layout, docstrings, descriptions and the words of errors
   compared as parameters of the rules.
 - The configuration's types count where they compute: a function, a constant, a property or a
   method counts in a stage that imports it or speaks of an attribute of its name, directly or
-  through another such piece. Fields do not, nor their defaults, bounds and validators: a value is
-  compared, whatever made it. So a stage must be handed its settings, never make them of defaults.
+  through another such piece; with it count the modules from which it takes what it computes with.
+  Fields do not, nor their defaults, bounds and validators: a value is compared, whatever made it.
+  So a stage must be handed its settings, never make them of defaults.
 - A catalogue's entries (fabrics, viewpoints, textures, floors) do not count: a rule has those that
   it uses as its parameter, so that one more changes no other. Its functions and classes do.
 - A file that is no Python source (a table, a template) counts where a module or a template that
@@ -96,22 +97,31 @@ def _imports_in(
     modules too; and the packages whose versions count. By the source's text, as an audit reads the
     same sources in several places.
     """
+    found = _import_statements(name, is_package, text)
+    modules = {module for module, _, _ in found}
+    members = {f"{module}.{member}" for module, member, _ in found if member}
+    foreign = {RESULT_PACKAGES.get(module.partition(".")[0]) for module in modules} - {None}
+    return _of_the_package(modules), _of_the_package(members), frozenset(map(str, foreign))
+
+
+@functools.cache
+def _import_statements(name: str, is_package: bool, text: str) -> list[tuple[str, str, str]]:
+    """Module, what is imported from it (empty: itself), and the bare name that this is then."""
     parts = name.split(".")
-    modules: set[str] = set()
-    members: set[str] = set()
+    found: list[tuple[str, str, str]] = []
     for node in ast.walk(parsed(text, name)):
         if isinstance(node, ast.Import):
-            modules.update(alias.name for alias in node.names)
+            found += [
+                (alias.name, "", alias.asname or alias.name.partition(".")[0])
+                for alias in node.names
+            ]
         elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
             if node.level:
                 depth = len(parts) - node.level + is_package
                 base = ".".join(parts[:depth] + ([node.module] if node.module else []))
-            else:
-                base = node.module or ""
-            modules.add(base)
-            members.update(f"{base}.{alias.name}" for alias in node.names)
-    foreign = {RESULT_PACKAGES.get(module.partition(".")[0]) for module in modules} - {None}
-    return _of_the_package(modules), _of_the_package(members), frozenset(map(str, foreign))
+            found += [(base, alias.name, alias.asname or alias.name) for alias in node.names]
+    return found
 
 
 def _of_the_package(names: set[str]) -> frozenset[str]:
@@ -163,6 +173,14 @@ def _modules(stage: str, base: Path) -> dict[str, Path]:
                 continue
             modules[name] = source
             waiting.extend(_imported(name, source))
+    while lenders := _settings_pieces(modules, base)[1] - modules.keys():
+        # Without their packages, which gather what a piece of the configuration does not use.
+        while lenders:
+            name = lenders.pop()
+            source = _module_file(name, base) if _counts(name) else None
+            if source is not None and name not in modules:
+                modules[name] = source
+                lenders |= _imported(name, source)
     return modules
 
 
@@ -195,16 +213,30 @@ def _names_spoken(modules: dict[str, Path], base: Path) -> tuple[set[str], set[s
     return names | (attributes if imports_a_module else set()), attributes
 
 
-def _settings_pieces(modules: dict[str, Path], base: Path) -> dict[str, list[str]]:
-    """Of the configuration's modules, by name: the normal forms of what counts for `modules`."""
-    unspoken = [
-        (module, *piece)
+def _settings_pieces(modules: dict[str, Path], base: Path) -> tuple[dict[str, list[str]], set[str]]:
+    """What of the configuration counts for `modules`.
+
+    Returns
+    -------
+    pieces : dict
+        Of the configuration's modules, by name: the normal forms of what counts.
+    lenders : set of str
+        Modules from which these pieces take what they compute with. No catalogues: a rule compares
+        what a stage uses of these.
+    """
+    sources = {
+        module: source
         for source in sorted((base / PACKAGE).rglob("*.py"))
         if _is_settings(module := _module_name(source, base)) and module not in modules
+    }
+    unspoken = [
+        (module, *piece)
+        for module, source in sources.items()
         for piece in computing_definitions(_text(source), module)
     ]
     names, attributes = _names_spoken(modules, base)
     counting: dict[str, list[str]] = {}
+    lenders: set[str] = set()
     while True:
         left: list[tuple] = []
         spoken: list[tuple] = []
@@ -212,13 +244,30 @@ def _settings_pieces(modules: dict[str, Path], base: Path) -> dict[str, list[str
             _, name, is_member, _ = piece
             (spoken if name in (attributes if is_member else names) else left).append(piece)
         if not spoken:
-            return {module: sorted(forms) for module, forms in counting.items()}
+            return {module: sorted(forms) for module, forms in counting.items()}, lenders
         unspoken = left
         for module, _, _, node in spoken:
             counting.setdefault(module, []).append(written(node))
             of_node = names_in(node)
             names |= of_node[0]
             attributes |= of_node[1]
+            lenders |= _lenders(module, sources[module], of_node[0], base)
+
+
+def _lenders(name: str, source: Path, spoken: set[str], base: Path) -> set[str]:
+    """Modules that count, catalogues apart, from which a module imports one of the bare names."""
+    found = set()
+    for module, member, bound in _import_statements(
+        name, source.name == "__init__.py", _text(source)
+    ):
+        if bound in spoken:
+            inner = f"{module}.{member}"
+            found.add(inner if member and _module_file(inner, base) else module)
+    return {
+        module
+        for module in _of_the_package(found)
+        if _counts(module) and not _is_in(module, CATALOGUES) and _module_file(module, base)
+    }
 
 
 def _data_files(modules: dict[str, Path], base: Path) -> set[Path]:
@@ -279,7 +328,7 @@ def _contents(modules: dict[str, Path], base: Path) -> dict[Path, bytes]:
     for name, source in modules.items():
         form = without_entries if _is_in(name, CATALOGUES) else normal_form
         contents[source] = form(_text(source), name).encode()
-    for name, pieces in _settings_pieces(modules, base).items():
+    for name, pieces in _settings_pieces(modules, base)[0].items():
         if file := _module_file(name, base):
             contents[file] = "\n".join(pieces).encode()
     return dict(sorted(contents.items(), key=lambda item: item[0].relative_to(base).as_posix()))
