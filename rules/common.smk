@@ -104,9 +104,16 @@ rule grid:
     output:
         "results/grid.parquet",
     log:
-        "results/logs/grid.log",
+        "results/logs/sample/grid.log",
+    benchmark:
+        "results/benchmarks/sample/grid.tsv"
+    threads: 1
+    resources:
+        mem_mb=512,
+        runtime=15,
     params:
         rows=hashlib.sha256(json.dumps(grid_rows(CONFIG)).encode()).hexdigest(),
+        code=code_of("config.grid_table"),
         config=CONFIG_FILE,
     message:
         "Write the table of ids and seeds"

@@ -38,7 +38,7 @@ rule convergence_run:
             CONFIG.convergence.frame_rate_hz,
             CONFIG.convergence.seed,
         ),
-        code=code_of("simulate"),
+        code=code_of("convergence.case_run"),
         config=CONFIG_FILE,
     message:
         "Convergence study: simulate {wildcards.case}"

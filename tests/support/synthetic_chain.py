@@ -18,7 +18,8 @@ from slipstitch.bench.extended_model import read_extended_model
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.catalogue import catalogue_entries
 from slipstitch.config import Config, write_config
-from slipstitch.config.grid import Simulation, films, simulations, viewpoints, write_grid
+from slipstitch.config.grid import Simulation, films, simulations, viewpoints
+from slipstitch.config.grid_table import write_grid
 from slipstitch.provenance import file_digest, provenance_record, write_parquet, write_sidecar
 from slipstitch.render.augmentation import draw_augmentation
 from slipstitch.render.encoding import encode_png

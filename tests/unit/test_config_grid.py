@@ -14,8 +14,8 @@ from slipstitch.config.grid import (
     simulations,
     textures,
     viewpoints,
-    write_grid,
 )
+from slipstitch.config.grid_table import write_grid
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_provenance
 

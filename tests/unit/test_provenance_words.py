@@ -26,7 +26,8 @@ STAGES = sorted(
 OF_SHADING = {"render", "render.packing", "capture", "audit"}
 OF_CALIBRATION = {"calibrate.sweep", "calibrate.calibration"}
 OF_INTERPOLATED_FILMS = {"render", "render.packing", "sample", "capture"}
-OF_CLOTH = OF_CALIBRATION | {"simulate", "convergence", "capture", "criticise", "audit"}
+OF_CLOTH = OF_CALIBRATION | {"simulate", "capture", "criticise", "audit"}
+OF_CLOTH |= {"convergence", "convergence.case_run"}
 OF_EVERY_PAGE = {"ablate", "audit", "criticise", "evaluate.capture_evaluation", "release", "report"}
 
 
@@ -66,6 +67,23 @@ def changed(tree, before):
 
 def test_the_rules_name_their_stages():
     assert {"simulate", "render", "train", "report"} <= set(STAGES)
+
+
+def test_every_rule_that_runs_a_command_compares_its_code_and_says_what_it_needs_and_took():
+    rules = [
+        rule
+        for file in (ROOT / "rules").glob("*.smk")
+        for rule in re.split(r"^ *rule\b", file.read_text(encoding="utf-8"), flags=re.M)[1:]
+        if "shell:" in rule
+    ]
+    assert len(rules) > 20
+    for rule in rules:
+        lacking = [
+            word
+            for word in ("code=code_of(", "log:", "benchmark:", "threads:", "mem_mb=", "runtime=")
+            if word not in rule
+        ]
+        assert not lacking, rule.splitlines()[0]
 
 
 @pytest.mark.parametrize(
@@ -140,13 +158,13 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
             "scale = friction * tail",
             "scale = friction + tail",
             OF_INTERPOLATED_FILMS | {"calibrate.calibration"},
-            {"simulate", "train", "instrument", "evaluate.evaluation"},
+            {"simulate", "train", "instrument", "evaluate.evaluation", "config.grid_table"},
         ),
         (
             "SIDE_M = 0.20",
             "SIDE_M = 0.21",
             OF_INTERPOLATED_FILMS | {"simulate"},
-            {"train", "instrument", "evaluate.evaluation"},
+            {"train", "instrument", "evaluate.evaluation", "config.grid_table"},
         ),
         # In the same package, and used by none of them.
         (
@@ -155,6 +173,15 @@ def test_neither_layout_nor_comments_change_a_digest(before, tmp_path):
             {"calibrate.calibration"},
             OF_INTERPOLATED_FILMS,
         ),
+        # The study's own settings of a run, and its comparison, which simulates nothing again.
+        (
+            "step_s = chosen.time_step_s / 2**case.halvings",
+            "step_s = chosen.time_step_s / 3**case.halvings",
+            {"convergence.case_run", "convergence"},
+            {"simulate"},
+        ),
+        ("SHIFT_MAX_S = 2.0", "SHIFT_MAX_S = 3.0", {"convergence"}, {"convergence.case_run"}),
+        ('text = ["kind", ', 'text = ["sort", ', {"config.grid_table"}, {"sample"}),
         (
             "def load_fabric(name: str)",
             "def load_fabric(name: str = None)",

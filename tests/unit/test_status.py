@@ -151,7 +151,8 @@ def test_before_any_job_ended_the_cost_model_says_how_long():
     assert Expectation(config, []).wall_s(job) == job_cpu_s("simulate", config)
     assert Expectation(config, []).wall_s({"rule": "render_images"}) == job_cpu_s("compose", config)
     assert Expectation(None, []).wall_s(job) is None
-    assert Expectation(config, []).wall_s({"rule": "grid"}) is None
+    assert Expectation(config, []).wall_s({"rule": "grid"}) == job_cpu_s("sample", config)
+    assert Expectation(config, []).wall_s({"rule": "all"}) is None
 
 
 def test_the_cost_model_is_corrected_by_what_other_jobs_took():

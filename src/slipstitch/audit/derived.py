@@ -21,7 +21,7 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.png import png_problem
 from slipstitch.config import Config
-from slipstitch.config.grid import grid_table
+from slipstitch.config.grid_table import grid_table
 from slipstitch.errors import first_line
 from slipstitch.page.wording import shortened
 from slipstitch.provenance.reading import load_yaml

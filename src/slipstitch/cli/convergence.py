@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.convergence.study_files import simulate_case
+    from slipstitch.convergence.case_run import simulate_case
 
     config = load_config(*arguments.config, calibration=arguments.calibration)
     run, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)

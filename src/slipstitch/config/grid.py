@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,6 @@ from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.config.section import Fabrics, Frictions, Section
 from slipstitch.errors import BadInput
 from slipstitch.material.fabrics import fabric_names
-from slipstitch.provenance.record import provenance_record, start_clock, write_parquet
 
 if TYPE_CHECKING:
     from slipstitch.config.model import Config
@@ -301,25 +299,3 @@ def grid_rows(config: Config) -> list[dict]:
         for simulation in simulations(config)
     ]
     return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]
-
-
-def grid_table(config: Config):
-    """`grid_rows` as a pyarrow table."""
-    import pyarrow as pa
-
-    text = ["kind", "id", "name", "role", "floor_role"]
-    text += ["material_id", "friction_id", "replicate_id", "material"]
-    schema = pa.schema(
-        [(name, pa.string()) for name in text]
-        + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]
-    )
-    return pa.Table.from_pylist(grid_rows(config), schema=schema)
-
-
-def write_grid(config: Config, path: str | os.PathLike) -> None:
-    """Write ``grid.parquet``."""
-    started = start_clock()
-    table = grid_table(config)
-    keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
-    record = provenance_record("config", config=keys, seed=config.seed, started=started)
-    write_parquet(table, path, record=record)

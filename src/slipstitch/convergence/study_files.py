@@ -1,4 +1,4 @@
-"""The files of the study: one per case, the comparison of all, and the published results."""
+"""The files of the study: the comparison of all cases, and the published results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.config import Config
-from slipstitch.convergence.cases import case_settings, cases
+from slipstitch.convergence.cases import cases
 from slipstitch.convergence.study import describe
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
@@ -22,52 +22,9 @@ from slipstitch.provenance import (
 )
 from slipstitch.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.simulate.convergence import MEASURED
-from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
-from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
+from slipstitch.simulate.trajectory import read_trajectory
 
 _AGAIN = "make study, picture and records with: snakemake --cores 2 convergence"
-
-
-def simulate_case(
-    config: Config, name: str, out: str | os.PathLike, calibration: str | os.PathLike | None
-) -> tuple[Trajectory, float]:
-    """Simulate one case and write it; the run, and its CPU time in s.
-
-    Parameters
-    ----------
-    config : Config
-    name : str
-        The case's id.
-    out : path
-        Parquet file, one row per frame.
-    calibration : path, optional
-        The file that settings were taken from, for the record.
-
-    Raises
-    ------
-    BadInput
-        If the study has no such case.
-    NotConverged
-        If it cannot be solved.
-    """
-    started = start_clock()
-    case = {case.id: case for case in cases(config)}.get(name)
-    if case is None:
-        raise BadInput(f"the study has no case {name!r}; its ids look like {cases(config)[0].id}")
-    settings = case_settings(case, config, config.simulation)
-    trajectory, columns = simulate_drop_and_drag(
-        case.material, case.friction, config.convergence.seed, settings
-    )
-    trajectory.metadata["case"] = case.id
-    record = provenance_record(
-        "convergence",
-        inputs=[calibration] if calibration else [],
-        config={"simulation": settings},
-        seed=config.convergence.seed,
-        started=started,
-    )
-    write_trajectory(out, trajectory, record, **columns)
-    return trajectory, record["cpu_s"]
 
 
 def compare_cases(

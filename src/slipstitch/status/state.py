@@ -18,6 +18,7 @@ from slipstitch.status.schedule import finish_times_s
 
 # The cost model's job kind for rules where it differs from the rule's name.
 KIND = {
+    "grid": "sample",
     "render_shading": "render",
     "render_images": "compose",
     "render_verification": "verify",
