@@ -1,4 +1,4 @@
-"""Tables of the documentation, each from published files and closed forms alone."""
+"""Tables of the documentation: published files, closed forms and the cost model alone."""
 
 import json
 
@@ -10,6 +10,8 @@ from solver_cost_page import page
 
 from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.calibrate.choice import describe
+from slipstitch.config import load_config
+from slipstitch.doctor.cost import MEMORY_MIB, job_memory_mb
 from slipstitch.evaluate import paper as printed
 from slipstitch.theory import flexible_strip_drag
 
@@ -529,6 +531,24 @@ def paper_coefficients(root):
     return _table(head.split("|"), rows)
 
 
+def memory(root):
+    """What jobs took and what is declared for them, at two scales."""
+    demo = load_config(root / "config.yaml")
+    paper_grid = load_config(root / "config.yaml", root / "config" / "paper.yaml")
+    rows = [
+        [
+            kind,
+            f"{cost.value:.0f}",
+            str(job_memory_mb(kind, demo)),
+            str(job_memory_mb(kind, paper_grid)),
+            cost.source,
+        ]
+        for kind, cost in MEMORY_MIB.items()
+    ]
+    head = "job|measured, MiB|declared, MB: demo|the paper's scale|measured with"
+    return _table(head.split("|"), rows)
+
+
 TABLES = {
     "paper": paper,
     "paper_unseen": paper_unseen,
@@ -548,6 +568,7 @@ TABLES = {
     "paper_sides": paper_sides,
     "surrogate_places": surrogate_places,
     "hidden_effect": hidden_effect,
+    "memory": memory,
 }
 PAGES = {
     "docs/benchmarks.md": lambda root: page(

@@ -167,7 +167,7 @@ rule render_verification:
         "results/benchmarks/render/verify.tsv"
     threads: CONFIG.render.threads
     resources:
-        mem_mb=job_memory_mb("render"),
+        mem_mb=job_memory_mb("verify"),
         runtime=job_runtime_min("verify", CONFIG),
     params:
         *settings("seed"),

@@ -20,7 +20,7 @@ rule sample_all:
         "results/benchmarks/sample/sample.tsv"
     threads: 1
     resources:
-        mem_mb=job_memory_mb("sample"),
+        mem_mb=job_memory_mb("sample", CONFIG),
         runtime=job_runtime_min("sample", CONFIG),
     params:
         *settings("seed", "sample"),

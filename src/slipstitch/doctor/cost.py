@@ -106,24 +106,34 @@ COSTS = {
     "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
 }
 
-# Resident memory of the largest job, from benchmark files or measured manually.
+# Resident memory (RSS) of the largest job, from benchmark files; published: see results/published.
 MEMORY_MIB = {
-    "calibrate": Cost(312, "MiB", "smoke chain"),
-    "simulate": Cost(349, "MiB", "smoke chain: 281 to 349; 302 at 41 x 41 vertices over 131 s"),
-    "render": Cost(486, "MiB", "112 px, 30 frames of the paper's scale; 406 at 32 px"),
-    "compose": Cost(389, "MiB", "112 px, nine textures; 214 at 32 px"),
-    "verify": Cost(438, "MiB", "smoke chain"),
-    "preview": Cost(167, "MiB", "smoke chain; 141 at 112 px"),
-    "sample": Cost(149, "MiB", "smoke chain"),
-    "instrument": Cost(560, "MiB", "60 simulations at 64 px: 672 MiB, 110 of it the videos"),
-    "train": Cost(407, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
-    "evaluate": Cost(423, "MiB", "smoke chain; the videos come on top"),
-    "criticise": Cost(343, "MiB", "a case of 24 runs"),
-    "report": Cost(254, "MiB", "smoke chain"),
-    "release": Cost(230, "MiB", "smoke chain"),
-    "audit": Cost(230, "MiB", "smoke chain"),
+    "calibrate": Cost(302, "MiB", "published; smoke chain 275"),
+    "simulate": Cost(391, "MiB", "published; smoke chain 329; convergence, 81 x 81 vertices: 560"),
+    "render": Cost(675, "MiB", "published; smoke chain 578"),
+    "compose": Cost(692, "MiB", "published; smoke chain 380"),
+    "verify": Cost(625, "MiB", "smoke chain"),
+    "preview": Cost(323, "MiB", "smoke chain"),
+    "sample": Cost(205, "MiB", "smoke chain, 16 videos: 208; all videos come on top"),
+    "instrument": Cost(830, "MiB", "published, without the videos; smoke chain 462"),
+    "train": Cost(436, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
+    "evaluate": Cost(528, "MiB", "smoke chain; the videos come on top"),
+    "criticise": Cost(625, "MiB", "a case of 24 runs; others 411"),
+    "report": Cost(512, "MiB", "smoke chain"),
+    "release": Cost(236, "MiB", "smoke chain"),
+    "audit": Cost(465, "MiB", "smoke chain"),
 }
 MEMORY_MARGIN = 2.0
+SAMPLE_VIDEO_MIB = Cost(
+    0.07, "MiB a video", "published: 742 MiB with 8280 videos, 317 with 1920: 0.065, 0.058"
+)
+# How often a job holds its decoded videos at its peak.
+VIDEOS_HELD = {
+    "train": Cost(4.2, "times", "published: 1867 MiB; colours are counted as 8-byte numbers"),
+    "instrument": Cost(3.0, "times", "published: 2530 MiB; while error bars are calibrated"),
+    "evaluate": Cost(1.0, "times", "an allowance: it reads those that test"),
+}
+VIDEOS_MARGIN = 1.2
 
 
 @dataclass(frozen=True)
@@ -386,14 +396,24 @@ def _width2(config: Config) -> float:
 JOB_KINDS = tuple(MEMORY_MIB)
 
 
-def _video_bytes(config: Config) -> float:
+def _video_bytes(config: Config, kind: str = "train") -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
-    side = config.train.pixels or config.render.pixels
-    return 3.0 * _videos(config) * config.sample.frames_kept * side**2
+    side, videos = config.train.pixels or config.render.pixels, _videos(config)
+    if kind == "instrument":
+        names = config.render.viewpoint_ids()
+        side = config.instrument.pixels or config.render.pixels
+        videos = sum(
+            len(textures)
+            for (_, view), textures in films(config).items()
+            if names[view] in config.instrument_views
+        )
+    return 3.0 * videos * config.sample.frames_kept * side**2
 
 
 def job_memory_mb(kind: str, config: Config | None = None) -> int:
     """Memory (MB) for a scheduler to set aside for one job: twice what was measured.
+
+    Of decoded videos, which are counted and not guessed, 1.2 times what they take at the peak.
 
     Parameters
     ----------
@@ -403,8 +423,10 @@ def job_memory_mb(kind: str, config: Config | None = None) -> int:
         For kinds whose memory grows with the dataset.
     """
     needed = MEMORY_MARGIN * MEMORY_MIB[kind].value * 2**20
-    if config is not None and kind in ("train", "instrument", "evaluate"):
-        needed += 1.2 * _video_bytes(config)
+    if config is not None and kind == "sample":
+        needed += MEMORY_MARGIN * SAMPLE_VIDEO_MIB.value * _videos(config) * 2**20
+    if config is not None and kind in VIDEOS_HELD:
+        needed += VIDEOS_MARGIN * VIDEOS_HELD[kind].value * _video_bytes(config, kind)
     return 256 * math.ceil(needed / 256e6)
 
 
