@@ -95,9 +95,9 @@ def entries(**names):
     return json.dumps(catalogue_entries(**names))
 
 
-def digest_if_there(path):
-    """An optional file that a rule displays, as its parameter: the rule reruns when it changes."""
-    return file_digest(path) if os.path.exists(path) else None
+def digests_if_there(*paths):
+    """Optional files that a rule displays, as its parameter: the rule reruns when one changes."""
+    return [f"{path}: {file_digest(path)}" for path in paths if os.path.exists(path)]
 
 
 rule grid:

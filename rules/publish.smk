@@ -29,15 +29,12 @@ rule publish_folder:
     params:
         *settings("publish"),
         study=digest_if_there(MEASURED),
-        optional=[
-            digest_if_there(f"results/{name}")
-            for name in (
-                "ablate/ablate.json",
-                "captures/index.html",
-                "captures/metrics.json",
-                "captures/predictions.parquet",
-            )
-        ],
+        optional=digests_if_there(
+            "results/captures/metrics.json",
+            "results/captures/predictions.parquet",
+            "results/captures/index.html",
+            "results/ablate/ablate.json",
+        ),
         code=code_of("publish"),
         config=CONFIG_FILE,
     message:

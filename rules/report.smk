@@ -15,6 +15,7 @@ rule report_page:
         verification=rules.render.input.verification,
         dataset=rules.sample.input,
         networks=rules.train.input,
+        instruments=rules.instrument.input,
         evaluation=rules.evaluate.input,
         criticism=rules.criticise.input,
         audit=rules.audit.input,
@@ -35,11 +36,12 @@ rule report_page:
     params:
         *settings(*type(CONFIG).model_fields),
         code=code_of("report"),
-        captures=digest_if_there("results/captures/metrics.json"),
-        studies=[
-            digest_if_there(f"results/{folder}/convergence.json")
-            for folder in ("convergence", "published/convergence")
-        ],
+        shown=digests_if_there(
+            "results/captures/metrics.json",
+            "results/captures/predictions.parquet",
+            "results/convergence/convergence.json",
+            "results/published/convergence/convergence.json",
+        ),
         config=CONFIG_FILE,
     message:
         "Write the report"

@@ -16,13 +16,14 @@ from PIL import Image
 from support import synthetic_results
 
 from slipstitch.cli.main import main
+from slipstitch.config.grid import simulations
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import cumulative_error
 from slipstitch.evaluate.metrics import entry
 from slipstitch.evaluate.probes import MIDDLE_FRAME
 from slipstitch.page.wording import duration, evenly, percent
-from slipstitch.provenance import provenance_record, write_sidecar
+from slipstitch.provenance import file_digest, provenance_record, read_sidecar, write_sidecar
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import floors_in_words, training_floors
 from slipstitch.report.learning import share_interval
@@ -543,6 +544,36 @@ def test_a_time_that_is_none_is_one_clear_line(monkeypatch, tmp_path):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(BadInput, match="SOURCE_DATE_EPOCH=yesterday: must be a number of seconds"):
         write_report(CONFIG, tmp_path, tmp_path / "index.html")
+
+
+def test_the_record_names_everything_that_the_page_shows(monkeypatch, whole, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(whole, folder)
+    synthetic_results.write_captures(folder)
+    simulated = [one.id for one in simulations(CONFIG)]
+    (folder / "render" / "preview" / f"{simulated[0]}.mp4").write_bytes(b"film")
+    monkeypatch.chdir(tmp_path)
+    write_report(CONFIG, "results", "index.html")
+    inputs = read_sidecar("index.html")["inputs"]
+    ends = f"{simulated[0]}.png", f"{simulated[-2]}.png"  # contact sheets of the first replicate
+    assert {
+        "results/calibrate/calibration.json",
+        *(f"results/simulate/{name}.parquet" for name in simulated),
+        f"results/render/preview/{simulated[0]}.mp4",
+        *(f"results/render/preview/{name}" for name in ends),
+        "results/sample/manifest.parquet",
+        f"results/sample/{simulated[0]}.parquet",
+        "results/train/by_video/friction_baseline/seed0/history.csv",
+        *(f"results/evaluate/{name}" for name in ("metrics.json", "details.json")),
+        *(f"results/{stage}/predictions.parquet" for stage in ("evaluate", "captures")),
+        "results/captures/metrics.json",
+        "results/criticise/paper_on_paper/verdict.json",
+        "results/criticise/paper_on_paper/picture.svg",
+        "results/audit/audit.json",
+    } <= set(inputs)
+    assert all(file_digest(path) == digest for path, digest in inputs.items())
+    # What was kept of the runs themselves is no result.
+    assert not [path for path in inputs if re.match("results/(benchmarks|logs|status)/", path)]
 
 
 @pytest.mark.parametrize(

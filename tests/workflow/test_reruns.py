@@ -57,6 +57,26 @@ def test_a_page_alone_is_written_again_with_its_template(chain):
         assert chain.pending() == {"report/index.html"}
 
 
+@pytest.mark.parametrize(
+    "file",
+    [
+        "convergence/convergence.json",
+        "published/convergence/convergence.json",
+        "captures/metrics.json",
+        "captures/predictions.parquet",
+    ],
+)
+def test_the_page_is_made_again_for_an_optional_file_that_it_shows(chain, file):
+    path = chain.folder / "results" / file
+    path.parent.mkdir(parents=True)
+    path.write_text("{}", encoding="utf-8")
+    try:
+        assert chain.pending() == {"report/index.html"}
+    finally:
+        path.unlink()
+        path.parent.rmdir()
+
+
 def test_the_reason_names_the_changed_setting(chain):
     answer = chain.snakemake("-n", "--config", "train={dropout: 0.3}", "--", "train")
     assert answer.returncode == 0, answer.stderr

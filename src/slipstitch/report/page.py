@@ -205,19 +205,6 @@ def write_report(
     found = Results(results, config)
     context = page_context(found, time_of_making())
     page = render_page(context)
-    inputs = [
-        path
-        for path in (
-            found.folder / "calibrate" / "calibration.json",
-            found.folder / "sample" / "manifest.parquet",
-            found.folder / "evaluate" / "metrics.json",
-            found.folder / "evaluate" / "predictions.parquet",
-            found.folder / "captures" / "metrics.json",
-            found.folder / "captures" / "predictions.parquet",
-            found.folder / "audit" / "audit.json",
-        )
-        if path.exists()
-    ]
-    record = provenance_record("report", inputs=inputs, config=config, started=started)
+    record = provenance_record("report", inputs=found.read, config=config, started=started)
     write_text(out, page, record)
     return context

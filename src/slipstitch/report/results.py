@@ -106,10 +106,6 @@ class History:
     epochs: list[dict[str, Any]] = field(repr=False)
 
 
-def _json_if_there(path: Path) -> Any | None:
-    return read_json(path) if path.exists() else None
-
-
 class Results:
     """A results folder. Everything is read when asked for; what is not there is None or empty.
 
@@ -120,6 +116,12 @@ class Results:
     config : Config
         What the folder is to hold.
 
+    Attributes
+    ----------
+    read : set of Path
+        The results that were read so far; what is known of the runs themselves (journal, logs,
+        costs) does not count.
+
     Raises
     ------
     BadInput
@@ -129,17 +131,39 @@ class Results:
     def __init__(self, folder: str | os.PathLike, config: Config):
         self.folder = Path(folder)
         self.config = config
+        self.read: set[Path] = set()
         if not self.folder.is_dir():
             raise BadInput(f"{folder}: no such folder")
 
+    def _noted(self, path: Path) -> Path:
+        self.read.add(path)
+        return path
+
+    def _json(self, *parts: str) -> Any | None:
+        path = self.folder.joinpath(*parts)
+        return read_json(self._noted(path)) if path.exists() else None
+
+    def content(self, path: Path) -> bytes:
+        """The bytes of a file of the folder.
+
+        Raises
+        ------
+        BadInput
+            If it cannot be read.
+        """
+        try:
+            return self._noted(path).read_bytes()
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
     def calibration(self) -> Mapping[str, Any] | None:
         """Content of calibration.json."""
-        return _json_if_there(self.folder / "calibrate" / "calibration.json")
+        return self._json("calibrate", "calibration.json")
 
     def convergence(self) -> Mapping[str, Any] | None:
         """The convergence study: this folder's own, else the published one in it."""
-        own = _json_if_there(self.folder / "convergence" / "convergence.json")
-        return own or _json_if_there(self.folder / "published" / "convergence" / "convergence.json")
+        own = self._json("convergence", "convergence.json")
+        return own or self._json("published", "convergence", "convergence.json")
 
     def simulation_path(self, simulation: Simulation) -> Path:
         """Path of a simulation's trajectory."""
@@ -159,7 +183,7 @@ class Results:
             yield self._trajectory(simulation)
 
     def _trajectory(self, simulation: Simulation) -> SimulationSummary:
-        path = self.simulation_path(simulation)
+        path = self._noted(self.simulation_path(simulation))
         run = read_trajectory(path)
         solver = read_parquet(path, ["residual", "newton_iterations"])
         # The vertices nearest the middle, ordered from the upper edge (v = 0) to the lower one.
@@ -191,7 +215,10 @@ class Results:
     def manifest(self) -> list[dict[str, Any]] | None:
         """Rows of the dataset's manifest."""
         folder = self.folder / "sample"
-        return read_manifest(folder)[0] if (folder / MANIFEST).exists() else None
+        if not (folder / MANIFEST).exists():
+            return None
+        self._noted(folder / MANIFEST)
+        return read_manifest(folder)[0]
 
     def images(self, video: Mapping[str, Any], positions: list[int]) -> list[bytes]:
         """PNG bytes of a video's sampled frames at some positions."""
@@ -199,7 +226,8 @@ class Results:
         if not path.exists():
             return []
         wanted = sorted(positions)
-        found = {position: png for _, position, png in read_frames(path, video["video"])}
+        frames = read_frames(self._noted(path), video["video"])
+        found = {position: png for _, position, png in frames}
         return [found[position] for position in wanted if position in found]
 
     def _trainings(self) -> Iterator[tuple[Path, str, str, int]]:
@@ -219,7 +247,7 @@ class Results:
             if not path.exists():
                 continue
             try:
-                rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+                rows = list(csv.DictReader(io.StringIO(self.content(path).decode())))
                 epochs = [
                     {key: _number(value) for key, value in row.items() if key is not None}
                     for row in rows
@@ -231,11 +259,11 @@ class Results:
 
     def metrics(self) -> Mapping[str, Any] | None:
         """Content of metrics.json."""
-        return _json_if_there(self.folder / "evaluate" / "metrics.json")
+        return self._json("evaluate", "metrics.json")
 
     def details(self) -> Mapping[str, Any]:
         """Content of details.json; empty if there is none."""
-        return _json_if_there(self.folder / "evaluate" / "details.json") or {}
+        return self._json("evaluate", "details.json") or {}
 
     def predictions(self) -> list[dict[str, Any]] | None:
         """Rows of predictions.parquet."""
@@ -243,11 +271,11 @@ class Results:
         if not path.exists():
             return None
         columns = ["simulation", "split", "network", "seed", "true_value", "predicted_value"]
-        return read_parquet(path, columns).to_pylist()
+        return read_parquet(self._noted(path), columns).to_pylist()
 
     def capture_metrics(self) -> Mapping[str, Any] | None:
         """Scores on captures, by subset and model."""
-        return _json_if_there(self.folder / "captures" / "metrics.json")
+        return self._json("captures", "metrics.json")
 
     def capture_predictions(self) -> list[dict[str, Any]] | None:
         """Predictions of every model for every capture."""
@@ -256,7 +284,7 @@ class Results:
             return None
         columns = ["video", "pair", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
         columns += ["model", "trained_on", "seed", "friction"]
-        return read_parquet(path, columns).to_pylist()
+        return read_parquet(self._noted(path), columns).to_pylist()
 
     def captures_of_other_networks(self) -> bool:
         """Whether the captures' scores are of a network that the test sets' are not of."""
@@ -271,21 +299,21 @@ class Results:
 
     def verdict(self, case: str) -> dict[str, Any] | None:
         """Content of a measured case's verdict.json."""
-        return _json_if_there(self.folder / "criticise" / case / "verdict.json")
+        return self._json("criticise", case, "verdict.json")
 
     def criticism_picture(self, case: str) -> str | None:
         """What the friction law leaves over in a case, as the text of an SVG."""
         path = self.folder / "criticise" / case / "picture.svg"
-        return path.read_text(encoding="utf-8") if path.exists() else None
+        return self.content(path).decode() if path.exists() else None
 
     def simulated_again(self, case: str) -> Mapping[str, Any] | None:
         """Errors of a case's runs in the cloth simulator, without and with the extended law."""
-        again = _json_if_there(self.folder / "criticise" / case / "resimulation.json") or {}
+        again = self._json("criticise", case, "resimulation.json") or {}
         return again.get("all")
 
     def audit(self) -> Mapping[str, Any] | None:
         """What an audit of the release found."""
-        return _json_if_there(self.folder / "audit" / "audit.json")
+        return self._json("audit", "audit.json")
 
     def benchmarks(self, job_classes: bool = False) -> list[Benchmark]:
         """Cost of every stage that has benchmark files, in the order of the chain.
@@ -352,6 +380,7 @@ class Results:
         for path in candidates:
             with suppress(FileNotFoundError, ValueError):
                 found.append((str(path.relative_to(self.folder)), read_provenance(path)))
+                self._noted(path)
         return found
 
 

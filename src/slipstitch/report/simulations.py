@@ -61,7 +61,7 @@ def _film(results: Results, done: Sequence[Simulation]) -> dict[str, str] | None
     simulation, path = there[len(there) // 2]
     return {
         "title": f"{simulation.material}, µ = {simulation.friction:g}",
-        "video": data_uri(path.read_bytes(), "video/mp4"),
+        "video": data_uri(results.content(path), "video/mp4"),
     }
 
 
@@ -80,7 +80,7 @@ def _sheets(results: Results, done: Sequence[Simulation]) -> list[dict[str, str]
         path = results.preview(simulation)
         assert path is not None  # of such alone is `having` made
         try:
-            with Image.open(path) as image:
+            with Image.open(io.BytesIO(results.content(path))) as image:
                 small = image.convert("RGB")
                 if small.width > SHEET_WIDTH:
                     height = round(small.height * SHEET_WIDTH / small.width)
