@@ -108,8 +108,8 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
     write_calibration(result, path, record)
 
 
-def write_simulate(config: Config, folder: Path) -> None:
-    """simulate/*.parquet, drawn."""
+def write_simulate(config: Config, folder: Path, residuals: dict[str, float] | None = None) -> None:
+    """simulate/*.parquet, drawn; `residuals`: other ones than usual, by simulation."""
     (folder / "simulate").mkdir(parents=True)
     for one in simulations(config):
         motion = synthetic_cloth.motion(config.simulation.frames, n=11)
@@ -124,7 +124,7 @@ def write_simulate(config: Config, folder: Path) -> None:
             Trajectory(**motion, metadata={"settings": config.simulation.model_dump(mode="json")}),
             provenance_record("simulate", seed=one.seed),
             newton_iterations=np.full(count, 9, np.int32),
-            residual=np.full(count, 4e-4),
+            residual=np.full(count, (residuals or {}).get(one.id, 4e-4)),
         )
 
 

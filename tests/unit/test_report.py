@@ -26,6 +26,7 @@ from slipstitch.page.wording import duration, evenly, percent
 from slipstitch.provenance import file_digest, provenance_record, read_sidecar, write_sidecar
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import floors_in_words, training_floors
+from slipstitch.report.dataset import dataset
 from slipstitch.report.learning import share_interval
 from slipstitch.report.learning_pictures import confusion_counts
 from slipstitch.report.page import (
@@ -36,6 +37,7 @@ from slipstitch.report.page import (
     write_report,
 )
 from slipstitch.report.results import Results
+from slipstitch.report.simulations import simulation_section
 from slipstitch.sample.manifest import write_manifest
 from slipstitch.sample.videos import ROLES
 
@@ -574,6 +576,43 @@ def test_the_record_names_everything_that_the_page_shows(monkeypatch, whole, tmp
     assert all(file_digest(path) == digest for path, digest in inputs.items())
     # What was kept of the runs themselves is no result.
     assert not [path for path in inputs if re.match("results/(benchmarks|logs|status)/", path)]
+
+
+def test_pictures_are_of_their_time_also_where_more_phases_are_kept(monkeypatch, tmp_path):
+    config = synthetic_results.config(
+        grid={"materials": ["gray-interlock", "royal-target"], "frictions": [0.1, 0.3],
+              "replicates": 2},
+        simulation={"frames": 80},
+        render={"pixels": 32, "viewpoints": ["calibrated"], "textures": ["stripes"]},
+        sample={"frames": 10, "phases": 2},
+    )  # fmt: skip
+    synthetic_results.write_render_and_sample(config, tmp_path)
+    asked = []
+    images = Results.images
+    monkeypatch.setattr(
+        Results,
+        "images",
+        lambda self, row, positions: asked.append(positions) or images(self, row, positions),
+    )
+    dataset(Results(tmp_path, config))
+    file = tmp_path / "sample" / f"{simulations(config)[0].id}.parquet"
+    time_s = pq.read_table(file, columns=["time_s"])["time_s"].to_pylist()
+    interval_s = time_s[1]  # of the frames that are kept
+    for positions in asked:
+        if len(positions) == 1:
+            assert time_s[positions[0]] == pytest.approx(22.5, abs=interval_s / 2)
+        else:
+            assert (positions[0], positions[-1]) == (0, 19)
+    assert {len(positions) for positions in asked} == {1, 10}
+
+
+def test_the_largest_residual_is_that_of_all_simulations_drawn_or_not(tmp_path):
+    grid = {"materials": ["gray-interlock"], "frictions": [0.1 * k for k in range(1, 9)]}
+    config = synthetic_results.config(grid=grid | {"replicates": 1})
+    synthetic_results.write_simulate(config, tmp_path, residuals={"m05_f0300_r00": 4.7e-4})
+    section = simulation_section(Results(tmp_path, config))
+    assert 0.3 not in section["frictions"] and section["residual"] == 4.7e-4
+    assert section["tolerance"] == config.simulation.friction_tolerance
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from slipstitch.bench.frames import sampled_frames
 from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.page.figures import png_uri
 from slipstitch.page.wording import evenly
@@ -21,9 +22,9 @@ def dataset(results: Results) -> dict[str, Any] | None:
     config = results.config
     by_name = {row["video"]: row for row in rows}
     grid = [simulation for simulation in simulations(config) if simulation.replicate_id == "r00"]
-    frames = config.sample.frames
-    recorded_s = config.simulation.recorded_s
-    mid_stroke = [min(frames - 1, round(MID_STROKE_S / recorded_s * (frames - 1)))]
+    kept = sampled_frames(config.simulation.frames, config.sample.frames_kept)
+    time_s = kept / config.simulation.frame_rate_hz
+    mid_stroke = [int(abs(time_s - MID_STROKE_S).argmin())]
     view = viewpoints(config)[0]
     texture = textures(config)[0]
 
@@ -52,7 +53,7 @@ def dataset(results: Results) -> dict[str, Any] | None:
     strips = []
     for simulation in dict.fromkeys((same[0], same[-1])):
         row = by_name.get(f"{simulation.id}_{texture['id']}_{view['id']}")
-        positions = evenly(range(frames), 10)
+        positions = evenly(range(len(kept)), 10)
         images = results.images(row, list(positions)) if row else []
         if images:
             strips.append(

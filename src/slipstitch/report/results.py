@@ -16,7 +16,13 @@ import numpy as np
 from slipstitch.config import Config
 from slipstitch.config.grid import Simulation, simulations
 from slipstitch.errors import BadInput
-from slipstitch.provenance import read_json, read_parquet, read_provenance, read_sidecar
+from slipstitch.provenance import (
+    read_json,
+    read_metadata,
+    read_parquet,
+    read_provenance,
+    read_sidecar,
+)
 from slipstitch.sample.images import read_frames
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.simulate.trajectory import read_trajectory
@@ -53,12 +59,6 @@ class SimulationSummary:
     centre_m : ndarray, shape (frames, n, 2)
         The line down the middle of the cloth, from the upper to the lower edge: x relative to the
         clamps, and height, in m.
-    residual : float
-        Largest residual of an accepted step.
-    tolerance : float or None
-        What it had to stay below, from the run's own settings.
-    newton_iterations : int
-        Newton iterations of the whole run.
     """
 
     simulation: Simulation
@@ -66,9 +66,6 @@ class SimulationSummary:
     stage_x_m: np.ndarray
     stage_z_m: np.ndarray
     centre_m: np.ndarray
-    residual: float
-    tolerance: float | None
-    newton_iterations: int
 
 
 @dataclass(frozen=True)
@@ -182,10 +179,19 @@ class Results:
         for simulation in self.simulated() if chosen is None else chosen:
             yield self._trajectory(simulation)
 
+    def largest_residual(self) -> tuple[float | None, float | None]:
+        """Of all simulations: largest residual of an accepted step, and largest tolerance."""
+        residuals: list[float] = []
+        tolerances: list[float] = []
+        for simulation in self.simulated():
+            path = self._noted(self.simulation_path(simulation))
+            residuals += map(float, read_parquet(path, ["residual"])["residual"].to_numpy())
+            tolerance = (read_metadata(path).get("settings") or {}).get("friction_tolerance")
+            tolerances += [] if tolerance is None else [tolerance]
+        return max(residuals, default=None), max(tolerances, default=None)
+
     def _trajectory(self, simulation: Simulation) -> SimulationSummary:
-        path = self._noted(self.simulation_path(simulation))
-        run = read_trajectory(path)
-        solver = read_parquet(path, ["residual", "newton_iterations"])
+        run = read_trajectory(self._noted(self.simulation_path(simulation)))
         # The vertices nearest the middle, ordered from the upper edge (v = 0) to the lower one.
         across = np.abs(run.uv[:, 0] - 0.5)
         line = np.flatnonzero(across <= across.min() + 1e-9)
@@ -198,9 +204,6 @@ class Results:
             stage_x_m=run.stage_x_m,
             stage_z_m=run.stage_z_m,
             centre_m=centre,
-            residual=float(np.max(solver["residual"].to_numpy())),
-            tolerance=(run.metadata.get("settings") or {}).get("friction_tolerance"),
-            newton_iterations=int(np.sum(solver["newton_iterations"].to_numpy())),
         )
 
     def preview(self, simulation: Simulation, suffix: str = ".png") -> Path | None:

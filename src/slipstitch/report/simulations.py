@@ -27,6 +27,7 @@ def simulation_section(results: Results) -> dict[str, Any]:
     frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
     shown = [simulation for simulation in done if simulation.friction in frictions]
     trajectories: list[SimulationSummary] = list(results.trajectories(shown))
+    residual, tolerance = results.largest_residual()
     first: dict[tuple[str, float], SimulationSummary] = {}
     for run in trajectories:
         first.setdefault((run.simulation.material, run.simulation.friction), run)
@@ -38,10 +39,8 @@ def simulation_section(results: Results) -> dict[str, Any]:
         "all_frictions": len(frictions) == len(config.grid.frictions),
         "profiles": svg_uri(physics_pictures.profiles(list(first.values()))),
         "tails": svg_uri(physics_pictures.tails(trajectories)),
-        "residual": max((run.residual for run in trajectories), default=None),
-        "tolerance": max(
-            (run.tolerance for run in trajectories if run.tolerance is not None), default=None
-        ),
+        "residual": residual,
+        "tolerance": tolerance,
         # The table of costs has the same number.
         "cpu_median": next(
             (one.cpu_median_s for one in results.benchmarks() if one.stage == "simulate"), None
