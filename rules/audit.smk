@@ -27,7 +27,7 @@ rule audit_release:
         runtime=job_runtime_min("audit", CONFIG),
     params:
         code=code_of("audit"),
-        study=digest_if_there(MEASURED),
+        study=STUDY,
     message:
         "Audit the release"
     # Damage fails the run; that code has changed since is for the page to say.

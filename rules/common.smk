@@ -100,6 +100,10 @@ def digests_if_there(*paths):
     return [f"{path}: {file_digest(path)}" for path in paths if os.path.exists(path)]
 
 
+# The convergence study that trajectories quote; which jobs show its verdicts, rerun with it.
+STUDY = file_digest(MEASURED) if MEASURED.is_file() else None
+
+
 rule grid:
     output:
         "results/grid.parquet",

@@ -28,7 +28,7 @@ rule publish_folder:
         runtime=15,
     params:
         *settings("publish"),
-        study=digest_if_there(MEASURED),
+        study=STUDY,
         optional=digests_if_there(
             "results/captures/metrics.json",
             "results/captures/predictions.parquet",
