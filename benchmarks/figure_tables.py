@@ -3,7 +3,7 @@
 import json
 
 import model_card
-import numpy
+import numpy as np
 import pandas
 from scipy.stats import binomtest
 from solver_cost_page import page
@@ -11,8 +11,10 @@ from solver_cost_page import page
 from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.calibrate.choice import describe
 from slipstitch.config import load_config
+from slipstitch.config.train import split_of
 from slipstitch.doctor.cost import MEMORY_MIB, job_memory_mb
 from slipstitch.evaluate import paper as printed
+from slipstitch.sample.probes import SIGNIFICANCE, chance_of, is_probed
 from slipstitch.theory import flexible_strip_drag
 
 
@@ -176,7 +178,7 @@ def _by_pose(root):
     found["close"] = found["error"] < 0.1
     found["held"] = found["true_value"].between(found["low"], found["high"])
     pitch = found["pose_pitch_deg"]
-    farther = numpy.expm1(found["pose_log_distance"])
+    farther = np.expm1(found["pose_log_distance"])
     rows = []
     for words, steps, form in (
         ("camera raised by, to the nearest 4°", 4 * (pitch / 4).round() + 0, "+.0f"),
@@ -466,6 +468,59 @@ def paper_unseen(root):
     return _table(head.split("|"), rows)
 
 
+def paper_probes(root):
+    """From which share on a probe would have had the paper's dataset refused, and what they had."""
+    details = _read(root, "paper/details.json")
+    folder = root / "results" / "published" / "paper" / "dataset"
+    every = pandas.read_parquet(folder / "manifest.parquet").to_dict("records")
+    titles = {
+        "by_video": "by video",
+        "by_simulation": "simulations held out",
+        "by_video_reflective": "by video, reflective floors",
+    }
+    kinds = {
+        "first frame, background, file size": ("first_frame", "background", "file_size"),
+        "order": ("order",),
+    }
+    rows = []
+    for split, words in titles.items():
+        videos = [row for row in every if is_probed(row, split)]
+        labels = np.unique([row["friction_id"] for row in videos], return_inverse=True)[1]
+        names = np.array([row["simulation"] for row in videos])
+        sides = np.array([row[f"split_{split_of(split)}"] for row in videos])
+        by_order = np.flatnonzero(sides == "train")[1::2]
+        for kind, probes in kinds.items():
+            test = by_order if kind == "order" else sides == "test"
+            tested = np.unique(names[test])
+            least = next(
+                count
+                for count in range(len(tested) + 1)
+                if chance_of(np.isin(names[test], tested[:count]), labels[test], names[test])
+                < SIGNIFICANCE
+            )
+            found = [
+                details[split][f"probe_{probe}{learner}"]["mean"]["friction_lt_0.1"]
+                for probe in probes
+                for learner in ("", "_network")
+                if split in details
+            ]
+            _, first = np.unique(names[test], return_index=True)
+            guess = np.bincount(labels[test][first]).max() / len(tested)
+            rows.append(
+                [
+                    words,
+                    kind,
+                    f"{len(labels[test])} of {len(tested)}",
+                    f"{guess:.1%}",
+                    f"{least} of {len(tested)} ({least / len(tested):.0%})",
+                    f"{min(found):.1%} to {max(found):.1%}" if found else "not yet",
+                ]
+            )
+    head = "split|probe|videos of simulations|guessing|refused from, simulations right"
+    head += "|found, videos right"
+    return _table(head.split("|"), rows)
+
+
 def _confusion(details, test, network):
     found = details[test][network]
     return found["classes"], found["confusion"]
@@ -552,6 +607,7 @@ def memory(root):
 TABLES = {
     "paper": paper,
     "paper_unseen": paper_unseen,
+    "paper_probes": paper_probes,
     "paper_fabrics": paper_fabrics,
     "paper_coefficients": paper_coefficients,
     "convergence": convergence,

@@ -14,7 +14,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.grid import friction_id
-from slipstitch.config.train import REFLECTIVE, SPLITS, TRAINED_ON
+from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
@@ -107,7 +107,7 @@ def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluate
     for split, models in metrics.items():
         # Of the split by video, the instrument's viewpoint may have no test video.
         probed = {model for model in models if model.startswith(PREFIX)}
-        assert bool(probed) == (split in SPLITS)
+        assert bool(probed) == (split in TRAINED_ON)
         models = {model: row for model, row in models.items() if model not in probed}
         assert list(models)[:2] == ["lrcn_baseline", "lrcn_conditional"]
         of_few = ("by_video", "reflective_floors", REFLECTIVE)

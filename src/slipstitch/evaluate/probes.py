@@ -8,17 +8,21 @@ import torch
 from torch import nn
 
 from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import split_of
 from slipstitch.evaluate.metrics import chance, confusion, constant_error, entry, friction_scores
-from slipstitch.evaluate.wrong_inputs import ever_cloth
 from slipstitch.sample.images import read_frames
+from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.probes import (
     PIXELS,
+    UNTOLD,
+    is_probed,
     linear_answers,
     probed_splits,
     refuse_leak,
     standardised,
+    untold_features,
 )
-from slipstitch.sample.videos import Videos, read_videos, takes_part
+from slipstitch.sample.videos import Videos, read_videos
 from slipstitch.train.classes import classes_of, labels_of
 
 PREFIX = "probe_"
@@ -27,10 +31,7 @@ MIDDLE_FRAME = f"{PREFIX}middle_frame"
 #: Name -> what it sees, in words.
 WHAT = {
     MIDDLE_FRAME: "one frame from the middle",
-    f"{PREFIX}first_frame": "the first frame",
-    f"{PREFIX}background": "the first frame without the cloth",
-    f"{PREFIX}file_size": "the size of the first frame's file",
-    f"{PREFIX}order": "the place in the order of training",
+    **{f"{PREFIX}{name}": words for name, words in UNTOLD.items()},
 }
 NETWORK = "_network"
 _HIDDEN, _STEPS, _RATE, _DECAY = 64, 300, 3e-3, 1e-3
@@ -77,29 +78,13 @@ def probe_features(
         Of the split.
     """
     first, middle = videos.pixels[:, 0], videos.pixels[:, 1]
-    views = np.array([row["viewpoint_id"] for row in videos.rows])
-    background = first.copy()
-    for view in set(views):
-        seen = first[views == view]
-        background[views == view] = np.where(ever_cloth(seen)[..., None], 0, seen)
-    # Half of the videos that train tells of the other half what their places in an epoch tell.
-    training = np.flatnonzero(sides == "train")
-    place = np.zeros(len(sides))
-    place[np.random.default_rng([0, 0]).permutation(training)] = np.arange(1, len(training) + 1)
-    waves = np.pi * (place / max(1, len(training)))[:, None] * 2.0 ** np.arange(8)
-    halves = np.full(len(sides), "unused")
-    halves[training[::2]], halves[training[1::2]] = "train", "test"
-    return {
-        MIDDLE_FRAME: (middle, sides),
-        f"{PREFIX}first_frame": (first, sides),
-        f"{PREFIX}background": (background, sides),
-        f"{PREFIX}file_size": (_sizes(dataset, videos), sides),
-        f"{PREFIX}order": (np.hstack([np.sin(waves), np.cos(waves)]), halves),
-    }
+    untold = untold_features(videos.rows, first, _sizes(dataset, videos), sides)
+    seen = {f"{PREFIX}{name}": features for name, features in untold.items()}
+    return {MIDDLE_FRAME: (middle, sides)} | seen
 
 
 def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
-    """Size of the first frame's file, beside fabric, texture and viewpoint, and times each."""
+    """Bytes of the first frames' files."""
     wanted = {row["video"] for row in videos.rows}
     size = {
         video: len(png)
@@ -107,14 +92,7 @@ def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
         for video, position, png in read_frames(os.path.join(dataset, file))
         if position == 0 and video in wanted
     }
-    sizes = np.array([size[row["video"]] for row in videos.rows], dtype=float)
-    sizes = (sizes - sizes.mean()) / max(sizes.std(), 1e-9)
-    known = []
-    for kind in ("material", "texture", "viewpoint"):
-        number = np.unique([row[f"{kind}_id"] for row in videos.rows], return_inverse=True)[1]
-        known.append(np.eye(number.max() + 1)[number])
-    kinds = np.hstack([np.ones((len(sizes), 1)), *known])
-    return np.hstack([kinds, kinds * sizes[:, None]])
+    return np.array([size[row["video"]] for row in videos.rows])
 
 
 def probe_split(
@@ -122,12 +100,21 @@ def probe_split(
 ) -> dict[str, dict[str, Any]]:
     """Entries of details.json for every probe in one split.
 
+    Parameters
+    ----------
+    settings : EvaluateSettings
+    dataset : path
+    videos : Videos
+        Those that `is_probed` in the split, two frames of each, the first and one in the middle.
+    split : str
+        One of `slipstitch.config.train.TRAINED_ON`.
+
     Raises
     ------
     BadInput
         If a probe that must be at chance is not.
     """
-    sides = np.array([row[f"split_{split}"] for row in videos.rows])
+    sides = np.array([row[f"split_{split_of(split)}"] for row in videos.rows])
     classes = classes_of(videos.rows, "friction")
     labels = labels_of(videos.rows, classes, "friction")
     values = np.array([of_class["value"] for of_class in classes])
@@ -161,10 +148,16 @@ def probe_split(
 
 
 def probes(settings: EvaluateSettings, dataset: str | os.PathLike) -> dict[str, dict[str, Any]]:
-    """`probe_split` of the splits that must tell nothing, of the videos that may train."""
-    videos = read_videos(dataset, takes_part, PIXELS, 2)
-    splits = probed_splits(row["viewpoint"] for row in videos.rows)
-    return {split: probe_split(settings, dataset, videos, split) for split in splits}
+    """`probe_split` of the splits that must tell nothing, of the videos of each."""
+    splits = probed_splits(read_manifest(dataset)[0])
+    videos = read_videos(
+        dataset, lambda row: any(is_probed(row, split) for split in splits), PIXELS, 2
+    )
+    result = {}
+    for split in splits:
+        chosen = videos.chosen(np.array([is_probed(row, split) for row in videos.rows]))
+        result[split] = probe_split(settings, dataset, chosen, split)
+    return result
 
 
 def entries(of_split: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -5,7 +5,8 @@
 
 import numpy as np
 
-COLOURED = 25  # largest minus least colour of a pixel that must be cloth, of 255
+from slipstitch.sample.probes import ever_cloth
+
 OBJECT_SHARE = 0.45  # side of the foreign object, in shares of the image
 
 
@@ -36,11 +37,6 @@ def wrong_inputs(videos: np.ndarray) -> dict[str, np.ndarray]:
         "object": _with_box(empty),
         "upside_down": videos[:, :, ::-1],
     }
-
-
-def ever_cloth(images: np.ndarray) -> np.ndarray:
-    """Where any of the images (n, side, side, 3) shows cloth: what is coloured."""
-    return ((images.max(-1).astype(np.int16) - images.min(-1)) > COLOURED).any(0)
 
 
 def _empty(videos: np.ndarray, random: np.random.Generator) -> np.ndarray:

@@ -26,9 +26,9 @@ from slipstitch.render.pose import POSE
 from slipstitch.render.surroundings import MATTE
 from slipstitch.sample.images import pixels_digest, write_frames
 from slipstitch.sample.manifest import write_manifest
-from slipstitch.sample.probes import PIXELS, check_first_frames
+from slipstitch.sample.probes import PIXELS, check_nothing_told
 from slipstitch.sample.shards import decode, read_shard, simulations_of
-from slipstitch.sample.videos import resized, takes_part
+from slipstitch.sample.videos import resized
 
 
 def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
@@ -88,8 +88,8 @@ def write_dataset(
     ------
     BadInput
         If a shard is damaged, a video or frame of the grid is missing, there twice or not of the
-        grid, an image cannot be decoded or has the wrong size, no valid split exists, or the first
-        frames tell the friction coefficient.
+        grid, an image cannot be decoded or has the wrong size, no valid split exists, or something
+        without contact tells the friction coefficient (`slipstitch.sample.probes`).
     """
     started = start_clock()
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
@@ -110,16 +110,15 @@ def write_dataset(
 
     rows: list[dict[str, Any]] = []
     first: list[np.ndarray] = []
+    sizes: list[int] = []
     for simulation in progress(grid.values(), "sample: ", unit="simulation"):
-        written, images = _write_simulation(
+        written, images, in_bytes = _write_simulation(
             config, simulation, paths_of[simulation.id], frames, sides, Path(out_dir)
         )
         rows += written
         first += [resized(image[None], PIXELS)[0] for image in images]
-    trainable = [k for k, row in enumerate(rows) if takes_part(row)]
-    check_first_frames(
-        str(out_dir), [rows[k] for k in trainable], np.stack([first[k] for k in trainable])
-    )
+        sizes += in_bytes
+    check_nothing_told(str(out_dir), rows, np.stack(first), np.array(sizes))
     check_no_simulation_on_both_sides(
         [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
     )
@@ -141,8 +140,14 @@ def _write_simulation(
     frames: np.ndarray,
     sides: dict[str, tuple[str, str]],
     out_dir: Path,
-) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
-    """Write one simulation's frames; return its rows, sorted by video, and their first frames."""
+) -> tuple[list[dict[str, Any]], list[np.ndarray], list[int]]:
+    """Write one simulation's frames.
+
+    Returns
+    -------
+    list of dict, list of ndarray, list of int
+        Its rows, sorted by video, their first frames and the sizes of these frames' files (bytes).
+    """
     started = start_clock()
     between = interpolations(config)
     videos: dict[tuple[str, str], list] = {}
@@ -173,7 +178,7 @@ def _write_simulation(
                 )
             frictions[view] = filmed_friction(simulation, shown)
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
-    rows, images, first = [], [], []
+    rows, images, first, sizes = [], [], [], []
     file = f"{simulation.id}.parquet"
     for video in sorted(name for name in sides if name.startswith(f"{simulation.id}_")):
         texture, view = video.split("_")[3:]
@@ -199,6 +204,7 @@ def _write_simulation(
                 }
             )
         first.append(pixels[0])
+        sizes.append(len(videos[texture, view][0].png))
         view_name = catalogue[view]["name"]
         turn = VIEWPOINTS[view_name].azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
         by_video, by_simulation = sides[video]
@@ -242,4 +248,4 @@ def _write_simulation(
         started=started,
     )
     write_frames(images, out_dir / file, record, {"marked_points_m": points})
-    return rows, first
+    return rows, first, sizes
