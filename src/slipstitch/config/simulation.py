@@ -50,14 +50,13 @@ class SimulationSettings(Section):
         gt=0,
         le=1,
         description="largest time step where the motion is steady: several time steps are taken as "
-        "one where its error, foreseen from the step before, is at most half of step_error_m; "
-        "never where that is .inf",
+        "one where its error, foreseen from the step before, is at most half of step_error_m",
     )
     step_error_m: float = Field(
         1.0e-4,
         gt=0,
         description="a step whose discretisation error (root mean square over the vertices) is "
-        "larger is halved, up to three times; .inf: never",
+        "larger is halved, up to three times",
     )
     frames: int = Field(
         300, ge=1, le=100_000, description="number of recorded frames, the first at 0 s"
