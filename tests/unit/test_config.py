@@ -1,6 +1,7 @@
 """The typed configuration: what it accepts, how files merge, one clear line for what is wrong."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -227,3 +228,19 @@ def test_clamps_that_would_hit_the_floor_are_refused(tmp_path):
     low = write(tmp_path / "low.yaml", "simulation: {stage: {drop_m: 0.21}}\n")
     with pytest.raises(BadInput, match=r"simulation\.stage: drop_m must be less"):
         load_config(low)
+
+
+@pytest.mark.parametrize(
+    ("stage", "problem"),
+    [
+        ("{start_height_m: 0.15}", "stage.start_height_m: must be at least 0.2, not 0.15"),
+        ("{drop_m: 0}", "stage: drop_m must be more than 0.01, not 0;"),
+        ("{drop_m: 0.01}", "stage: drop_m must be more than 0.01"),
+        ("{start_height_m: 0.5}", "stage: drop_m must be more than 0.3"),
+        ("{start_height_m: 0.25, drop_m: 0.03}", "stage: drop_m must be more than 0.05"),
+    ],
+)
+def test_a_cloth_hangs_free_at_the_start_and_is_lowered_to_the_floor(tmp_path, stage, problem):
+    path = write(tmp_path / "stage.yaml", f"simulation: {{stage: {stage}}}\n")
+    with pytest.raises(BadInput, match=re.escape(f"{path}: simulation.{problem}")):
+        load_config(path)

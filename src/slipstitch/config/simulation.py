@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from slipstitch.bench.stage_path import SIDE_M
 from slipstitch.config.section import Fabrics, Section
 
 
@@ -12,9 +13,19 @@ class StageSettings(Section):
     """Motion of the clamps: down, then forward and back (the paper, Sec. 4.1)."""
 
     start_height_m: float = Field(
-        0.21, gt=0, le=10, description="height of the clamps above the floor at the start"
+        0.21,
+        ge=SIDE_M,
+        le=10,
+        description="height of the clamps above the floor at the start, from where the cloth, "
+        "0.2 m long, hangs down freely",
     )
-    drop_m: float = Field(0.06, ge=0, le=10, description="distance lowered")
+    drop_m: float = Field(
+        0.06,
+        ge=0,
+        le=10,
+        description="distance lowered: less than start_height_m, and enough that the cloth "
+        "touches the floor",
+    )
     stroke_m: float = Field(0.30, gt=0, le=10, description="length of a stroke along the floor")
     strokes: int = Field(
         4, ge=0, le=100, description="number of strokes: forward, back, forward, back"
@@ -25,10 +36,15 @@ class StageSettings(Section):
     )
 
     @model_validator(mode="after")
-    def _stays_above_the_floor(self) -> "StageSettings":
+    def _brings_the_cloth_to_the_floor(self) -> "StageSettings":
         if self.drop_m >= self.start_height_m:
             raise ValueError(
                 "drop_m must be less than start_height_m; otherwise the clamps hit the floor"
+            )
+        if round(self.start_height_m - self.drop_m, 9) >= SIDE_M:
+            raise ValueError(
+                f"drop_m must be more than {self.start_height_m - SIDE_M:g}, not {self.drop_m:g}; "
+                f"otherwise the cloth, {SIDE_M:g} m long, never touches the floor"
             )
         return self
 
