@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from contextlib import contextmanager
+from functools import cache
 from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
@@ -45,8 +46,6 @@ os.environ["SLIPSTITCH_CPU_TIME"] = "1"
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}
 VIEWPOINTS = {viewpoint["id"]: viewpoint for viewpoint in viewpoints(CONFIG)}
 SHOWN = films(CONFIG)
-# Films of cloths between the simulated ones.
-INTERPOLATIONS = interpolations(CONFIG)
 SHARDS = [f"{simulation}_{viewpoint}" for simulation, viewpoint in SHOWN]
 # Viewpoints from which every simulation is filmed; from the others only some are.
 FULL_VIEWPOINTS = [
@@ -61,6 +60,24 @@ wildcard_constraints:
     viewpoint=r"v\d\d",
     split="|".join(CONFIG.train.splits),
     seed=r"\d+",
+
+
+@cache
+def interpolated():
+    """Films of cloths between the simulated ones; a grid that has no split may only be simulated."""
+    with one_line_errors():
+        return interpolations(CONFIG)
+
+
+def unless_refused(check, files):
+    """Files as a rule's input; what refuses the configuration does so before anything is made."""
+
+    def input_files(wildcards):
+        with one_line_errors():
+            check(CONFIG)
+        return files
+
+    return input_files
 
 
 def settings(*sections, also=(), **exclude):

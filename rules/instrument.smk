@@ -1,5 +1,7 @@
 """The measuring instrument: its network, error bars and alarm."""
 
+from slipstitch.config.trainable import check_instrument_can_train
+
 
 rule instrument:
     input:
@@ -13,7 +15,7 @@ rule instrument:
 
 rule instrument_one:
     input:
-        rules.sample.input,
+        unless_refused(check_instrument_can_train, rules.sample.input),
     output:
         weights="results/instrument/{split}/seed{seed}/instrument.safetensors",
         card="results/instrument/{split}/seed{seed}/instrument.json",

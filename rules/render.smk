@@ -38,7 +38,7 @@ def camera_file(wildcards):
 
 def filmed(simulation, viewpoints):
     """The simulation, or the simulations between which the films of it lie, and their weights."""
-    shown = [INTERPOLATIONS.get((simulation, viewpoint)) for viewpoint in viewpoints]
+    shown = [interpolated().get((simulation, viewpoint)) for viewpoint in viewpoints]
     return [one.weights if one else {simulation: 1.0} for one in shown]
 
 

@@ -1,5 +1,7 @@
 """The dataset: sampled frames, splits, manifest."""
 
+from slipstitch.config.splits import sides_of_simulations
+
 
 rule sample:
     input:
@@ -9,7 +11,7 @@ rule sample:
 
 rule sample_all:
     input:
-        grid="results/grid.parquet",
+        grid=unless_refused(sides_of_simulations, "results/grid.parquet"),
         shards=rules.render.input.shards,
     output:
         manifest="results/sample/manifest.parquet",

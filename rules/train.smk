@@ -1,6 +1,7 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
 from slipstitch.config.train import NETWORKS
+from slipstitch.config.trainable import check_networks_can_train
 
 
 def material_network(wildcards):
@@ -32,7 +33,7 @@ rule train:
 
 rule train_one:
     input:
-        dataset=rules.sample.input,
+        dataset=unless_refused(check_networks_can_train, rules.sample.input),
         material=material_network,
     output:
         model="results/train/{split}/{network}/seed{seed}/model.safetensors",

@@ -10,6 +10,7 @@ from slipstitch.bench.stage_path import StagePath
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
 from slipstitch.config.render import AugmentationSettings
 from slipstitch.config.schema import schema_text
+from slipstitch.config.trainable import check_instrument_can_train, check_networks_can_train
 from slipstitch.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
@@ -244,3 +245,57 @@ def test_a_cloth_hangs_free_at_the_start_and_is_lowered_to_the_floor(tmp_path, s
     path = write(tmp_path / "stage.yaml", f"simulation: {{stage: {stage}}}\n")
     with pytest.raises(BadInput, match=re.escape(f"{path}: simulation.{problem}")):
         load_config(path)
+
+
+def test_fabrics_for_validation_leave_one_to_train():
+    sections = {"grid": {"materials": ["gray-interlock", "royal-target"]}}
+    resolve_config(sections | {"sample": {"validation_materials": ["royal-target"]}})
+    every = ["royal-target", "gray-interlock"]
+    with pytest.raises(BadInput, match=r"sample\.validation_materials: has all of grid\.materials"):
+        resolve_config(sections | {"sample": {"validation_materials": every}})
+
+
+@pytest.mark.parametrize(
+    ("check", "sections", "problem"),
+    [
+        (
+            check_networks_can_train,
+            {"grid": {"materials": ["gray-interlock"]}},
+            "grid.materials: has 1; the material network requires at least 2",
+        ),
+        (
+            check_networks_can_train,
+            {"grid": {"frictions": [0.3]}},
+            "grid.frictions: has 1; a friction network requires at least 2",
+        ),
+        (
+            check_networks_can_train,
+            {"sample": {"validation_materials": ["gray-interlock"]}},
+            "by_simulation (train.splits) keeps gray-interlock from it",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"frictions": [0.3]}},
+            "grid.frictions: has 1; the instrument requires at least 2",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"frictions": [0.5, 2.0]}},
+            "grid.frictions: 2 is above what the instrument can say, 1.5 (instrument.friction_max)",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"test_frictions": [1.6]}},
+            "grid.test_frictions: 1.6 is above what the instrument can say, 1.5",
+        ),
+    ],
+)
+def test_a_grid_that_cannot_train_is_refused_before_it_is_simulated(check, sections, problem):
+    check(Config())
+    with pytest.raises(BadInput, match=re.escape(problem)):
+        check(resolve_config(sections))
+
+
+def test_an_instrument_needs_no_second_fabric_and_may_say_more_than_the_grid_has():
+    grid = {"materials": ["gray-interlock"], "frictions": [0.5, 2.0]}
+    check_instrument_can_train(resolve_config({"grid": grid, "instrument": {"friction_max": 2.0}}))

@@ -142,6 +142,61 @@ def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, probl
     assert "Traceback" not in answer.stdout + answer.stderr
 
 
+ONE_PAIR = "grid={materials: [gray-interlock], frictions: [0.3], replicates: 1}"
+BENCHES = (
+    "render={viewpoints: [bench_1], interpolation: {share: 1.0}}",
+    "train={splits: [by_simulation]}",
+)
+
+
+@pytest.mark.parametrize(
+    ("target", "overrides", "problem"),
+    [
+        ("sample", [ONE_PAIR], "nothing to hold out in 1 material(s) with one replicate each"),
+        (
+            "sample",
+            ["grid={frictions: [0.1], replicates: 1}"],
+            "without any training simulation: at least 2 replicates are needed",
+        ),
+        (
+            "release",
+            ["grid={replicates: 1}", "sample={hold_out: replicate}"],
+            "grid.replicates must be at least 2",
+        ),
+        ("render", [ONE_PAIR, *BENCHES], "nothing to hold out in 1 material(s)"),
+        ("all", ["grid={materials: [gray-interlock]}"], "grid.materials: has 1; the material"),
+        ("all", ["grid={frictions: [0.5, 2.0]}"], "grid.frictions: 2 is above what the instrument"),
+    ],
+)
+def test_what_cannot_be_split_or_trained_is_refused_before_anything_runs(
+    workflow, target, overrides, problem
+):
+    answer = workflow.snakemake("-n", "--config", *overrides, "--", target)
+    assert answer.returncode == 2
+    said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
+    assert len(said) == 1 and said[0].startswith("snakemake: error: ")
+    assert problem in said[0]
+    assert "Traceback" not in answer.stdout + answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("target", "overrides"), [("simulate", [ONE_PAIR, *BENCHES]), ("render", [ONE_PAIR])]
+)
+def test_a_single_pair_can_be_simulated_and_filmed(workflow, target, overrides):
+    answer = workflow.snakemake("-n", "--quiet", "rules", "--config", *overrides, "--", target)
+    assert answer.returncode == 0, answer.stderr
+    assert job_counts(answer.stdout)["simulate_one"] == 1
+
+
+def test_what_no_network_can_learn_may_still_be_a_dataset_or_an_instrument(workflow):
+    for target, override in (
+        ("sample", "grid={frictions: [0.5, 2.0]}"),
+        ("instrument", "grid={materials: [gray-interlock]}"),
+    ):
+        answer = workflow.snakemake("-n", "--quiet", "rules", "--config", override, "--", target)
+        assert answer.returncode == 0, answer.stderr
+
+
 def test_measured_cases_need_no_simulation(workflow):
     answer = workflow.snakemake("-n", "--quiet", "rules", "--", "criticise")
     assert answer.returncode == 0, answer.stderr

@@ -67,6 +67,11 @@ class Config(Section):
                     f"sample.validation_materials: {name!r} is not in grid.materials "
                     f"({', '.join(self.grid.materials)})"
                 )
+        if set(self.grid.materials) == set(self.sample.validation_materials):
+            raise ValueError(
+                "sample.validation_materials: has all of grid.materials; at least one must be left "
+                "to train"
+            )
         self._benches_tell_no_coefficient()
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
