@@ -13,6 +13,9 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
+from slipstitch.errors import BadInput
+from slipstitch.predict.predictive import read_verdict
+from slipstitch.predict.validation import lock, score
 from slipstitch.provenance import file_digest, read_provenance
 
 KEYS = {
@@ -110,6 +113,76 @@ def test_a_prediction_is_locked_before_and_scored_after(written, tmp_path, capsy
     (tmp_path / "v.prediction.csv").write_bytes(locked.replace(b"1", b"2", 5))
     assert criticise(written / "fresh") == 2
     assert "not the prediction that v.prediction.lock.json locks" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def predicted(written, tmp_path_factory):
+    """A prediction and its lock, of a campaign whose humidity is not known yet."""
+    folder = tmp_path_factory.mktemp("predicted")
+    shutil.copytree(written / "fresh", folder / "design")
+    table = pd.read_csv(folder / "design/incline.csv")
+    table.drop(columns=["angle_deg", "censored"]).assign(rh_pct="").to_csv(
+        folder / "design/incline.csv", index=False
+    )
+    lock(read_verdict(written / "verdict.json"), folder / "design", folder / "p.csv")
+    return folder
+
+
+def test_what_was_empty_may_be_recorded_and_runs_may_fail(written, predicted, tmp_path):
+    shutil.copytree(written / "fresh", tmp_path / "case")
+    table = pd.read_csv(tmp_path / "case/incline.csv").assign(rh_pct=41.5)
+    table.sample(frac=1.0, random_state=1).iloc[3:].to_csv(
+        tmp_path / "case/incline.csv", index=False
+    )
+    verdict = read_verdict(written / "verdict.json")
+    kept = lock(verdict, tmp_path / "case", predicted / "p.csv")
+    found = score(tmp_path / "case", predicted / "p.csv", kept)
+    assert 0 < found["readings"] <= len(table) - 3
+    assert "runs" not in found
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda case: _edit(case, orientation_deg=17.0), "was predicted with orientation_deg"),
+        (lambda case: _edit(case, specimen_id="S99"), "was predicted with specimen_id"),
+        (lambda case: _edit(case, run_id="X1"), "run X1 of incline was not predicted"),
+        (lambda case: _nominal(case, rho_kg_m2=0.123), "its nominal values are others"),
+    ],
+)
+def test_a_prediction_of_one_campaign_is_not_scored_against_another(
+    written, predicted, tmp_path, change, words
+):
+    shutil.copytree(written / "fresh", tmp_path / "case")
+    change(tmp_path / "case")
+    with pytest.raises(BadInput, match=words) as caught:
+        lock(read_verdict(written / "verdict.json"), tmp_path / "case", predicted / "p.csv")
+    assert str(caught.value).startswith(f"{predicted / 'p.csv'}: locked for another campaign than ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_lock_that_does_not_tell_its_campaign_is_refused(written, predicted, tmp_path):
+    for name in ("p.csv", "p.lock.json"):
+        shutil.copy(predicted / name, tmp_path / name)
+    record = json.loads((tmp_path / "p.lock.json").read_text())
+    (tmp_path / "p.lock.json").write_text(json.dumps(record | {"runs": None}))
+    with pytest.raises(BadInput, match="does not say which campaign it was locked for"):
+        lock(read_verdict(written / "verdict.json"), written / "fresh", tmp_path / "p.csv")
+
+
+def _edit(case, **cells):
+    """Other cells in the first run."""
+    table = pd.read_csv(case / "incline.csv")
+    for name, value in cells.items():
+        table[name] = table[name].astype(object)
+        table.loc[0, name] = value
+    table.to_csv(case / "incline.csv", index=False)
+
+
+def _nominal(case, **values):
+    meta = json.loads((case / "meta.json").read_text())
+    meta["nominal"] |= values
+    (case / "meta.json").write_text(json.dumps(meta))
 
 
 def test_the_page_says_the_verdict_first(written):

@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from slipstitch.criticise.case import read_case
+from slipstitch.criticise.case import Case, read_case
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.errors import BadInput
 from slipstitch.predict.predictive import predictions
 from slipstitch.provenance import atomic_path, file_digest, read_json, write_json
@@ -28,36 +29,79 @@ def _digest(verdict: dict) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _campaign(case: Case) -> dict:
+    """What else predictions follow from: nominal values, and what is known of runs beforehand."""
+    tables = {}
+    for name in case.protocols_of_runs:
+        protocol = PROTOCOLS[name]
+        columns = protocol.tables[protocol.runs_table]
+        planned = case.tables[protocol.runs_table][[c.name for c in columns if not c.measured]]
+        tables[protocol.runs_table] = {
+            run: {name: cell for name, cell in cells.items() if cell == cell and cell != ""}
+            for run, cells in planned.set_index("run_id").to_dict("index").items()
+        }
+    return {"nominal": case.nominal, "runs": tables}
+
+
+def _difference(locked: dict, found: dict) -> str | None:
+    """What makes a campaign another than the one that was locked.
+
+    What was empty may have been recorded since, and a run that failed may be gone.
+    """
+    if found["nominal"] != locked["nominal"]:
+        return "its nominal values are others"
+    for table, runs in found["runs"].items():
+        for run, cells in runs.items():
+            planned = locked["runs"].get(table, {}).get(run)
+            if planned is None:
+                return f"run {run} of {table} was not predicted"
+            for name, cell in planned.items():
+                if cells.get(name) != cell:
+                    there = cells.get(name, "an empty cell")
+                    return f"run {run} of {table} was predicted with {name} {cell}, not {there}"
+    return None
+
+
 def lock(verdict: dict, case_folder: Path, prediction: Path) -> dict:
     """Write a prediction of a case, whose measured values are not read, and its lock beside it.
 
-    A prediction that is there already is kept, and must be the one that was locked.
+    A prediction that is there already is kept, and must be the one that was locked for this case.
 
     Returns
     -------
     dict
-        The lock: ``prediction_sha256``, ``models_sha256``, ``locked_at`` (UTC).
+        The lock: ``prediction_sha256``, ``models_sha256``, ``locked_at`` (UTC), and of the case
+        ``nominal`` and ``runs`` as it was predicted with them.
 
     Raises
     ------
     BadInput
-        If the prediction was altered, or locked for other models.
+        If the prediction was altered, or locked for other models or another campaign.
     """
     beside = prediction.with_suffix(".lock.json")
+    campaign = _campaign(case := read_case(case_folder, with_measurements=False))
     if beside.exists() and prediction.exists():
         kept = read_json(beside)
         if not isinstance(kept, dict) or kept.get("prediction_sha256") != file_digest(prediction):
             raise BadInput(f"{prediction}: not the prediction that {beside.name} locks")
         if kept.get("models_sha256") != _digest(verdict):
             raise BadInput(f"{prediction}: locked for other models than this verdict's")
+        if not all(isinstance(kept.get(key), dict) for key in campaign):
+            raise BadInput(
+                f"{beside}: does not say which campaign it was locked for; remove it to predict "
+                "anew"
+            )
+        if other := _difference(kept, campaign):
+            raise BadInput(f"{prediction}: locked for another campaign than {case_folder}: {other}")
         return kept
-    table = predictions(verdict, read_case(case_folder, with_measurements=False))
+    table = predictions(verdict, case)
     with atomic_path(prediction) as temporary:
         table.to_csv(temporary, index=False)
     record = {
         "prediction_sha256": file_digest(prediction),
         "models_sha256": _digest(verdict),
         "locked_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        **campaign,
     }
     write_json(beside, record)
     return record
@@ -69,9 +113,9 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
     Returns
     -------
     dict
-        The lock, counts, and for null and extended model the share of readings within their 95 %
-        intervals, the mean log score a reading and the error by quantity; the gain in log score
-        with a t-interval over specimens.
+        The lock but for its runs, counts, and for null and extended model the share of readings
+        within their 95 % intervals, the mean log score a reading and the error by quantity; the
+        gain in log score with a t-interval over specimens.
 
     Raises
     ------
@@ -86,7 +130,8 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
     both = rows.merge(foreseen, on=["run_id", "quantity"], validate="one_to_one")
     if not len(both):
         raise BadInput(f"{case_folder}: nothing that was predicted has been measured")
-    found: dict = {**record, "readings": len(both)}
+    found: dict = {key: record[key] for key in record if key not in ("nominal", "runs")}
+    found["readings"] = len(both)
     for name, column in MODELS:
         miss, sd = both["y"] - both[f"{column}_mean"], both[f"{column}_sd"]
         both[name] = -0.5 * np.log(2 * np.pi * sd**2) - 0.5 * (miss / sd) ** 2
