@@ -21,6 +21,7 @@ from slipstitch.criticise.within_runs import (
     within_runs,
     words,
 )
+from slipstitch.protocol.tracked_drag import TrackedShape
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
 WEIGHT_N = 0.06 * 9.80665
@@ -149,3 +150,17 @@ def test_a_run_is_simulated_with_models_that_its_specimen_had_no_part_in(monkeyp
     assert sorted(shown) == sorted(every["run_id"])
     assert len(found["folds"]) == len(trained) == every["specimen_id"].nunique() == 6
     assert found["all"]["gain"] == pytest.approx(0.75)
+
+
+def test_runs_without_a_specimen_s_name_are_specimens_of_their_own(monkeypatch):
+    case = read_case(CASES / "surrogate_anisotropic")
+    runs = case.tables["drop_drag_runs"]
+    runs["specimen_id"] = ""
+    line_m = np.array([0.0, 1.0])
+    model = {"friction_law": {"face": {"coefficient": 0.3, "mechanisms": {}}}}
+    shape = TrackedShape(line_m, line_m, line_m, line_m)
+    monkeypatch.setattr(resimulation, "extended_model", lambda *_: model)
+    monkeypatch.setattr(resimulation, "drag_tracked", lambda *_, **__: shape)
+    verdict = {"verdict": "none", "models": {"extended": {"causes": []}}}
+    found = resimulation.resimulate(case, verdict).summary
+    assert found["all"]["specimens"] == len(runs)

@@ -75,7 +75,7 @@ def resimulate(
         frames = measured[measured["run_id"] == run["run_id"]].copy()
         if not len(frames):
             continue
-        frames["specimen_id"] = run["specimen_id"]
+        frames["specimen_id"] = run["specimen_id"] or run["run_id"]
         frames["u_pos_mm"] = run["u_pos_mm"]
         for name, model in models.items():
             key = _run_of(run, model, float(measured["x_stage_mm"].max()))
