@@ -28,7 +28,8 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
     ----------
     trial : mapping
         What `slipstitch.calibrate.sweep.run_settings` returns, with its ``key``.
-    settings : CalibrateSettings        The requirements.
+    settings : CalibrateSettings
+        The requirements.
 
     Returns
     -------
@@ -75,7 +76,8 @@ def choose(
     ----------
     trials : sequence of dict
         What `judge` returns, for the configured settings and for each change.
-    settings : CalibrateSettings        The requirements.
+    settings : CalibrateSettings
+        The requirements.
     run : callable
         Settings to a judged trial; called at most once, for a combination.
 
