@@ -7,6 +7,8 @@ import math
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
 from support import synthetic_videos
 
 from slipstitch.cli.main import main
@@ -219,6 +221,33 @@ def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys)
 def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
     (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
     train(dataset, tmp_path, changes={"epochs_per_cycle": 1, "plateau_margin": None})
+    assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape"])
+def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+    def kill(progress):
+        if progress.step == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path, changes=few, after_step=kill)
+    path = tmp_path / "checkpoint.safetensors"
+    with safe_open(path, "pt") as file:
+        notes = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if part == "weights":
+        tensors["network.fully_connected.3.bias"][0] += 1
+    elif part == "shape":
+        tensors["random"] = tensors["random"][None]
+    else:
+        edited = {"progress": ('"step": 2', '"step": 1'), "identity": ('"seed": 0', '"seed": 1')}
+        assert edited[part][0] in notes[part]
+        notes[part] = notes[part].replace(*edited[part])
+    save_file(tensors, path, notes)
+    train(dataset, tmp_path, seed=int(part == "identity"), changes=few)
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 

@@ -62,17 +62,17 @@ def save_checkpoint(
     tensors["random"] = torch.get_rng_state()
     tensors = {name: value.contiguous() for name, value in tensors.items()}
     notes = {"identity": json.dumps(identity, sort_keys=True), "progress": _text(progress)}
-    notes["tensors_sha256"] = _digest(tensors)
+    notes["sha256"] = _digest(notes, tensors)
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, notes)
 
 
-def _digest(tensors: dict[str, torch.Tensor]) -> str:
-    """SHA-256 of names and values: a flipped bit must restart a training, not distort it."""
-    digest = hashlib.sha256()
-    for name in sorted(tensors):
-        digest.update(name.encode())
-        digest.update(tensors[name].detach().contiguous().numpy().tobytes())
+def _digest(notes: dict[str, str], tensors: dict[str, torch.Tensor]) -> str:
+    """SHA-256 of everything: a flipped bit must restart a training, not distort it."""
+    digest = hashlib.sha256(json.dumps(notes, sort_keys=True).encode())
+    for name, value in sorted(tensors.items()):
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        digest.update(value.detach().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
@@ -97,12 +97,12 @@ def load_checkpoint(
         return None, ""
     try:
         with safe_open(path, "pt") as file:
-            notes = file.metadata() or {}
+            notes = dict(file.metadata() or {})
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        if notes.pop("sha256") != _digest(notes, tensors):
+            raise ValueError("damaged")
         progress = Progress(**json.loads(notes["progress"]))
         same = json.loads(notes["identity"]) == json.loads(json.dumps(identity))
-        if notes["tensors_sha256"] != _digest(tensors):
-            raise ValueError("damaged")
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
         return None, f"{path}: no readable checkpoint; starting from scratch"
     if not same:
