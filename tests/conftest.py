@@ -6,6 +6,8 @@ import zlib
 import numpy as np
 import pytest
 
+from slipstitch.provenance import record
+
 
 def pytest_addoption(parser):
     parser.addoption("--fresh-seeds", action="store_true", help="draw the hidden effects anew")
@@ -24,6 +26,12 @@ def pytest_terminal_summary(terminalreporter, config):
     if config.option.seeds_from is not None:
         number = config.option.seeds_from
         terminalreporter.write_line(f"hidden effects: --seeds-from {number} repeats them")
+
+
+@pytest.fixture(autouse=True)
+def no_earlier_attempts(monkeypatch):
+    """Every test is a process of its own: what a resumed training took stays in its test."""
+    monkeypatch.setattr(record, "_EARLIER_S", [0.0, 0.0])
 
 
 @pytest.fixture

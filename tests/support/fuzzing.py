@@ -41,7 +41,7 @@ from slipstitch.errors import SlipstitchError
 from slipstitch.evaluate.evaluation import find_models
 from slipstitch.instrument.measuring import load_instrument, save_instrument
 from slipstitch.predict.predictive import read_verdict
-from slipstitch.provenance import read_provenance
+from slipstitch.provenance import read_provenance, start_clock
 from slipstitch.release.assembly import write_release
 from slipstitch.release.records import read_artefact
 from slipstitch.render.camera import pose
@@ -243,7 +243,7 @@ def _networks(add, config, folder: Path) -> None:
     add("models of a folder", models / "model.json", lambda: find_models(folder / "models"))
     optimizer = torch.optim.Adadelta(network.parameters())
     path = folder / "checkpoint.safetensors"
-    save_checkpoint(path, {"a": 1}, Progress(), network, optimizer)
+    save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())
     add("checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer))
 
 

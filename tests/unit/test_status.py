@@ -16,7 +16,7 @@ from slipstitch.report.results import Results
 from slipstitch.status.journal import Journal, process_identity
 from slipstitch.status.runs import failures, last_failures, last_lines, read_runs
 from slipstitch.status.schedule import finish_times_s
-from slipstitch.status.state import Expectation, Measured, stage_of, status
+from slipstitch.status.state import Expectation, Measured, read_benchmark, stage_of, status
 from slipstitch.status.status_text import text
 
 NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
@@ -257,6 +257,20 @@ def test_cpu_times_are_those_that_the_jobs_state_wherever_they_are_shown(bench):
     assert (reported.cpu_s, reported.jobs) == (17.5, 2)
     bench.write(f"logs/simulate/{NAMES[0]}.log", "x" * 1000)
     assert status(bench.results, None).stages[0].cpu_s == 16.0
+
+
+def test_cost_of_a_resumed_job_is_that_of_all_attempts(bench):
+    """Snakemake knows of the last one only."""
+    bench.begin()
+    bench.finish(0, cpu_s=8.0)
+    before = read_benchmark(bench.results / f"benchmarks/simulate/{NAMES[0]}.tsv")
+    bench.write(
+        f"logs/simulate/{NAMES[0]}.log",
+        "written\nwall time of earlier attempts: 100.25 s\nCPU time: 90.50 s\n",
+    )
+    measured = read_benchmark(bench.results / f"benchmarks/simulate/{NAMES[0]}.tsv")
+    assert (measured.wall_s, measured.cpu_s) == (before.wall_s + 100.25, 90.5)
+    assert status(bench.results, None).stages[0].cpu_s == 90.5
 
 
 def test_the_end_of_a_log_is_short_whatever_the_log_holds(tmp_path):

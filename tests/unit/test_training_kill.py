@@ -1,6 +1,7 @@
 """A training whose process is killed goes on, by the same command, to an undisturbed run's bits."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -13,7 +14,9 @@ from support import synthetic_videos
 
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
+from slipstitch.provenance import read_sidecar
 from slipstitch.sample.dataset import write_dataset
+from slipstitch.status.state import SAID_CPU_TIME
 from slipstitch.train.checkpoint import CHECKPOINT
 
 LIMIT_S = 300.0
@@ -94,15 +97,30 @@ def killed_in_mid_epoch(words: list[str], checkpoint: Path) -> None:
     ],
 )
 def test_kill_9_and_the_same_command_again_give_the_bits_of_an_undisturbed_run(
-    folder, capsys, verb, files
+    folder, capsys, monkeypatch, verb, files
 ):
+    """And the cost of both attempts: at the end of the job's log, and in the records."""
     out, undisturbed = folder / f"{verb} killed", folder / f"{verb} undisturbed"
     words = command(folder, verb, out)
     killed_in_mid_epoch(words, out / CHECKPOINT)
     assert not (out / files[0]).exists()
     epoch, step = place(out / CHECKPOINT)
+    with safe_open(out / CHECKPOINT, "numpy") as file:
+        wall_s, cpu_s = json.loads(file.metadata()["taken_s"])
+    assert cpu_s > 0 and 0 < wall_s < LIMIT_S
+    monkeypatch.setenv("SLIPSTITCH_CPU_TIME", "1")
+    before_s = sum(os.times()[:4])
     assert main(words) == 0
-    assert f"epoch {epoch + 1}, step {step + 1}" in capsys.readouterr().err
+    after_s = sum(os.times()[:4])
+    said = capsys.readouterr().err
+    assert f"epoch {epoch + 1}, step {step + 1}" in said
+    assert f"\nwall time of earlier attempts: {wall_s:.2f} s\nCPU time: " in said
+    told_s = float(SAID_CPU_TIME.findall(said)[-1])
+    assert before_s - 0.01 < told_s - cpu_s < after_s + 0.01  # which it is rounded to
+    for name in files:
+        recorded = read_sidecar(out / name)
+        assert cpu_s < recorded["cpu_s"] < cpu_s + after_s - before_s + 0.01
+        assert recorded["wall_s"] > wall_s
     assert main(command(folder, verb, undisturbed)) == 0
     for name in files:
         assert (out / name).read_bytes() == (undisturbed / name).read_bytes(), name

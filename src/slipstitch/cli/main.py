@@ -117,6 +117,16 @@ def _refuse_tight_memory() -> None:
         )
 
 
+def _say_cpu_time() -> None:
+    """What the job took, with the killed attempts that it went on from."""
+    from slipstitch.provenance import earlier_attempts
+
+    wall_s, cpu_s = earlier_attempts()
+    if wall_s:
+        print(f"wall time of earlier attempts: {wall_s:.2f} s", file=sys.stderr)
+    print(f"CPU time: {sum(os.times()[:4]) + cpu_s:.2f} s", file=sys.stderr)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb.
 
@@ -156,7 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
         status = module.run(parsed)
         sys.stdout.flush()
         if "SLIPSTITCH_CPU_TIME" in os.environ:  # a job of the workflow: for its log
-            print(f"CPU time: {sum(os.times()[:4]):.2f} s", file=sys.stderr)
+            _say_cpu_time()
         return int(status or 0)
     except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)

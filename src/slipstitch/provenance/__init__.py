@@ -15,6 +15,8 @@ from slipstitch.provenance.reading import (
 )
 from slipstitch.provenance.record import (
     attach_metadata,
+    count_earlier_attempts,
+    earlier_attempts,
     parquet_stream,
     provenance_record,
     read_metadata,
@@ -35,6 +37,8 @@ __all__ = [
     "check_recorded",
     "code_digest",
     "code_sources",
+    "count_earlier_attempts",
+    "earlier_attempts",
     "file_digest",
     "image_bytes",
     "load_yaml",

@@ -49,9 +49,24 @@ def _cpu_s() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
+# Of killed processes whose work this one continues: wall and CPU seconds.
+_EARLIER_S = [0.0, 0.0]
+
+
+def count_earlier_attempts(wall_s: float, cpu_s: float) -> None:
+    """From now on, count what an interrupted process took for work that this one continues."""
+    _EARLIER_S[0] += wall_s
+    _EARLIER_S[1] += cpu_s
+
+
+def earlier_attempts() -> tuple[float, float]:
+    """Wall and CPU seconds of earlier attempts that were counted."""
+    return _EARLIER_S[0], _EARLIER_S[1]
+
+
 def start_clock() -> tuple[float, float]:
     """Now, as (wall seconds, CPU seconds): keep it and hand it to `provenance_record`."""
-    return time.perf_counter(), _cpu_s()
+    return time.perf_counter() + _EARLIER_S[0], _cpu_s() + _EARLIER_S[1]
 
 
 _PROCESS_START = (time.perf_counter(), 0.0)
@@ -155,7 +170,7 @@ def provenance_record(
     dict
         Keys ``stage, inputs, config, code_digest, git_commit, git_dirty, versions, seed,
         host_kind, wall_s, cpu_s``; ``inputs`` maps each path to its SHA-256; CPU seconds include
-        ended child processes. Holds only what JSON can hold.
+        ended child processes, both times earlier attempts. Holds only what JSON can hold.
     """
     wall_then, cpu_then = started or _PROCESS_START
     commit, dirty = _git()
@@ -169,8 +184,8 @@ def provenance_record(
         "versions": dict(versions()),
         "seed": seed,
         "host_kind": host_kind(),
-        "wall_s": round(time.perf_counter() - wall_then, 4),
-        "cpu_s": round(_cpu_s() - cpu_then, 4),
+        "wall_s": round(start_clock()[0] - wall_then, 4),
+        "cpu_s": round(start_clock()[1] - cpu_then, 4),
     }
 
 

@@ -27,6 +27,7 @@ KIND = {
 
 
 SAID_CPU_TIME = re.compile(r"(?:^CPU time: |[,:] )(\d+\.\d+) (?:CPU )?s$", re.M)
+SAID_EARLIER = re.compile(r"^wall time of earlier attempts: (\d+\.\d+) s$", re.M)
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
     """Cost of a job by its benchmark file; None if it is missing or empty.
 
     Snakemake looks at a process every 30 s and misses what it uses after the last look; the CPU
-    time is the one that the verb says at the end of the log of the same name, if it does.
+    time is the one that the verb says at the end of the log of the same name, if it does. There it
+    also says what attempts took that were killed and continued, of which Snakemake knows nothing.
     """
     try:
         with open(path, encoding="utf-8", errors="replace") as stream:
@@ -108,20 +110,26 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
     wall = _number(rows[-1].get("s"))
     if math.isnan(wall):
         return None
-    cpu_s = _said_cpu_s(Path(path)) or _number(rows[-1].get("cpu_time"))
-    return Measured(wall, cpu_s, _number(rows[-1].get("max_rss")))
+    said = _end_of_log(Path(path))
+    cpu_s = _last(SAID_CPU_TIME, said) or _number(rows[-1].get("cpu_time"))
+    return Measured(wall + _last(SAID_EARLIER, said), cpu_s, _number(rows[-1].get("max_rss")))
 
 
-def _said_cpu_s(benchmark: Path) -> float | None:
-    """CPU seconds in the log beside a benchmark file: logs/STAGE/JOB.log."""
+def _last(pattern: re.Pattern[str], text: str) -> float:
+    """The last number that is said in a text; 0 if none is."""
+    found = pattern.findall(text)
+    return float(found[-1]) if found else 0.0
+
+
+def _end_of_log(benchmark: Path) -> str:
+    """The end of the log beside a benchmark file, logs/STAGE/JOB.log; empty if there is none."""
     log = benchmark.parents[2] / "logs" / benchmark.parent.name / f"{benchmark.stem}.log"
     try:
         with open(log, "rb") as stream:
             stream.seek(max(0, os.path.getsize(log) - 200))
-            said = SAID_CPU_TIME.findall(stream.read().decode(errors="replace"))
+            return stream.read().decode(errors="replace")
     except OSError:
-        return None
-    return float(said[-1]) if said else None
+        return ""
 
 
 def _number(text: Any) -> float:

@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from slipstitch.provenance import atomic_path
+from slipstitch.provenance import atomic_path, count_earlier_attempts, start_clock
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -51,10 +51,12 @@ def save_checkpoint(
     progress: Progress,
     network: nn.Module,
     optimizer: torch.optim.Optimizer,
+    started: tuple[float, float],
 ) -> None:
-    """Write everything, atomically.
+    """Write everything, atomically, and the time that the training took so far.
 
     `identity` says which training this is; only the same one may continue from the file.
+    `started` is what `start_clock` returned before `load_checkpoint`.
     """
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     for number, memory in optimizer.state_dict()["state"].items():
@@ -62,6 +64,8 @@ def save_checkpoint(
     tensors["random"] = torch.get_rng_state()
     tensors = {name: value.contiguous() for name, value in tensors.items()}
     notes = {"identity": json.dumps(identity, sort_keys=True), "progress": _text(progress)}
+    taken_s = [now - then for now, then in zip(start_clock(), started, strict=True)]
+    notes["taken_s"] = json.dumps(taken_s)  # wall and CPU
     notes["sha256"] = _digest(notes, tensors)
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, notes)
@@ -83,7 +87,7 @@ def _text(progress: Progress) -> str:
 def load_checkpoint(
     path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
 ) -> tuple[Progress | None, str]:
-    """Put a training back where a checkpoint left it.
+    """Put a training back where a checkpoint left it, and count the time that it took until then.
 
     Returns
     -------
@@ -103,6 +107,7 @@ def load_checkpoint(
             raise ValueError("damaged")
         progress = Progress(**json.loads(notes["progress"]))
         same = json.loads(notes["identity"]) == json.loads(json.dumps(identity))
+        wall_s, cpu_s = json.loads(notes["taken_s"])
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
         return None, f"{path}: no readable checkpoint; starting from scratch"
     if not same:
@@ -127,4 +132,5 @@ def load_checkpoint(
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": memory, "param_groups": groups})
     torch.set_rng_state(tensors["random"])
+    count_earlier_attempts(wall_s, cpu_s)
     return progress, f"continuing from {path}: epoch {progress.epoch + 1}, step {progress.step + 1}"

@@ -25,7 +25,13 @@ from tqdm import tqdm
 
 from slipstitch.config.train import TRAINED_ON, split_of
 from slipstitch.errors import BadInput, SlipstitchError
-from slipstitch.provenance import atomic_path, code_digest, provenance_record, write_sidecar
+from slipstitch.provenance import (
+    atomic_path,
+    code_digest,
+    provenance_record,
+    start_clock,
+    write_sidecar,
+)
 from slipstitch.sample.manifest import MANIFEST
 from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
@@ -166,6 +172,7 @@ def train_learner(
     network, optimizer = learner.network, learner.optimizer
     schedule = [(phase, epoch) for phase in learner.phases for epoch in range(phase.epochs)]
     checkpoint = out / CHECKPOINT
+    started = start_clock()
     progress, message = load_checkpoint(checkpoint, identity, network, optimizer)
     progress = progress or Progress()
     if message:
@@ -200,7 +207,7 @@ def train_learner(
             optimizer.step()
             progress.add(sums)
             if time.monotonic() - saved_at >= learner.settings.checkpoint_interval_s:
-                save_checkpoint(checkpoint, identity, progress, network, optimizer)
+                save_checkpoint(checkpoint, identity, progress, network, optimizer, started)
                 saved_at = time.monotonic()
             if after_step is not None:
                 after_step(progress)
