@@ -152,9 +152,43 @@ def test_the_frames_are_those_of_the_dataset(video):
 
 
 def test_a_stated_start_is_taken(video):
-    read = read_stage_video(video, LENS, SCHEDULE, start_s=2.0)
+    read = read_stage_video(video, LENS, SCHEDULE, start_s=3.0)
     assert not read.start.found
-    assert np.abs(read.time_s + 2.0 - (SCHEDULE.time_s + 2.0)).max() <= 0.2
+    assert np.abs(read.time_s + 3.0 - (SCHEDULE.time_s + 3.0)).max() <= 0.2
+    assert not read.notes
+
+
+@pytest.mark.parametrize("start_s", [0.0, 2.0, 4.0, 60.0])
+def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
+    with pytest.raises(
+        BadInput, match=rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
+    ):
+        read_stage_video(video, LENS, SCHEDULE, start_s=start_s)
+
+
+def test_a_stated_start_that_is_found_nowhere_is_noted(tmp_path):
+    """Two frames a second are too few to find it."""
+    seldom = np.arange(0, 14, 0.5)
+    path = stage.write_video(tmp_path / "seldom.mp4", images(seldom), seldom)
+    with pytest.raises(BadInput, match="no start of the stage's motion found"):
+        read_stage_video(path, LENS, SCHEDULE)
+    read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S)
+    assert read.notes[0].startswith("the stated start could not be verified")
+
+
+def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
+    """The stage is lowered for 3 s, raised again, and rests before the protocol."""
+    again_s = 6.0
+    rehearsed = np.arange(0, START_S + 3.0, 1 / RATE_HZ)
+    dense = np.arange(6.2, again_s + 6.6, 1 / RATE_HZ)
+    both = np.concatenate([rehearsed, dense, np.arange(again_s + 6.6, again_s + 14.0, 0.4)])
+    starts_s = np.where(both < 6.2, START_S, START_S + again_s)
+    shown = (images([one], start_s) for one, start_s in zip(both, starts_s, strict=True))
+    path = stage.write_video(tmp_path / "two.mp4", (next(one) for one in shown), both)
+    read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S + again_s)
+    assert read.notes == []
+    with pytest.raises(BadInput, match=r"seen to start at 9\.1\d s, but 8\.00 s is stated"):
+        read_stage_video(path, LENS, SCHEDULE, start_s=8.0)
 
 
 def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
