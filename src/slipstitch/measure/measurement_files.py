@@ -59,9 +59,11 @@ class MeasuredPair:
         if not self.used:
             return None
         measured = [self.videos[index].measurement for index in self.used]
+        grid = measured[0].distribution[0]
         return combined(
             [each.friction_coefficient for each in measured],
             [each.interval_90 for each in measured],
+            (grid[0], grid[-1]),
         )
 
     @cached_property

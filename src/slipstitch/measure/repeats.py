@@ -4,7 +4,8 @@ A video's error has two parts. One is shared by all videos of the pair (the fabr
 the instrument learnt) and stays however many are filmed; the other differs from video to video and
 averages out. The instrument states the whole, s; the scatter between videos tells the second, v.
 The pair's coefficient is then the mean of n videos with variance max(s² - v², 0) + v² / n, averaged
-over what is not known of v (prior 1 / (s + v): flat below s, without a scale above).
+over what is not known of v (prior 1 / (s + v): flat below s, without a scale above). The halves of
+the interval below and above the median have an s each.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ class Repeats:
     friction_coefficient : float
         Mean over the videos.
     interval_90 : tuple of float
-        (low, high); never below 0.
+        (low, high), within the instrument's grid.
     scatter : float
         Standard deviation between the videos (posterior median); NaN for one video.
     outliers : list of int
@@ -42,7 +43,11 @@ class Repeats:
     outliers: list[int]
 
 
-def combined(friction: Sequence[float], intervals_90: Sequence[tuple[float, float]]) -> Repeats:
+def combined(
+    friction: Sequence[float],
+    intervals_90: Sequence[tuple[float, float]],
+    ends: tuple[float, float],
+) -> Repeats:
     """Combine the measurements of one pair.
 
     Parameters
@@ -50,28 +55,49 @@ def combined(friction: Sequence[float], intervals_90: Sequence[tuple[float, floa
     friction : sequence of float, length n
         Medians of the videos.
     intervals_90 : sequence of (low, high), length n
+    ends : tuple of float
+        Of the instrument's grid of mu, to which its intervals are clipped.
     """
     values, intervals = np.asarray(friction, float), np.asarray(intervals_90, float)
+    mean = float(values.mean())
     if len(values) == 1:
         low, high = intervals[0]
-        return Repeats(float(values[0]), (float(low), float(high)), float("nan"), [])
-    stated = _stated(intervals)
-    scatter, weights = _scatter(values, stated)
-    variance = np.maximum(stated**2 - scatter**2, 0) + scatter**2 / len(values)
-    half = _quantile(np.sqrt(variance), weights, COVERAGE)
-    mean = float(values.mean())
+        return Repeats(mean, (float(low), float(high)), float("nan"), [])
+    deviations = _deviations(values, intervals, ends)
+    if not np.isfinite(deviations).all():  # a video without an error bar
+        return Repeats(mean, (float(ends[0]), float(ends[1])), float(values.std(ddof=1)), [])
+    scatter, weights = _scatter(values, _root_mean_square(deviations.mean(axis=1)))
+    below, above = (
+        _quantile(
+            np.sqrt(np.maximum(stated**2 - scatter**2, 0) + scatter**2 / len(values)),
+            weights,
+            COVERAGE,
+        )
+        for stated in map(_root_mean_square, deviations.T)
+    )
     order = np.cumsum(weights)
     return Repeats(
         mean,
-        (max(mean - half, 0.0), mean + half),
+        (max(mean - below, float(ends[0])), min(mean + above, float(ends[1]))),
         float(np.interp(0.5, order, scatter)),
-        _outliers(values, intervals) if len(values) >= FEWEST_FOR_OUTLIERS else [],
+        _outliers(values, deviations) if len(values) >= FEWEST_FOR_OUTLIERS else [],
     )
 
 
-def _stated(intervals: np.ndarray) -> float:
-    """Standard deviation implied by the videos' intervals, root mean square."""
-    return float(np.sqrt(np.mean((np.diff(intervals, axis=1) / (2 * HALF_WIDTH)) ** 2)))
+def _deviations(values: np.ndarray, intervals: np.ndarray, ends: tuple[float, float]) -> np.ndarray:
+    """Standard deviations below and above each median that the halves imply, shape (n, 2).
+
+    A half that an end of the grid cuts off is at least as long as the other one; infinite where
+    both are cut off.
+    """
+    halves = np.abs(intervals - values[:, None])
+    cut = np.abs(intervals - np.asarray(ends)) < 1e-9
+    longest = np.where(cut.all(axis=1), np.inf, halves.max(axis=1))
+    return np.where(cut, longest[:, None], halves) / HALF_WIDTH
+
+
+def _root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _scatter(values: np.ndarray, stated: float) -> tuple[np.ndarray, np.ndarray]:
@@ -103,12 +129,13 @@ def _quantile(deviations: np.ndarray, weights: np.ndarray, coverage: float) -> f
     )
 
 
-def _outliers(values: np.ndarray, intervals: np.ndarray) -> list[int]:
+def _outliers(values: np.ndarray, deviations: np.ndarray) -> list[int]:
     """Videos further from the mean of the others than a new video would be."""
     found = []
     for number, value in enumerate(values):
         others = np.delete(values, number)
-        scatter, weights = _scatter(others, _stated(np.delete(intervals, number, axis=0)))
+        stated = _root_mean_square(np.delete(deviations, number, axis=0).mean(axis=1))
+        scatter, weights = _scatter(others, stated)
         spread = scatter * np.sqrt(1 + 1 / len(others))
         if abs(value - others.mean()) > _quantile(
             spread, weights, 1 - OUTLIER_CHANCE / len(values)
