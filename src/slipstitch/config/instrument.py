@@ -113,7 +113,9 @@ class InstrumentSettings(Section):
     draws: int = Field(
         4, ge=1, le=64, description="augmented views of a video whose predictions are averaged"
     )
-    coverage: float = Field(0.9, gt=0.5, lt=1, description="coverage of the intervals")
+    coverage: float = Field(
+        0.9, ge=0.9, le=0.9, description="coverage of the intervals, which are 90 % ones everywhere"
+    )
     false_alarms: float = Field(0.05, gt=0, lt=0.5, description="false alarm rate on valid videos")
 
     @model_validator(mode="after")

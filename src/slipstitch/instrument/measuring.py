@@ -47,7 +47,6 @@ class Measurement:
         Grid of mu and the probability of each of its points, both of shape (G,).
     interval_90 : tuple of float
         Conformal interval, (low, high); the whole grid where too few simulations calibrate it.
-        The level is the card's ``coverage``, 0.9 unless it was set otherwise.
     material_probabilities : dict
         Fabric -> probability.
     alarm : bool
