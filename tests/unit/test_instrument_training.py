@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -279,6 +280,22 @@ def test_what_cannot_be_learnt_stops_the_command_with_one_line(
 def test_chance_is_the_score_of_the_labels_distribution():
     # Uniform in [0, 1]: mean distance 1/3, so 1/6.
     assert chance_score(np.linspace(0, 1, 401)) == pytest.approx(1 / 6, rel=0.01)
+
+
+def test_the_reported_median_is_a_point_of_the_grid_not_the_middle_above_it():
+    """Two videos, one in order: the network is sure of 0.75, which is true."""
+    grid = torch.arange(151) / 100
+    sure = torch.tensor([[[0.0], [0.75], [-7.0]]])
+    said = {"friction": sure, "material": torch.zeros(1, 2), "order": torch.zeros(2)}
+
+    class Sure(SimpleNamespace):
+        def __call__(self, *_):
+            return said
+
+    network = Sure(grid=grid, middles=(grid[1:] + grid[:-1]) / 2)
+    ordered = torch.tensor([1.0, 0.0])
+    found = losses(network, None, torch.tensor([0.75]), torch.tensor([0]), ordered, False)
+    assert found["median_error"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_gradients_in_bfloat16_are_those_in_float32(tests):

@@ -155,7 +155,7 @@ def losses(
     cumulative = mixture_cumulative(outputs["friction"][:count], network.middles)
     score = ranked_probability_score(cumulative, friction, network.grid).mean()
     with torch.no_grad():
-        median = network.middles[(cumulative < 0.5).sum(1).clamp(max=len(network.middles) - 1)]
+        median = medians(cumulative, network.grid)
     off = torch.zeros(())
     if points is not None:
         off = (outputs["points"][:count] - points).abs().mean()
