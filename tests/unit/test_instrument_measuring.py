@@ -228,7 +228,8 @@ def test_an_instrument_trained_by_video_says_so(folder):
     instrument = load_instrument(folder)
     by = {
         split: dataclasses.replace(instrument, card=instrument.card | {"split": split})
-        for split in ("by_video", "by_simulation")
+        for split in ("by_video", "by_video_reflective", "by_simulation")
     }
-    assert "trained with the split by video" in by["by_video"].caveats[0]
+    for split in ("by_video", "by_video_reflective"):
+        assert "trained with the split by video" in by[split].caveats[0]
     assert by["by_simulation"].caveats == []

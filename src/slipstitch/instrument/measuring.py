@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.special import softmax
 
 from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import split_of
 from slipstitch.errors import BadInput, first_line
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
@@ -181,7 +182,7 @@ class Instrument:
     @property
     def caveats(self) -> list[str]:
         """What an error bar of this instrument does not cover."""
-        if self.card.get("split") != "by_video":
+        if split_of(self.card.get("split", "")) != "by_video":
             return []
         return [
             "the instrument was trained with the split by video: other videos of the simulations "
