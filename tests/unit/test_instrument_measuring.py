@@ -16,6 +16,7 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
+from slipstitch.instrument.conformal import covered
 from slipstitch.instrument.measuring import CARD, WEIGHTS, ErrorBars, save_instrument
 from slipstitch.instrument.network import shifted_in_time
 from slipstitch.train.model_file import write_weights
@@ -233,3 +234,11 @@ def test_an_instrument_trained_by_video_says_so(folder):
     for split in ("by_video", "by_video_reflective"):
         assert "trained with the split by video" in by[split].caveats[0]
     assert by["by_simulation"].caveats == []
+
+
+def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
+    """1.3 is none of the numbers of float32, in which the network has its grid."""
+    settings = SETTINGS.model_copy(update={"friction_max": 1.3})
+    low, high = untrained_instrument(settings, FABRICS, 32, frames=6).measure(frames()).interval_90
+    share, _ = covered(*np.array([[low], [high], [1.3]]), ["m00_f1300_r00"])
+    assert share == 1.0

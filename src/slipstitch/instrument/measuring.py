@@ -18,6 +18,7 @@ from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.augmentation import augmented
 from slipstitch.instrument.conformal import least_groups
 from slipstitch.instrument.distribution import (
+    friction_grid,
     mixture_cumulative,
     probabilities_on_grid,
     quantiles,
@@ -121,7 +122,8 @@ class Instrument:
     @property
     def grid(self) -> np.ndarray:
         """Grid of mu, float64 of shape (G,)."""
-        return self.network.grid.double().numpy()
+        # Not the network's, whose end is 1.29999995 in float32 where a truth of 1.3 may lie.
+        return friction_grid(self.settings.friction_max, self.settings.friction_step)
 
     def answers(
         self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
