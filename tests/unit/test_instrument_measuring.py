@@ -17,8 +17,10 @@ from slipstitch.errors import BadInput
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import augmented, rectified_with_errors, standardised
 from slipstitch.instrument.conformal import covered
+from slipstitch.instrument.error_bars import calibrated
 from slipstitch.instrument.measuring import CARD, WEIGHTS, ErrorBars, save_instrument
 from slipstitch.instrument.network import shifted_in_time
+from slipstitch.sample.videos import Videos
 from slipstitch.train.model_file import write_weights
 
 SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
@@ -242,3 +244,15 @@ def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
     low, high = untrained_instrument(settings, FABRICS, 32, frames=6).measure(frames()).interval_90
     share, _ = covered(*np.array([[low], [high], [1.3]]), ["m00_f1300_r00"])
     assert share == 1.0
+
+
+def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
+    instrument = untrained_instrument(SETTINGS, FABRICS, 32, frames=6)
+    rows = [
+        {"simulation": f"s{k}", "friction": 0.1 * k, "material": "gray-interlock" if k < 4 else "x"}
+        for k in range(1, 16)
+    ]
+    videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "digest")
+    bars = calibrated(instrument, videos, np.arange(15) < 3).error_bars
+    assert bars.material_temperature == 1.0
+    assert math.isfinite(bars.factor)

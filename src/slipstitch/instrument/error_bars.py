@@ -102,11 +102,14 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     )
     bars = ErrorBars(
         spread=width,
+        # Without a fabric that trains, nothing tells how sure the network may be of one.
         material_temperature=fitted_material_temperature(
             answers.material_logits[known],
             np.array([names.index(fabrics[k]) for k in known]),
             [groups[k] for k in known],
-        ),
+        )
+        if known
+        else 1.0,
         factor=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(
             describe(frames[training], trained.embedding),
