@@ -178,7 +178,9 @@ def seen_shares(lens: LensCamera, schedule: Schedule) -> np.ndarray:
     return np.array(shares)
 
 
-def seen_too_little(shares: Sequence[float] | np.ndarray, time_s: Sequence[float]) -> str:
+def seen_too_little(
+    shares: Sequence[float] | np.ndarray, time_s: Sequence[float] | np.ndarray
+) -> str:
     """When a camera sees less of a crop than is needed, and how much; empty where it never does.
 
     Parameters

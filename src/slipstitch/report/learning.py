@@ -211,7 +211,10 @@ def beside_paper(
 
 def table_2(metrics, details) -> dict[str, Any] | None:
     """The paper's Table 2: the paper's split, and the honest one."""
-    titles = {("by_video", None): "ours, by video", ("by_simulation", None): "ours, by simulation"}
+    titles: dict[tuple[str, str | None], str] = {
+        ("by_video", None): "ours, by video",
+        ("by_simulation", None): "ours, by simulation",
+    }
     if not any((metrics or {}).get(name) for name, _ in titles):
         return None
     return beside_paper(metrics, details, titles, paper.TABLE_2, paper.TABLE_2_VIDEOS)
