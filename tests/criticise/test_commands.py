@@ -13,6 +13,7 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
+from slipstitch.criticise.inference import fit
 from slipstitch.errors import BadInput
 from slipstitch.predict.predictive import read_verdict
 from slipstitch.predict.validation import lock, score
@@ -183,6 +184,16 @@ def _nominal(case, **values):
     meta = json.loads((case / "meta.json").read_text())
     meta["nominal"] |= values
     (case / "meta.json").write_text(json.dumps(meta))
+
+
+def test_a_fit_that_does_not_converge_gives_one_line_and_no_verdict(
+    written, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(fit, "ITERATIONS_MAX", 1)
+    assert main(["criticise", str(written / "case"), "--out", str(tmp_path / "v.json")]) == 1
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "the fit of plain friction did not converge in 1 iterations" in error
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_page_says_the_verdict_first(written):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,12 +75,7 @@ class Analysis:
     detectable: dict[str, Detectable] = field(default_factory=dict)
 
 
-def analyse(
-    measurements: Measurements,
-    seed: int = 1,
-    replicates: int = 300,
-    report: Callable[[str], None] = lambda text: None,
-) -> Analysis:
+def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) -> Analysis:
     """Reach a verdict.
 
     Parameters
@@ -89,11 +83,11 @@ def analyse(
     seed : of the simulated maxima; the same data and seed give the same verdict.
     replicates : simulated data sets behind every family-wise p.
     """
-    found = _analyse(measurements, seed, replicates, report)
+    found = _analyse(measurements, seed, replicates)
     tares = _unsure_tares(found)
     if tares:
         measurements = replace(measurements, further_zeros=tares)
-        found = _analyse(measurements, seed, replicates, report)
+        found = _analyse(measurements, seed, replicates)
     if found.verdict != "none" or not measurements.zeros:
         return found
     # Zeros may have taken a cause's place: does one explain the data as well without them?
@@ -103,7 +97,7 @@ def analyse(
     plain = refit(sound, keep, (), found.null, found.null_state.scatters).log_likelihood
     if zeros - plain < ZEROS_NEEDED:
         return found
-    other = _analyse(sound, seed, replicates, report)
+    other = _analyse(sound, seed, replicates)
     if other.verdict not in ("cause", "confounded") or other.chosen is None:
         return found
     chosen = other.chosen
@@ -144,13 +138,9 @@ def _unsure_tares(found: Analysis) -> tuple[tuple[str, Zero], ...]:
     )
 
 
-def _analyse(
-    measurements: Measurements, seed: int, replicates: int, report: Callable[[str], None]
-) -> Analysis:
+def _analyse(measurements: Measurements, seed: int, replicates: int) -> Analysis:
     rng = np.random.default_rng(seed)
-    report("fit of the null")
     null, null_state, excluded = fit_without_outliers(measurements, (), None)
-    report("test of the null")
     outcome = test_at(
         measurements, null, null_state, rng, MOST_ROUNDS * replicates, (SIGNIFICANCE,)
     )
@@ -204,13 +194,11 @@ def _analyse(
     if not ranking:
         return result("unknown", left=outcome, why="no mechanism can be tested with these data")
 
-    report("fits of single mechanisms")
     keep = null_state.keep
     judge = Judge(measurements, keep, null, null_state.scatters, null_state.sensitivity, inflation)
     promising = _promising(linear)
     ranking = sorted((judge.candidate(c.causes) for c in promising), key=lambda c: c.bic)
     # Outliers are judged again beside the best model: what the null could not explain, it may.
-    report("selection")
     if ranking[0].bic < -2:
         _, state, again = fit_without_outliers(
             measurements, ranking[0].causes, None, ranking[0].fitted

@@ -107,7 +107,7 @@ def plain_model(
         scatters[block.protocol] = Scatter(
             assumed["scatter_specimen"], assumed["scatter_run"], factor
         )
-    return Fit((), parameters, values, 0.0, prediction, columns, none, True, none), scatters
+    return Fit((), parameters, values, 0.0, prediction, columns, none), scatters
 
 
 def of_design(
