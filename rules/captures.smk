@@ -1,5 +1,8 @@
 """Videos of a bench, or surrogates, evaluated with the trained networks; not part of `all`."""
 
+import csv
+from pathlib import Path
+
 CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
 SLIP_ANGLES = CONFIG.captures.angles or (
     None if CONFIG.captures.table else "results/captures/bench/slip_angles.csv"
@@ -14,6 +17,23 @@ SURROGATE_CAMERA = (
         for reach in ("yaw_deg", "pitch_deg", "roll_deg", "distance", "aim_m", "calibrated_share")
     ),
 )
+
+
+CALIBRATED_CAMERA = CONFIG.render.camera_of("calibrated") or []
+
+
+def filmed_on_the_bench(wildcards):
+    """Videos and camera files of a bench's table: replaced ones are ingested again.
+
+    Those that are there: what is wrong with a table, `slipstitch capture ingest` says.
+    """
+    if not CONFIG.captures.table or not os.path.isfile(CAPTURES_TABLE):
+        return []
+    with open(CAPTURES_TABLE, newline="", encoding="utf-8-sig", errors="replace") as table:
+        rows = csv.DictReader(line.replace("\0", "") for line in table)
+        cells = [row[title] for row in rows for title in ("video", "camera") if row.get(title)]
+    named = {str(Path(CAPTURES_TABLE).parent / cell) for cell in cells}
+    return sorted(path for path in named if os.path.isfile(path))
 
 
 def pair_of(film):
@@ -31,6 +51,8 @@ rule captures:
 
 
 rule surrogate_bench:
+    input:
+        camera=CALIBRATED_CAMERA,
     output:
         expand("results/captures/bench/{file}", file=sorted(set(CONFIG.captures.camera_files()))),
         "results/captures/bench/captures.csv",
@@ -59,6 +81,8 @@ rule surrogate_bench:
 
 
 rule surrogate_film:
+    input:
+        camera=CALIBRATED_CAMERA,
     output:
         "results/captures/bench/{film}.mp4",
     log:
@@ -125,6 +149,8 @@ rule captures_ingest:
     input:
         table=CAPTURES_TABLE,
         films=expand("results/captures/bench/{film}.mp4", film=FILMS),
+        bench=filmed_on_the_bench,
+        camera=CALIBRATED_CAMERA,
         reference="results/captures/reference.csv" if SLIP_ANGLES else [],
     output:
         "results/captures/dataset/manifest.parquet",

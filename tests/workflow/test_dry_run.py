@@ -1,8 +1,12 @@
 """What the workflow would do, and what it says to a configuration that cannot be."""
 
+import os
 import re
+import time
+from collections.abc import Sequence
 
 import pytest
+from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
 from slipstitch.doctor.cost import estimate, estimate_line
@@ -242,6 +246,58 @@ def test_real_captures_need_no_surrogates(workflow):
     counts = job_counts(answer.stdout)
     assert counts["captures_ingest"] == 1
     assert not {"surrogate_film", "surrogate_bench", "captures_reference"} & set(counts)
+
+
+def made_again(workflow, changed: str, overrides: list[str], outputs: Sequence[str]) -> bool:
+    """Whether a file that is newer than the outputs, all there, has them made again."""
+    others = [path for path in workflow.folder.rglob("*") if path.is_file()]
+    for age_s, paths in ((200, others), (100, map(workflow.folder.joinpath, outputs))):
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+            os.utime(path, (time.time() - age_s,) * 2)
+    words = ("-n", "--rerun-triggers", "mtime", "--config", *overrides, "--", *outputs)
+    assert "Nothing to be done" in workflow.snakemake(*words).stdout
+    (workflow.folder / changed).touch()
+    answer = workflow.snakemake(*words)
+    assert answer.returncode == 0, answer.stderr
+    return "Nothing to be done" not in answer.stdout
+
+
+DATASET = ("results/captures/dataset/manifest.parquet", "results/captures/dataset/captures.parquet")
+
+
+@pytest.mark.parametrize("changed", ["a.mp4", "b.json"])
+def test_a_replaced_video_or_camera_file_of_a_bench_is_ingested_again(tmp_path, changed):
+    workflow = Workflow(tmp_path)
+    bench = workflow.folder / "bench"
+    bench.mkdir()
+    for name in ("a.mp4", "b.mp4", "a.json", "b.json"):
+        (bench / name).write_text(name)
+    rows = ["video,camera", "a.mp4,a.json", "b.mp4,b.json", "gone.mp4,a.json"]
+    (bench / "captures.csv").write_text("\n".join(rows))
+    overrides = ["captures={table: bench/captures.csv}"]
+    assert made_again(workflow, f"bench/{changed}", overrides, DATASET)
+
+
+BENCH = [f"results/captures/bench/{name}" for name in ("camera.json", "captures.csv")]
+
+
+@pytest.mark.parametrize(
+    ("table", "outputs"),
+    [
+        ("captures.csv", DATASET),
+        ("null", [*BENCH, "results/captures/bench/slip_angles.csv"]),
+        ("null", ["results/captures/bench/c00_r01.mp4"]),
+    ],
+    ids=["ingest", "surrogate bench", "surrogate film"],
+)
+def test_captures_follow_the_content_of_the_calibrated_camera(tmp_path, table, outputs):
+    workflow = Workflow(tmp_path)
+    for name in ("mine.json", "captures.csv"):
+        (workflow.folder / name).write_text("")
+    overrides = [f"captures={{table: {table}}}", "render={camera: mine.json}"]
+    assert made_again(workflow, "mine.json", overrides, outputs)
 
 
 def test_the_linter_says_nothing_that_is_not_answered(workflow):
