@@ -130,6 +130,9 @@ def test_offsets_of_ten_seconds_count_not_single_ones():
     calm = TimeBase(1.0, 1e-4, np.arange(40.0), offset_m)
     assert calm.worst_offset_m() == 0.0
     offset_m[20:30] = -0.004
+    # The last frame, in a block of its own, is one bad place and not 10 s of them.
+    last = TimeBase(1.0, 1e-4, np.arange(41.0), np.append(offset_m, 0.02))
+    assert last.worst_offset_m() == 0.004
     assert TimeBase(1.0, 1e-4, np.arange(40.0), offset_m).worst_offset_m() == 0.004
 
 

@@ -73,7 +73,7 @@ class TimeBase:
     def worst_offset_m(self) -> float:
         """The largest median offset over 10 s (a cut in the video is a jump)."""
         return max(
-            (abs(float(np.median(self.offset_m[block]))) for block in _blocks(self.time_s)),
+            (abs(float(np.median(self.offset_m[block]))) for block in _full_blocks(self.time_s)),
             default=0.0,
         )
 
@@ -149,7 +149,7 @@ class StageFollower:
             np.mean((images[_LAG:] - images[_LAG - back : len(images) - back]) ** 2, axis=(1, 2))
             for back in (1, _LAG)
         )
-        blocks = [block for block in _blocks(time_s) if len(block) >= 0.5 * _BLOCK_S / INTERVAL_S]
+        blocks = _full_blocks(time_s)
         moved = np.array([np.median((several - one)[block]) for block in blocks])
         seen = np.zeros(0)
         if time_base is not None:
@@ -242,6 +242,11 @@ def _correlation(patches: np.ndarray, template: np.ndarray) -> np.ndarray:
 def _blocks(time_s: np.ndarray) -> list[np.ndarray]:
     number = (time_s // _BLOCK_S).astype(int)
     return [np.flatnonzero(number == one) for one in np.unique(number)]
+
+
+def _full_blocks(time_s: np.ndarray) -> list[np.ndarray]:
+    """Those with half of their frames at least: a median of one or two says nothing of 10 s."""
+    return [block for block in _blocks(time_s) if len(block) >= 0.5 * _BLOCK_S / INTERVAL_S]
 
 
 def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) -> TimeBase:
