@@ -171,6 +171,17 @@ def test_a_lock_that_does_not_tell_its_campaign_is_refused(written, predicted, t
         lock(read_verdict(written / "verdict.json"), written / "fresh", tmp_path / "p.csv")
 
 
+def test_operators_with_dollars_in_their_names_are_drawn_as_they_are(tmp_path):
+    shipped = Path(__file__).parents[2] / "data/cases/paper_on_paper"
+    case = Path(shutil.copytree(shipped, tmp_path / "case"))
+    runs = pd.read_csv(case / "spring_slider_runs.csv")
+    runs["operator"] = [["$5_$6_", "b"][k % 2] for k in range(len(runs))]
+    runs.to_csv(case / "spring_slider_runs.csv", index=False)
+    words = ["--out", str(tmp_path / "v.json"), "--report", str(tmp_path / "v.html")]
+    assert not main(["criticise", str(case), *words])
+    assert "<!-- $5_$6_ -->" in (tmp_path / "v.html").read_text()
+
+
 def _edit(case, **cells):
     """Other cells in the first run."""
     table = pd.read_csv(case / "incline.csv")

@@ -2,14 +2,17 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from support import board_photographs as bench
 
-from slipstitch.capture.camera.board import Board
+from slipstitch.capture.camera.board import Board, Sighting
 from slipstitch.capture.camera.lens_calibration import FloorPlace
+from slipstitch.capture.camera.residuals_figure import draw_residuals
+from slipstitch.capture.camera.views import View
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
@@ -102,6 +105,14 @@ def test_a_camera_file_says_where_it_comes_from(work):
 
 def test_the_picture_of_the_residuals_is_one(work):
     assert cv2.imread(str(work / "camera.png")).shape[1] > 800
+
+
+def test_names_of_views_with_dollars_are_drawn_as_they_are(tmp_path):
+    corners = np.array([[1.0, 2.0], [3.0, 4.0]])
+    view = View("views/$5_$6_.png", (8, 6), Sighting(np.zeros((2, 3)), corners))
+    result = SimpleNamespace(views=[view], residuals_px=[corners / 10], size_px=(8, 6), rms_px=0.1)
+    draw_residuals(result, tmp_path / "a.svg", "svg")
+    assert "<!-- $5_$6_.png -->" in (tmp_path / "a.svg").read_text()
 
 
 def test_a_crop_of_a_real_image_shows_what_the_renderer_draws(work):

@@ -150,6 +150,16 @@ def test_tables_and_picture_are_written(tmp_path, capsys):
     assert picture.read_text().startswith("<?xml")
 
 
+def test_names_with_dollars_are_drawn_as_they_are(tmp_path):
+    rows = list(rows_of("$5_$6_ plate", 0.25, np.random.default_rng(0)))
+    rows = [row.replace(",90,", ",$w_$x_,") for row in rows]
+    picture = tmp_path / "mu.svg"
+    words = ["--out", str(tmp_path / "mu.csv"), "--picture", str(picture)]
+    assert main(["capture", "reference", str(write(tmp_path, *rows)), *words]) == 0
+    assert "on $5_$6_ plate -->" in picture.read_text()
+    assert "<!-- orientation $w_$x_ -->" in picture.read_text()
+
+
 ROW = "denim,glass,A,0,1,14.2,0.2"
 
 

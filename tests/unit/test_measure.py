@@ -238,7 +238,7 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     bars = ErrorBars(1.0, 1.0, np.inf, calm)
     save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
     write_config(CONFIG, tmp_path / "config.json")
-    again = shutil.copy(bench / "video.mp4", tmp_path / "again.mp4")
+    again = shutil.copy(bench / "video.mp4", tmp_path / "price $5_$6_.mp4")
     files = [str(bench / "video.mp4"), str(again), "--camera", str(bench / "camera.json")]
     out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
     out += [f"--out={tmp_path / 'x.html'}", "--model", str(tmp_path / "model")]
@@ -253,6 +253,7 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     for row in (*rows, combined):
         assert (row["interval_90_low"], row["interval_90_high"], row["notes"]) == ("", "", why)
     content = (tmp_path / "x.html").read_text()
+    assert "<!-- price $5_$6_.mp4 -->" in content  # in the figure, as it is
     assert f"N{why[1:]}, from 2 of 2 videos" in content
     assert "0.000 … " not in content
 

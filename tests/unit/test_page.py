@@ -6,7 +6,7 @@ import pytest
 
 from slipstitch.evaluate.metrics import METRICS
 from slipstitch.page import palette
-from slipstitch.page.figures import a_few, new_figure, styled, svg, svg_element, svg_uri
+from slipstitch.page.figures import a_few, new_figure, plain_text, styled, svg, svg_element, svg_uri
 from slipstitch.page.templates import render
 from slipstitch.page.wording import breaking, percent, size, span, with_interval
 
@@ -40,6 +40,13 @@ def test_equal_figures_have_equal_bytes():
     assert element.startswith('<svg role="img" aria-label="Two &amp; more"')
     assert "<metadata>" not in element and element == svg_element(drawn(), "Two & more")
     assert svg_uri(None) is None and svg_uri(drawn()) == svg_uri(svg(drawn()))
+
+
+@pytest.mark.parametrize("words", ["price $5_$6_.mp4", r"\$5_$6_", "a$b", "$a$"])
+def test_words_from_outside_are_drawn_as_they_are(words):
+    figure = new_figure(2, 1)
+    figure.suptitle(plain_text(words))
+    assert f"<!-- {words} -->" in svg(figure)
 
 
 @pytest.mark.parametrize(("name", "escaped"), [("own.html.j2", True), ("own.md.j2", False)])

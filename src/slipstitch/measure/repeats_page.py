@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slipstitch.measure.measurement_page import decisive_frames
-from slipstitch.page.figures import new_figure, styled, svg_element
+from slipstitch.page.figures import new_figure, plain_text, styled, svg_element
 from slipstitch.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.page.templates import render
 from slipstitch.page.wording import number, percent, span
@@ -65,7 +65,8 @@ def _figure(pair: "MeasuredPair"):
         axes.axvline(pair.together.friction_coefficient, color=BLUE, lw=1.5)
     names = [video.name for video in pair.videos]
     short = [_short(name) for name in names]
-    axes.set_yticks(range(len(names)), short if len(set(short)) == len(names) else names)
+    shown = short if len(set(short)) == len(names) else names
+    axes.set_yticks(range(len(names)), map(plain_text, shown))
     axes.invert_yaxis()
     axes.set_xlabel("friction coefficient")
     return figure

@@ -52,6 +52,11 @@ def styled(function):
     return draw
 
 
+def plain_text(words: str) -> str:
+    """Words from outside, as a file's name, for a figure: dollars in them begin no formula."""
+    return words.replace("$", r"\$")
+
+
 def a_few(entries: Sequence[Any], most: int = 6) -> list[Any]:
     """Entries of an ordered scale for a legend: all, or evenly spread ones with both ends."""
     places = np.linspace(0, len(entries) - 1, min(most, len(entries))).round().astype(int)

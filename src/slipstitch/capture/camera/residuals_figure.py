@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.capture.camera.lens_calibration import Calibration
-from slipstitch.page.figures import save_figure
+from slipstitch.page.figures import plain_text, save_figure
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
 
@@ -49,6 +49,6 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
     bars.bar(range(len(worst)), worst, color="tab:blue")
     bars.axhline(result.rms_px, color="black", linewidth=0.8)
     bars.set(ylabel="rms (px)", title="error per view")
-    names = [Path(view.name).name for view in result.views]
+    names = [plain_text(Path(view.name).name) for view in result.views]
     bars.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7)
     save_figure(figure, path, kind, dots_per_inch=110)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from slipstitch.capture.reference.angles import SlipAngles
 from slipstitch.capture.reference.estimate import Reference
-from slipstitch.page.figures import FIXED_IDS, save_figure
+from slipstitch.page.figures import FIXED_IDS, plain_text, save_figure
 from slipstitch.page.palette import BLACK, INTERVAL, SERIES
 
 # Black is the estimate.
@@ -48,16 +48,14 @@ def draw_references(
             )
         axes.set_yticks(
             range(len(measured)),
-            [f"{angles.material}\non {angles.substrate}" for angles, _ in measured],
+            [plain_text(f"{angles.material}\non {angles.substrate}") for angles, _ in measured],
         )
         axes.set_ylim(len(measured) - 0.2, -0.4)
         axes.set_xlabel("friction coefficient (tan of the slip angle)")
         axes.spines[["top", "right"]].set_visible(False)
-        handles = [
-            axes.plot([], [], "o", ms=4, color=colour[name], label=f"orientation {name}")[0]
-            for name in names
-        ]
-        axes.legend(handles=handles, frameon=False, fontsize=8, loc="best")
+        handles = [axes.plot([], [], "o", ms=4, color=colour[name])[0] for name in names]
+        labels = [plain_text(f"orientation {name}") for name in names]
+        axes.legend(handles, labels, frameon=False, fontsize=8, loc="best")
         axes.set_title(
             "Black: estimate with 95 % interval, including the bench's error; dots: slip angles, "
             "one line per position",

@@ -15,7 +15,7 @@ from slipstitch.criticise.report.verdict_pictures import (
     relative_residuals,
     series,
 )
-from slipstitch.page.figures import new_figure, styled
+from slipstitch.page.figures import new_figure, plain_text, styled
 from slipstitch.page.palette import FAINT, INK
 
 COLUMNS = 3
@@ -53,7 +53,7 @@ def covariate_picture(analysis: Analysis) -> Figure | None:
         axes.set_xlabel(COVARIATES[name].axis_label)
         if COVARIATES[name].text:
             labels = sorted({label for label in analysis.measurements.rows[name] if label})
-            axes.set_xticks(range(len(labels)), labels)
+            axes.set_xticks(range(len(labels)), map(plain_text, labels))
         axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
         axes.tick_params(labelsize=8)
     for row in grid:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from slipstitch.criticise.report.verdict_pictures import EXTENDED_COLOUR, NULL_COLOUR
 from slipstitch.criticise.resimulation import Resimulation
-from slipstitch.page.figures import new_figure, styled, svg_element
+from slipstitch.page.figures import new_figure, plain_text, styled, svg_element
 from slipstitch.page.palette import FAINT
 from slipstitch.page.wording import percent, with_interval
 
@@ -70,7 +70,7 @@ def _figure(frames: pd.DataFrame) -> Figure:
                 values = base + sign * own[f"{quantity}_{name}"]
                 axes.plot(stage, values, color=colour, lw=1.4, label=LABELS[name])
             axes.tick_params(labelsize=8)
-        panels[0, column].set_title(f"run {run}")
+        panels[0, column].set_title(plain_text(f"run {run}"))
         panels[1, column].set_xlabel("stage (mm)")
     panels[0, 0].set_ylabel("lag of the edge (mm)")
     panels[1, 0].set_ylabel("contact length (mm)")
