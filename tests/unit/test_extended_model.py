@@ -47,6 +47,11 @@ def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
         ({"friction_law": {"face": {"mechanisms": {}}}}, "not an extended model"),
         ({"friction_law": {"face": {"coefficient": -1.0}}}, "at least 0"),
         ({"bench": {"mass_error": -1.5}}, "mass_error -1.5: must be above -1"),
+        (
+            {"bench": {"tilt_along_rad": 1.0, "tilt_across_rad": -1.3}},
+            "bench.tilt_along_rad 1 and tilt_across_rad -1.3: their sizes must add up to less",
+        ),
+        ({"bench": {"tilt_along_rad": 2.0}}, "tilt_along_rad 2 and tilt_across_rad 0: their"),
         ({"friction_law": {"face": {"coefficient": 1, "mechanisms": {"glue": {}}}}}, "glue"),
         ({"discrepancy": [1, 2]}, "discrepancy: must have covariate, knots and factors"),
         ({"discrepancy": TABLE | {"covariate": "smell"}}, "'smell' is none of speed_mm_s, load"),

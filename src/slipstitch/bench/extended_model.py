@@ -96,6 +96,12 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
     for name in ("mass_error", "bending_error"):
         if bench.get(name, 0.0) <= -1.0:
             raise BadInput(f"{source}: bench.{name} {bench[name]:g}: must be above -1")
+    along, across = (bench.get(name, 0.0) for name in ("tilt_along_rad", "tilt_across_rad"))
+    if abs(along) + abs(across) >= math.pi / 2:  # sin^2 + sin^2 >= 1: nothing points down
+        raise BadInput(
+            f"{source}: bench.tilt_along_rad {along:g} and tilt_across_rad {across:g}: their sizes "
+            "must add up to less than pi/2, where the floor is upright"
+        )
     acting = {name: value for name, value in bench.items() if name in ACTING}
     readings = {name: value for name, value in bench.items() if name not in ACTING}
     return ExtendedModel(law, **acting, readings=readings)
