@@ -129,6 +129,9 @@ def test_a_stated_start(bench, capsys):
         (["--model", "nowhere"], "nowhere"),
         (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
         (["--threads", "0"], "--threads must be at least 1"),
+        (["--threads", "100000000000"], "--threads: 100000000000: must be at most 1024"),
+        (["--threads", "9" * 5000], "must be at most 1024"),
+        (["--threads", "two"], "--threads: 'two': must be a whole number"),
     ],
 )
 def test_bad_input_is_one_line(bench, capsys, words, problem):

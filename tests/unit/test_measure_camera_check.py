@@ -1,5 +1,7 @@
 """``slipstitch capture check`` and ``measure``: cameras outside the poses of the training."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from slipstitch.instrument.measuring import save_instrument
 from slipstitch.instrument.poses import outside, pose_range, poses_of
 from slipstitch.measure.camera_check import check_camera, check_figure
 from slipstitch.measure.measuring import measuring_bench
+from slipstitch.provenance import read_sidecar
 from slipstitch.render.camera import pose
 
 CONFIG = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 6}})
@@ -62,6 +65,13 @@ def test_a_camera_inside_the_family_is_told_so(bench, capsys):
     assert "sees 100 % of the crop, at the worst time of the protocol" in said
     assert "OUTSIDE" not in said
     assert (bench / "check.png").stat().st_size > 10_000
+
+
+def test_the_picture_is_written_into_a_new_folder_with_its_record(bench):
+    picture = bench / "new" / "check.png"
+    assert check(bench, "inside", "--picture", str(picture)) == 0
+    names = {Path(name).name for name in read_sidecar(picture)["inputs"]}
+    assert names == {"inside.json", "config.json", "instrument.json"}
 
 
 def test_a_camera_beyond_the_family_within_the_tolerance_is_told_how_far(bench, capsys):

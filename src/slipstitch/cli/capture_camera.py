@@ -68,10 +68,16 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.capture.camera.board import Board
     from slipstitch.capture.camera.calibration_files import calibrate_to_file
     from slipstitch.capture.camera.lens_calibration import FloorPlace
+    from slipstitch.errors import BadInput
 
     for name in ("place_mm", "angle_deg", "thickness_mm"):
         if getattr(arguments, name) is not None:
             require(arguments, ["stage_view"], flag(name))
+    for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
+        given = getattr(arguments, name) or 0.0
+        for value in given if isinstance(given, list) else [given]:
+            if not abs(value) <= most:
+                raise BadInput(f"{flag(name)}: {value:g}; must be from {-most} to {most}")
     if arguments.board == "checkerboard":
         refuse(arguments, ("dictionary",), "--board checkerboard")
     board = Board.named(

@@ -35,10 +35,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare, draw, print; exit code 3 if the camera cannot be used."""
     from slipstitch.measure.camera_check import check_camera, check_figure
     from slipstitch.page.figures import save_figure
+    from slipstitch.provenance import provenance_record, recorded_path, start_clock
 
+    started = start_clock()
     check = check_camera(arguments.camera, arguments.model, arguments.config)
     if arguments.picture:
-        save_figure(check_figure(check), arguments.picture, arguments.picture.suffix[1:])
+        record = provenance_record("measure", inputs=check.read, started=started)
+        with recorded_path(arguments.picture, record) as temporary:
+            save_figure(check_figure(check), temporary, arguments.picture.suffix[1:])
     for line in check.lines():
         print(line)
     return OUTSIDE_EXIT_CODE if check.outside else 0

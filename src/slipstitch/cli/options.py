@@ -1,10 +1,13 @@
 """Options shared by several verbs, and checks common to all."""
 
 import argparse
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from slipstitch.errors import BadInput
+
+THREADS_MAX = 1024
 
 
 def _refuse_target(text: str, folder: bool) -> None:
@@ -82,10 +85,23 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", help="use the numerical settings of this calibration file")
 
 
+def _thread_count(text: str) -> int:
+    """A whole number that the libraries underneath can take."""
+    if not re.fullmatch(r"[+-]?\d+", text):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number")
+    if len(text) > 9 or int(text) > THREADS_MAX:
+        raise argparse.ArgumentTypeError(f"{text}: must be at most {THREADS_MAX}")
+    return int(text)
+
+
 def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
     """``--threads COUNT``; `parser` may be a group."""
     parser.add_argument(
-        "--threads", type=int, default=default, help="number of threads (default: %(default)s)"
+        "--threads",
+        type=_thread_count,
+        default=default,
+        metavar="COUNT",
+        help="number of threads (default: %(default)s)",
     )
 
 

@@ -2,12 +2,14 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.capture.videos import seen_shares, seen_too_little
 from slipstitch.instrument import load_instrument
+from slipstitch.instrument.measuring import CARD
 from slipstitch.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
 from slipstitch.measure import SHIPPED
 from slipstitch.measure.measuring import trained_with
@@ -35,6 +37,8 @@ class CameraCheck:
         Smallest share of a crop along the track that the camera sees.
     outside : list of str
         What lies outside the range or the image, in words; empty: the camera may be used.
+    read : tuple of path
+        Files that this was read from.
     """
 
     pose: dict[str, float]
@@ -42,6 +46,7 @@ class CameraCheck:
     viewpoint: tuple[np.ndarray, np.ndarray]
     seen: float
     outside: list[str]
+    read: tuple[Path, ...]
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
@@ -80,13 +85,19 @@ def check_camera(
     lens = read_camera_file(camera)
     model = model or SHIPPED
     instrument = load_instrument(model)
-    _, schedule, _ = trained_with(instrument, model, config)
+    config_path, schedule, _ = trained_with(instrument, model, config)
+    card = Path(model) if Path(model).is_file() else Path(model) / CARD
     pose = relative_pose(*lens.pose, schedule.pose)
     tested = instrument.card.get("pose_range") or {name: [0.0, 0.0] for name in POSE}
     shares = seen_shares(lens, schedule)
     problems = [*outside(pose, tested), seen_too_little(shares, schedule.time_s)]
     return CameraCheck(
-        pose, tested, schedule.pose, float(shares.min()), list(filter(None, problems))
+        pose,
+        tested,
+        schedule.pose,
+        float(shares.min()),
+        list(filter(None, problems)),
+        (Path(camera), config_path, card),
     )
 
 

@@ -16,6 +16,7 @@ from slipstitch.errors import BadInput
 
 _SEARCH_PX = 1000  # a board that cannot be seen in an image of this width is not there
 _FEWEST_CORNERS = 12
+_MOST_SQUARES = 100  # along a side
 _WITHIN_SQUARE = 0.4  # as far from a corner, no edge but its own is seen
 
 
@@ -65,13 +66,15 @@ class Board:
         BadInput
             If no such board exists.
         """
-        found = re.fullmatch(r"(\d+)x(\d+)", squares)
-        if not found or min(size := (int(found[1]), int(found[2]))) < 4:
+        found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", squares)
+        size = (int(found[1]), int(found[2])) if found else (0, 0)
+        if min(size) < 4 or max(size) > _MOST_SQUARES:
             raise BadInput(
-                f"--squares: {squares!r}; must be width x height, at least 4x4, e.g. 10x7"
+                f"--squares: {squares!r}; must be width x height, at least 4x4, e.g. 10x7, at most "
+                f"{_MOST_SQUARES}x{_MOST_SQUARES}"
             )
-        if not square_mm > 0:
-            raise BadInput(f"--square-mm: {square_mm:g}; must be greater than 0")
+        if not 0.1 < square_mm <= 1000:
+            raise BadInput(f"--square-mm: {square_mm:g}; must be greater than 0.1 and at most 1000")
         if kind == "checkerboard":
             if marker_mm is not None:
                 raise BadInput("--marker-mm: requires --board charuco")
