@@ -317,9 +317,8 @@ def test_nothing_is_published_in_the_place_of_results(run, tmp_path, place, why,
 
 def test_the_workflow_publishes_again_when_an_optional_file_changes():
     rule = (Path(__file__).parents[2] / "rules" / "publish.smk").read_text()
-    tracked = rule.partition("optional=[")[2].partition("]")[0]
-    assert "digest_if_there" in tracked
-    assert set(re.findall(r'"([a-z]+/[a-z.]+)"', tracked)) == set(OPTIONAL)
+    tracked = rule.partition("optional=digests_if_there(")[2].partition(")")[0]
+    assert set(re.findall(r'"results/([a-z]+/[a-z.]+)"', tracked)) == set(OPTIONAL)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
