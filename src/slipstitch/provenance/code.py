@@ -150,8 +150,8 @@ def _is_settings(name: str) -> bool:
     return _is_in(name, [CONFIGURATION])
 
 
-def _modules(stage: str, base: Path) -> dict[str, Path]:
-    """Modules that count as a whole, by name."""
+def _modules(stage: str, base: Path) -> tuple[dict[str, Path], dict[str, list[str]]]:
+    """Modules that count as a whole, by name; and what of the configuration counts for them."""
     start = f"{PACKAGE}.{stage}"
     entry = _module_file(start, base)
     if entry is None:
@@ -173,7 +173,10 @@ def _modules(stage: str, base: Path) -> dict[str, Path]:
                 continue
             modules[name] = source
             waiting.extend(_imported(name, source))
-    while lenders := _settings_pieces(modules, base)[1] - modules.keys():
+    while True:
+        pieces, lenders = _settings_pieces(modules, base)
+        if not lenders - modules.keys():
+            return modules, pieces
         # Without their packages, which gather what a piece of the configuration does not use.
         while lenders:
             name = lenders.pop()
@@ -181,7 +184,6 @@ def _modules(stage: str, base: Path) -> dict[str, Path]:
             if source is not None and name not in modules:
                 modules[name] = source
                 lenders |= _imported(name, source)
-    return modules
 
 
 @functools.cache
@@ -322,15 +324,17 @@ def _base(root: str | Path | None) -> Path:
     return Path(root) if root is not None else Path(__file__).resolve().parents[2]
 
 
-def _contents(modules: dict[str, Path], base: Path) -> dict[Path, bytes]:
-    """The relevant content of each file, sorted by path below the root."""
+def _contents(
+    modules: dict[str, Path], pieces: dict[str, list[str]], base: Path
+) -> dict[Path, bytes]:
+    """The relevant content of each file, sorted by path below the root; from `_modules`."""
     contents = {path: path.read_bytes() for path in _data_files(modules, base)}
     for name, source in modules.items():
         form = without_entries if _is_in(name, CATALOGUES) else normal_form
         contents[source] = form(_text(source), name).encode()
-    for name, pieces in _settings_pieces(modules, base)[0].items():
+    for name, forms in pieces.items():
         if file := _module_file(name, base):
-            contents[file] = "\n".join(pieces).encode()
+            contents[file] = "\n".join(forms).encode()
     return dict(sorted(contents.items(), key=lambda item: item[0].relative_to(base).as_posix()))
 
 
@@ -351,7 +355,7 @@ def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
         If there is no such package.
     """
     base = _base(root)
-    return list(_contents(_modules(stage, base), base))
+    return list(_contents(*_modules(stage, base), base))
 
 
 def _foreign(modules: Mapping[str, Path]) -> set[str]:
@@ -390,8 +394,8 @@ def code_digest(
     """
     base = _base(root)
     digest = hashlib.sha256()
-    modules = _modules(stage, base)
-    for file, content in _contents(modules, base).items():
+    modules, pieces = _modules(stage, base)
+    for file, content in _contents(modules, pieces, base).items():
         digest.update(f"{file.relative_to(base).as_posix()}\0{len(content)}\0".encode())
         digest.update(content)
     stated = None if versions is None else dict(versions)
