@@ -15,7 +15,7 @@ from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.errors import BadInput
 from slipstitch.material import fabric_digest, fabric_names
 from slipstitch.provenance import code_digest, file_digest
-from slipstitch.simulate.convergence import MEASURED
+from slipstitch.simulate.convergence import study_digest
 from slipstitch.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"
@@ -118,7 +118,7 @@ def digests_if_there(*paths):
 
 
 # The convergence study that trajectories quote; which jobs show its verdicts, rerun with it.
-STUDY = file_digest(MEASURED) if MEASURED.is_file() else None
+STUDY = study_digest()
 
 
 rule grid:

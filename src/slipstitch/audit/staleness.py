@@ -13,13 +13,12 @@ from slipstitch.audit.contents import Contents
 from slipstitch.audit.findings import Finding, Kind
 from slipstitch.audit.lineage import Lineage
 from slipstitch.config import Config
-from slipstitch.provenance import file_digest
 from slipstitch.provenance.code import PACKAGE, RESULT_PACKAGES, installed_version
 from slipstitch.provenance.record import TRACKED
 from slipstitch.release.code import CODE
 from slipstitch.release.currency import catalogue_changes, config_changes, current_digest
 from slipstitch.release.records import Artefact, is_ours
-from slipstitch.simulate.convergence import MEASURED
+from slipstitch.simulate.convergence import MEASURED, study_digest
 
 
 def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
@@ -38,7 +37,7 @@ def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     """
     lineage = Lineage(contents)
     touched: dict[tuple[str, str], set[str]] = defaultdict(set)
-    study = _digest_if_there(MEASURED)
+    study = study_digest()
     for path, artefact in contents.artefacts.items():
         if artefact.provenance is None or not is_ours(path):
             continue
@@ -84,10 +83,6 @@ def quoted_study(artefact: Artefact) -> object:
     """SHA-256 of the table of verdicts that a trajectory quotes; None if it quotes none."""
     quoted = artefact.metadata.get("convergence")
     return quoted.get("table_sha256") if isinstance(quoted, Mapping) else None
-
-
-def _digest_if_there(file: Path) -> str | None:
-    return file_digest(file) if file.is_file() else None
 
 
 def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], list[str]]:
@@ -198,7 +193,7 @@ def _claims(lineage: Lineage, commit: str, stages: dict, source: Path) -> Iterat
             clips = {clip for path in paths for clip in lineage.clips(path)}
             what = f"commit {commit[:12]} contains other code of {stage} than the records"
             yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
-        study = _digest_if_there(source / PACKAGE / "simulate" / MEASURED.name)
+        study = study_digest(source / PACKAGE / "simulate" / MEASURED.name)
         other = [
             path for path in paths if quoted_study(lineage.artefacts[path]) not in (None, study)
         ]

@@ -28,12 +28,12 @@ from slipstitch.calibrate.sweep import (
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance import file_digest, provenance_record, read_json, start_clock, write_json
+from slipstitch.provenance import provenance_record, read_json, start_clock, write_json
 from slipstitch.simulate.convergence import (
     CONVERGED,
-    MEASURED,
     read_study,
     studied_settings_that_differ,
+    study_digest,
 )
 
 # Said in calibration.json, in the words of docs/physics.md.
@@ -298,7 +298,7 @@ def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
             if one["verdict"] != CONVERGED
         )
     print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
-    return {"convergence": found, "convergence_table_sha256": file_digest(MEASURED)}
+    return {"convergence": found, "convergence_table_sha256": study_digest()}
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:

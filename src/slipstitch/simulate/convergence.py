@@ -68,6 +68,11 @@ def read_study(measured: Path = MEASURED) -> dict[str, Any] | None:
     return json.loads(measured.read_text(encoding="utf-8"))
 
 
+def study_digest(measured: Path = MEASURED) -> str | None:
+    """SHA-256 of the table that is quoted, None if there is none."""
+    return file_digest(measured) if measured.is_file() else None
+
+
 def measured_convergence(
     material: str, friction: float, settings: SimulationSettings, measured: Path = MEASURED
 ) -> dict[str, Any] | None:
@@ -107,7 +112,7 @@ def measured_convergence(
         worst = worst_verdict(known)
         verdict = worst if len(known) == len(cases) or worst == NOT_CONVERGED else None
     return {
-        "table_sha256": file_digest(measured),
+        "table_sha256": study_digest(measured),
         "studied": {
             name: value for name, value in study["studied"].items() if name != "simulation"
         },
