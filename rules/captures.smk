@@ -1,7 +1,6 @@
 """Videos of a bench, or surrogates, evaluated with the trained networks; not part of `all`."""
 
-import csv
-from pathlib import Path
+from slipstitch.capture.ingest.captures_table import files_named
 
 CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
 SLIP_ANGLES = CONFIG.captures.angles or (
@@ -23,17 +22,8 @@ CALIBRATED_CAMERA = CONFIG.render.camera_of("calibrated") or []
 
 
 def filmed_on_the_bench(wildcards):
-    """Videos and camera files of a bench's table: replaced ones are ingested again.
-
-    Those that are there: what is wrong with a table, `slipstitch capture ingest` says.
-    """
-    if not CONFIG.captures.table or not os.path.isfile(CAPTURES_TABLE):
-        return []
-    with open(CAPTURES_TABLE, newline="", encoding="utf-8-sig", errors="replace") as table:
-        rows = csv.DictReader(line.replace("\0", "") for line in table)
-        cells = [row[title] for row in rows for title in ("video", "camera") if row.get(title)]
-    named = {str(Path(CAPTURES_TABLE).parent / cell) for cell in cells}
-    return sorted(path for path in named if os.path.isfile(path))
+    """Videos and camera files of a bench's table: replaced ones are ingested again."""
+    return files_named(CAPTURES_TABLE) if CONFIG.captures.table else []
 
 
 def pair_of(film):

@@ -126,7 +126,7 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
         If the file is missing, not CSV, lacks a column or has another, or a cell cannot be read or
         begins like a formula.
     """
-    header, rows = _cells(path)
+    header, rows = cells_of(path)
     known = {column.name: column for column in columns}
     for cell in header:
         if cell not in known:
@@ -154,8 +154,14 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
     return read
 
 
-def _cells(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The header and the rows that are not empty, with their line numbers."""
+def cells_of(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The header and the rows that are not empty, with their line numbers.
+
+    Raises
+    ------
+    BadInput
+        If the file is no table.
+    """
     try:
         if Path(path).stat().st_size > _LARGEST_BYTES:
             raise BadInput(f"{path}: larger than {_LARGEST_BYTES / 1e6:g} MB")

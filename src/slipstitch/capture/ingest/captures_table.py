@@ -7,6 +7,7 @@ from typing import Any
 
 from slipstitch.capture.csv_table import (
     TableColumn,
+    cells_of,
     file_below,
     name,
     number,
@@ -130,6 +131,22 @@ def read_captures(
     if len({capture.surrogate for capture in captures}) > 1:
         raise BadInput(f"{path}: must not mix surrogate and real captures")
     return captures
+
+
+def files_named(path: str | os.PathLike) -> list[str]:
+    """Videos and camera files of a table that are there; what is wrong, `read_captures` says."""
+    try:
+        header, rows = cells_of(path)
+    except BadInput:
+        return []
+    cells = {
+        cell.strip()
+        for _, row in rows
+        for title, cell in zip(header, row, strict=False)
+        if title in ("video", "camera")
+    }
+    named = {str(Path(path).parent / cell) for cell in cells}
+    return sorted(file for file in named if os.path.isfile(file))
 
 
 def _words(key: tuple[str, str]) -> str:
