@@ -44,6 +44,12 @@ def train(dataset, out, network="friction_baseline", split="by_simulation", seed
     )
 
 
+def kill(progress):
+    """Interrupts a training at its second step."""
+    if progress.step == 2:
+        raise KeyboardInterrupt
+
+
 def history(folder):
     with open(folder / "history.csv", newline="") as stream:
         return list(csv.DictReader(stream))
@@ -177,10 +183,6 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, ch
 def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys):
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
 
-    def kill(progress):
-        if progress.step == 2:
-            raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=few, after_step=kill)
     train(dataset, tmp_path, changes=few, seed=1)
@@ -194,10 +196,6 @@ def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_pa
     """Sums over several threads round otherwise: the result would be neither run's."""
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
 
-    def kill(progress):
-        if progress.step == 2:
-            raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=few, after_step=kill, threads=2)
     train(dataset, tmp_path, changes=few)
@@ -206,10 +204,6 @@ def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_pa
 
 def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
     few = {"epochs_per_cycle": 1, "plateau_margin": None}
-
-    def kill(progress):
-        if progress.step == 2:
-            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         often = {**few, "checkpoint_interval_s": 0.0}
@@ -227,10 +221,6 @@ def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
 @pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape"])
 def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-
-    def kill(progress):
-        if progress.step == 2:
-            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=few, after_step=kill)
