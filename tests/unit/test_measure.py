@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.special import ndtr
 from support import analytic_stage as stage
 from support.untrained import untrained_instrument
 
@@ -19,10 +20,11 @@ from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.alarm import Alarm
+from slipstitch.instrument.distribution import friction_grid, probabilities_on_grid
 from slipstitch.instrument.measuring import ErrorBars, save_instrument
 from slipstitch.measure.measurement_files import names_of
 from slipstitch.measure.measurement_page import page
-from slipstitch.measure.measuring import measuring_bench
+from slipstitch.measure.measuring import _half_width, measuring_bench
 from slipstitch.render.camera import pose
 
 PATH = StagePath()
@@ -98,6 +100,16 @@ def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
     content = page(result)
     assert "Rings: where the instrument sees nine points" in content
     assert content != page(replace(result, points_px=None))
+
+
+def test_the_error_bar_of_a_distribution_at_the_end_of_the_grid_is_not_zero():
+    """Half of the middle 68 %, here from 0 to one standard deviation."""
+    grid = friction_grid(1.5, 0.01)
+    middles = (grid[1:] + grid[:-1]) / 2
+    shares = probabilities_on_grid(ndtr(middles / 0.005)[None])[0]
+    assert _half_width(grid, shares) == pytest.approx(0.0025, rel=0.02)
+    shares = probabilities_on_grid(ndtr((middles - 0.5) / 0.03)[None])[0]
+    assert _half_width(grid, shares) == pytest.approx(0.03, rel=0.02)
 
 
 def test_an_alarm_has_an_exit_code_of_its_own():

@@ -16,6 +16,7 @@ from slipstitch.config import load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.instrument import Instrument, Measurement, load_instrument
+from slipstitch.instrument.distribution import quantiles
 from slipstitch.instrument.poses import just_beyond, outside
 from slipstitch.measure import SHIPPED
 from slipstitch.provenance import file_digest
@@ -325,7 +326,6 @@ def _check_listed(config_path: Path) -> None:
 
 def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:
     """Half the width of the middle 68 % of a distribution."""
-    cumulative = np.cumsum(probability) / np.sum(probability)
     tails = (1 - _STANDARD_SHARE) / 2
-    low, high = np.interp([tails, 1 - tails], cumulative, grid)
+    low, high = quantiles(probability[None], grid, np.array([tails, 1 - tails]))[0]
     return float(high - low) / 2
