@@ -2,11 +2,13 @@
 
 import functools
 import json
+import os
 
 import numpy as np
 import pytest
 from support import analytic_stage as stage
 
+from slipstitch.capture.ingest.dataset import ingest
 from slipstitch.capture.schedule import Schedule
 from slipstitch.capture.time_base import StageFollower, TimeBase
 from slipstitch.capture.videos import read_stage_video
@@ -156,6 +158,18 @@ def test_a_clock_slightly_wrong_is_corrected_and_noted(film):
     assert video.time_base.rate == pytest.approx(1.01, abs=1e-3)
     assert video.time_s == pytest.approx(SCHEDULE.time_s, abs=0.25)
     assert any(note.startswith("the stage moves 1.0") for note in video.notes)
+
+
+def test_the_speed_of_a_capture_is_that_of_its_clock(film, tmp_path):
+    """As `slipstitch measure` tells it, not that of the drop alone."""
+    stage.camera_file(lens(), tmp_path / "camera.json")
+    os.link(film(1.01), tmp_path / "film.mp4")
+    columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
+    row = "film.mp4,gray-interlock,glass,1,0.31,0.02,no,camera.json"
+    (tmp_path / "captures.csv").write_text(f"{columns}\n{row}\n")
+    (known,) = ingest(CONFIG, tmp_path / "captures.csv", tmp_path / "dataset")
+    video = read_stage_video(film(1.01), lens(), SCHEDULE)
+    assert known["stage_speed"] == video.time_base.rate
 
 
 def test_a_right_clock_is_left_alone(film):

@@ -182,7 +182,7 @@ def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
         "start_s": video.start.time_s,
         "start_found": video.start.found,
         "start_residual_m": video.start.residual_m,
-        "stage_speed": video.start.speed,
+        "stage_speed": video.time_base and video.time_base.rate,
         "frame_interval_s": video.frame_interval_s,
         "longest_gap_s": video.longest_gap_s,
         "view_angle_deg": video.view_angle_deg,
