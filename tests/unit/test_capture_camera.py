@@ -12,7 +12,7 @@ from support import board_photographs as bench
 from slipstitch.capture.camera.board import Board, Sighting
 from slipstitch.capture.camera.lens_calibration import FloorPlace
 from slipstitch.capture.camera.residuals_figure import draw_residuals
-from slipstitch.capture.camera.views import View
+from slipstitch.capture.camera.views import View, read_views
 from slipstitch.cli.main import main
 from slipstitch.errors import BadInput
 from slipstitch.provenance import read_sidecar
@@ -256,6 +256,17 @@ def test_a_video_without_a_board_is_one_clear_line(tmp_path, capsys):
     assert "empty.avi: no checkerboard of 10x7 squares in any of 10 frame(s)" in (
         capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(("frames", "looked_at"), [(60, 60), (61, 31), (119, 60), (121, 41)])
+def test_of_a_video_sixty_frames_at_most_are_looked_at(tmp_path, frames, looked_at):
+    path = tmp_path / "empty.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    for _ in range(frames):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    with pytest.raises(BadInput, match=rf"in any of {looked_at} frame"):
+        read_views([path], Board((10, 7), 0.02))
 
 
 def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):

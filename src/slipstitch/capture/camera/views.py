@@ -41,7 +41,8 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
 def _frames(path: str | os.PathLike) -> Iterator[tuple[str, np.ndarray]]:
     """Frames at regular intervals of a video, grey."""
     recording = Recording(path, frame_rate_hz=1.0)  # when a frame was taken does not matter
-    step = max(1, min(recording.frames_claimed, _FRAMES_CLAIMED_MAX) // _FRAMES_TRIED)
+    claimed = min(max(recording.frames_claimed, 1), _FRAMES_CLAIMED_MAX)
+    step = -(-claimed // _FRAMES_TRIED)
     for moment in recording.moments():
         image = moment.image() if moment.number % step == 0 else None
         if image is not None:
