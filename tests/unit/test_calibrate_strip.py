@@ -17,7 +17,8 @@ from slipstitch.calibrate.calibration import (
 from slipstitch.calibrate.pictures import draw_again, draw_pictures
 from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
 from slipstitch.calibrate.sweep import gamma_of, sweep, sweep_to_file, variations
-from slipstitch.config import resolve_config
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, NotConverged
@@ -221,6 +222,19 @@ def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed
     assert not out.exists()
     assert (tmp_path / "settings.failed.svg").exists()
     assert not (tmp_path / "settings.svg").exists()
+
+
+@pytest.mark.parametrize("only_failures", [False, True])
+def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_demand(
+    config, tmp_path, only_failures
+):
+    write_config(config, tmp_path / "config.json")
+    words = ["calibrate", "--config", str(tmp_path / "config.json")]
+    words += ["--sweeps", *map(str, sweeps(config, tmp_path))]
+    words += ["--out", str(tmp_path / "calibration.json")]
+    words += ["--settings-picture", str(tmp_path / "settings.svg")]
+    assert main(words + ["--only-failures"] * only_failures) == 0
+    assert (tmp_path / "settings.svg").exists() != only_failures
 
 
 def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
