@@ -258,6 +258,15 @@ def test_fabrics_for_validation_leave_one_to_train():
         resolve_config(sections | {"sample": {"validation_materials": every}})
 
 
+def test_coefficients_that_only_train_are_of_the_grid_and_leave_one_to_test():
+    grid = {"frictions": [0.1, 0.5, 1.0]}
+    resolve_config({"grid": grid, "sample": {"train_only_frictions": [1.0]}})
+    with pytest.raises(BadInput, match=r"train_only_frictions: 0\.7 is not in grid\.frictions"):
+        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.7]}})
+    with pytest.raises(BadInput, match=r"train_only_frictions: has all of grid\.frictions"):
+        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.1, 0.5, 1.0]}})
+
+
 @pytest.mark.parametrize(
     ("check", "sections", "problem"),
     [

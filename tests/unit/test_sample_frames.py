@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from slipstitch.bench.frames import sampled_frames
+from slipstitch.config import resolve_config
+from slipstitch.config.grid import simulations
 from slipstitch.config.splits import (
     check_no_simulation_on_both_sides,
+    sides_of_simulations,
     split_by_simulation,
     split_by_video,
 )
@@ -74,6 +77,32 @@ def test_without_replicates_whole_pairs_are_held_out_and_no_class_goes_untrained
     assert len({one[1] for one in trained}) == frictions
     tested = Counter(one[1] for one, side in sides.items() if side == "test")
     assert len(tested) == frictions and len(set(tested.values())) == 1
+
+
+def test_a_coefficient_that_only_trains_is_never_held_out_and_moves_no_other():
+    """Of a fabric for validation only nothing trains, at this coefficient neither."""
+    fabrics = ["gray-interlock", "royal-target", "ivory-rib-knit", "tango-red-jet-set"]
+    sample = {"hold_out": "pair", "validation_materials": ["royal-target"]}
+
+    def sides(frictions, only):
+        config = resolve_config(
+            {
+                "grid": {"materials": fabrics, "frictions": frictions},
+                "sample": {**sample, "train_only_frictions": only},
+            }
+        )
+        held = sides_of_simulations(config)
+        return {
+            (one.material, one.friction, one.replicate): held[one.id] for one in simulations(config)
+        }
+
+    found = sides([0.1, 0.5, 1.0, 1.75], [1.75])
+    for (material, friction, _), side in found.items():
+        if friction == 1.75:
+            assert side == ("validation" if material == "royal-target" else "train")
+    rest = {key: side for key, side in found.items() if key[1] != 1.75}
+    assert rest == sides([0.1, 0.5, 1.0], [])
+    assert set(rest.values()) == {"train", "validation", "test"}
 
 
 @pytest.mark.parametrize(("materials", "frictions"), [(1, 4), (1, 1), (2, 1)])

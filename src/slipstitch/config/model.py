@@ -72,6 +72,17 @@ class Config(Section):
                 "sample.validation_materials: has all of grid.materials; at least one must be left "
                 "to train"
             )
+        for friction in self.sample.train_only_frictions:
+            if friction not in self.grid.frictions:
+                raise ValueError(
+                    f"sample.train_only_frictions: {friction:g} is not in grid.frictions "
+                    f"({', '.join(f'{one:g}' for one in self.grid.frictions)})"
+                )
+        if set(self.grid.frictions) == set(self.sample.train_only_frictions):
+            raise ValueError(
+                "sample.train_only_frictions: has all of grid.frictions; at least one must be left "
+                "to test"
+            )
         self._benches_tell_no_coefficient()
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")

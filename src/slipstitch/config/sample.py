@@ -29,6 +29,11 @@ class SampleSettings(Section):
         description="fabrics of the grid that by_simulation keeps from training and testing: all "
         "their simulations are for validation, so that error bars allow for an unseen fabric",
     )
+    train_only_frictions: list[float] = Field(
+        [],
+        description="coefficients of the grid that by_simulation never holds out: they train, so "
+        "that those next to them are not the end of what a network has seen",
+    )
     hold_out: Literal["auto", "replicate", "pair"] = Field(
         "auto",
         description="what by_simulation holds out: the last replicates of every "

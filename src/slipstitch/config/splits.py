@@ -60,7 +60,8 @@ def sides_of_simulations(config: Config) -> dict[str, str]:
     """Every simulation's id -> its side where whole simulations are held out.
 
     Those of a test-only fabric or friction coefficient are test simulations, those of a fabric for
-    validation only are validation simulations.
+    validation only are validation simulations, and of the other fabrics those of a coefficient that
+    is never held out train.
 
     Raises
     ------
@@ -76,6 +77,8 @@ def sides_of_simulations(config: Config) -> dict[str, str]:
     for simulation in grid:
         if simulation.material in config.sample.validation_materials:
             apart.setdefault(simulation.id, "validation")
+        elif simulation.friction in config.sample.train_only_frictions:
+            apart.setdefault(simulation.id, "train")
     triples = {
         simulation.id: (simulation.material_id, simulation.friction_id, simulation.replicate_id)
         for simulation in grid
