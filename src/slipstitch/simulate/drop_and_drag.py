@@ -246,8 +246,8 @@ class _Bench:
         either: one that is nearly too long takes the wrong one without its error telling. The ways
         of all vertices along x are compared, as vectors: over the landing those of the paper's
         settings and of steps a quarter as long have cosines from 0.68 up in all fabrics at three
-        coefficients, a landing on the wrong side a negative one. So less than 0 is another side,
-        unless both ways agree within the error that a step may have. No long step is taken then.
+        coefficients. So less than 0, opposite ways, is another side, unless both ways agree within
+        the error that a step may have. No long step is taken then.
         """
         solver = self.solver
         is_long = step_s > 1.01 * self.settings.step_used_s
