@@ -186,8 +186,11 @@ class InstrumentNetwork(nn.Module):
         if self.points is None:
             return self._answers(features)
         points = self.points(features).unflatten(-1, (-1, 3))
-        answers = self._answers(features) if self.of_points is None else self.of_places(points)
-        return {**answers, "points": points}
+        if self.of_points is None:
+            return {**self._answers(features), "points": points}
+        # Friction does not teach where the points are: it would be told by heart through places
+        # that are a little wrong.
+        return {**self.of_places(points.detach()), "points": points}
 
     def places_m(self, points: Tensor) -> Tensor:
         """Places in metres of points in the network's unit, as `forward` returns them."""

@@ -46,6 +46,7 @@ DISORDERED = 4  # for so many videos, one is also shown in disorder
 GRADIENT_NORM_MAX = 1.0
 UNKNOWN = -1  # number of a fabric that does not train
 POINTS_SPREAD_MIN_M = 1e-3
+POINT_ERROR_M = 0.005  # the unit of the loss of places: in that of their spread, tails count little
 
 
 def _training_videos(
@@ -113,6 +114,15 @@ def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) ->
     return (points_m - network.points_mean_m) / network.points_spread_m
 
 
+def points_off(network: InstrumentNetwork, differences: Tensor) -> Tensor:
+    """Distances along the axes of places (..., points, 3) in the network's unit.
+
+    In units of `POINT_ERROR_M`: a millimetre is as wrong at the tail, which moves most and tells
+    friction, as at a point that hardly moves.
+    """
+    return differences.abs() * (network.points_spread_m / POINT_ERROR_M)
+
+
 def chance_score(friction: np.ndarray) -> float:
     """Ranked probability score, in mu, of always saying the labels' own distribution.
 
@@ -148,7 +158,7 @@ def losses(
     -------
     dict
         ``friction`` (in mu), ``material``, ``order``, ``points`` (mean distance along an axis, in
-        the network's unit); and ``median_error``, without gradient.
+        units of `POINT_ERROR_M`); and ``median_error``, without gradient.
     """
     outputs = network(views, bfloat16, poses)
     count, spoilt = len(friction), len(ordered) - len(friction)
@@ -158,7 +168,7 @@ def losses(
         median = medians(cumulative, network.grid)
     off = torch.zeros(())
     if points is not None:
-        off = (outputs["points"][:count] - points).abs().mean()
+        off = points_off(network, outputs["points"][:count] - points).mean()
     return {
         "points": off,
         "friction": score,
@@ -365,7 +375,7 @@ class InstrumentLearner:
                 hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
                 if self.points is not None:
                     wanted = phased(self.points[batch], self.frames, None)
-                    off.append((outputs["points"] - wanted).abs().mean((1, 2, 3)))
+                    off.append(points_off(self.network, outputs["points"] - wanted).mean((1, 2, 3)))
         found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
         if off:
             found.append(torch.cat(off))
