@@ -1,5 +1,7 @@
 """The configuration as a type, composed of sections in separate files."""
 
+from collections.abc import Sequence
+
 from pydantic import Field, model_validator
 
 from slipstitch.catalogue import VIEWPOINTS
@@ -48,12 +50,10 @@ class Config(Section):
                 f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from "
                 f"{self.simulation.frames} (simulation.frames)"
             )
-        for name in self.train.view_order or ():
-            if name not in self.render.viewpoints:
-                raise ValueError(
-                    f"train.view_order: {name!r} is not in render.viewpoints "
-                    f"({', '.join(self.render.viewpoints)})"
-                )
+        viewpoints = self.render.viewpoints
+        _check_among(
+            "train.view_order", self.train.view_order or (), "render.viewpoints", viewpoints
+        )
         for name in self.instrument.viewpoints or ():
             self._seen_in_the_calibrated_view("instrument.viewpoints", name)
             if name in self.render.test_viewpoints:
@@ -61,28 +61,16 @@ class Config(Section):
                     f"instrument.viewpoints: {name!r} is in render.test_viewpoints, must not be "
                     "used for training"
                 )
-        for name in self.sample.validation_materials:
-            if name not in self.grid.materials:
+        for key, kind, purpose in (
+            ("validation_materials", "materials", "train"),
+            ("train_only_frictions", "frictions", "test"),
+        ):
+            apart, whole = getattr(self.sample, key), getattr(self.grid, kind)
+            _check_among(f"sample.{key}", apart, f"grid.{kind}", whole)
+            if set(apart) == set(whole):
                 raise ValueError(
-                    f"sample.validation_materials: {name!r} is not in grid.materials "
-                    f"({', '.join(self.grid.materials)})"
+                    f"sample.{key}: has all of grid.{kind}; at least one must be left to {purpose}"
                 )
-        if set(self.grid.materials) == set(self.sample.validation_materials):
-            raise ValueError(
-                "sample.validation_materials: has all of grid.materials; at least one must be left "
-                "to train"
-            )
-        for friction in self.sample.train_only_frictions:
-            if friction not in self.grid.frictions:
-                raise ValueError(
-                    f"sample.train_only_frictions: {friction:g} is not in grid.frictions "
-                    f"({', '.join(f'{one:g}' for one in self.grid.frictions)})"
-                )
-        if set(self.grid.frictions) == set(self.sample.train_only_frictions):
-            raise ValueError(
-                "sample.train_only_frictions: has all of grid.frictions; at least one must be left "
-                "to test"
-            )
         self._benches_tell_no_coefficient()
         if REFLECTIVE in self.train.splits and not self.render.reflective_floors:
             raise ValueError(f"train.splits: {REFLECTIVE} needs render.reflective_floors")
@@ -118,8 +106,7 @@ class Config(Section):
 
     def _seen_in_the_calibrated_view(self, key: str, name: str) -> None:
         known = list(dict.fromkeys(self.render.viewpoint_ids().values()))
-        if name not in known:
-            raise ValueError(f"{key}: {name!r} is not in render.viewpoints ({', '.join(known)})")
+        _check_among(key, [name], "render.viewpoints", known)
         if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
             raise ValueError(
                 f"{key}: {name!r} is not seen in the calibrated view; allowed are "
@@ -141,3 +128,17 @@ class Config(Section):
     def calibrated_view(self) -> str:
         """The viewpoint that networks are fine-tuned for, by name."""
         return self.view_order[0]
+
+
+def _check_among(
+    key: str, values: Sequence[str | float], allowed: str, whole: Sequence[str | float]
+) -> None:
+    """Refuse a value of one key that another does not have."""
+    for value in values:
+        if value not in whole:
+            said = repr(value) if isinstance(value, str) else _word(value)
+            raise ValueError(f"{key}: {said} is not in {allowed} ({', '.join(map(_word, whole))})")
+
+
+def _word(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
