@@ -102,7 +102,7 @@ def test_every_rule_that_runs_a_command_compares_its_code_and_says_what_it_needs
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
         ('    "chevron": 109,', '    "chevron": 109,\n    "new": 110,'),
         ('"sample: ", unit="simulation"', '"dataset: ", unit="run"'),
-        ("train.view_order: {name!r} is not", "train.view_order: {name!r} is none"),
+        ("must be left to {purpose}", "must remain to {purpose}"),
     ],
 )
 def test_other_words_settings_and_entries_change_no_digest(changed, old, new):
