@@ -81,6 +81,21 @@ def test_where_nothing_is_hidden_no_factor_is_found(seed, tmp_path):
     assert words.startswith("No smooth factor on the coefficient along position")
 
 
+def test_a_fit_that_did_not_converge_says_so_and_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setattr("slipstitch.criticise.inference.discrepancy.ROUNDS", 1)
+    *_, found = discrepancy(tmp_path, SEED, PLANTED["a patch"])
+    result = found.as_dict()
+    assert (result["covariate"], result["not_converged"]) == (None, list(found.tried))
+    assert "not known. The fit along position" in discrepancy_words(result)
+    assert discrepancy_words(result).endswith("did not converge and is not used.")
+
+
+def test_coefficients_and_scatter_that_go_to_and_fro_are_damped(tmp_path):
+    """With whole steps alone, the curve along the speed alternates between two states here."""
+    *_, found = discrepancy(tmp_path, SEED, PLANTED["a bump in the load"])
+    assert found.not_converged == ()
+
+
 def test_an_effect_of_no_covariate_is_no_factor(tmp_path):
     make_case(7, "outside", tmp_path, plant=({"operator": {"size": 0.3}}, ["incline"]))
     m = assemble(read_case(tmp_path))

@@ -39,7 +39,7 @@ SIZES = tuple(np.geomspace(0.01, 1.0, 12))
 TESTED_LENGTH, TESTED_COLUMNS = 0.25, 5
 LEVEL_SD = 3.0  # of the prior of coefficients and free levels, in ln mu
 LOG_SHIFTS = np.linspace(-1.5, 1.5, 13)
-ROUNDS, CONVERGED = 10, 0.1
+ROUNDS, CONVERGED = 40, 0.1  # of log-likelihood, by a whole step
 AS_WELL_BIC, MOST_EDGES = 2.0, 40
 LEAST_FACTOR, SWELLED_RUN, LARGEST = 0.02, 0.1, 3.0
 REACH = 1.96  # of a 95 % band, in standard deviations
@@ -129,6 +129,7 @@ class _Fitted:
     root: np.ndarray | None = None
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     log_likelihood: float = 0.0
+    converged: bool = False
 
     def scale(self, root: np.ndarray | None) -> np.ndarray:
         """(m, m) that makes unit normals of the random columns."""
@@ -168,14 +169,15 @@ class _Problem:
         # What the effect has swelled in the null holds on to it: once more from what is usual.
         if form is not None and any(s.run > SWELLED_RUN for s in self.scatters.values()):
             starts.append(dict.fromkeys(self.scatters, START_SCATTER))
-        return max((self._fit(form, s) for s in starts), key=lambda found: found.log_likelihood)
+        found = [self._fit(form, s) for s in starts]
+        return max(found, key=lambda one: (one.converged, one.log_likelihood))
 
     def _fit(self, form: _Form | None, scatters: dict[str, Scatter]) -> _Fitted:
         """By linear models in turn, from scatters to start with."""
         m, response = self.measurements, self.response
         count = len(response.level)
         level, values = response.level, np.zeros(0) if form is None else form.start
-        before = -np.inf
+        before, gain, step = -np.inf, 0.0, 1.0
         for _ in range(ROUNDS):
             prediction, d, slopes = self._evaluated(form, level, values)
             blocks = [response.coefficients * d[:, None]]
@@ -203,9 +205,14 @@ class _Problem:
             scale = model.scale(model.root)
             model.covariance = scale @ np.linalg.inv(model.gram(sums[0], scale)) @ scale.T
             every = model.covariance @ sums[1]
-            level, values = every[:count], np.clip(every[own], -LARGEST, LARGEST)
+            gain, last = model.log_likelihood - before, gain
+            if gain < -CONVERGED and CONVERGED < last < np.inf:
+                step *= 0.5  # else coefficients and scatter may go to and fro for ever
+            level = level + step * (every[:count] - level)
+            values = values + step * (np.clip(every[own], -LARGEST, LARGEST) - values)
             model.level, model.values = level, values
-            if abs(model.log_likelihood - before) < CONVERGED:
+            model.converged = abs(gain) < CONVERGED * step
+            if model.converged:
                 break
             before = model.log_likelihood
         return model
@@ -468,6 +475,7 @@ class Discrepancy:
     scatters : beside the factor, outliers included: for prediction.
     rmse_null, rmse : errors of features of left-out specimens, relative to friction.
     share : of the squared error that the factor takes away there.
+    not_converged : covariates along which a factor's fit did not: it is not used.
     """
 
     tried: dict[str, float]
@@ -482,13 +490,15 @@ class Discrepancy:
     rmse: float = 0.0
     share: float = 0.0
     formula: Formula | None = None
+    not_converged: tuple[str, ...] = ()
 
     def as_dict(self) -> dict:
         """The layout of docs/measurements.md."""
         tried = {name: round(p, 5) for name, p in self.tried.items()}
+        failed = {"not_converged": list(self.not_converged)} if self.not_converged else {}
         if self.covariate is None:
-            return {"covariate": None, "tried": tried}
-        result = {
+            return {"covariate": None, "tried": tried, **failed}
+        result = failed | {
             "covariate": self.covariate,
             "unit": COVARIATES[self.covariate].unit,
             "p_adjusted": tried[self.covariate],
@@ -577,17 +587,27 @@ def discrepancy_words(found: dict | None) -> str:
     """What :meth:`Discrepancy.as_dict` says, in a sentence."""
     if not found or not found["tried"]:
         return ""
+    failed = found.get("not_converged", [])
+    unused = f" The fit along {_listed(failed)} did not converge and is not used." if failed else ""
     if found["covariate"] is None:
-        titles = [COVARIATES[name].title for name in found["tried"]]
-        listed = " or ".join(filter(None, [", ".join(titles[:-1]), titles[-1]]))
-        return f"No smooth factor on the coefficient along {listed} takes any of it away."
+        rest = [name for name in found["tried"] if name not in failed]
+        if not rest:
+            return f"Whether a smooth factor takes any of it away is not known.{unused}"
+        along_none = f"No smooth factor on the coefficient along {_listed(rest)}"
+        return f"{along_none} takes any of it away.{unused}"
     formula = found["formula"]
     short = f"{formula['text']} fits as well" if formula else "no short formula fits as well"
     return (
         f"A smooth factor on the coefficient along the {COVARIATES[found['covariate']].title}, "
         f"{min(found['factors']):.2f} to {max(found['factors']):.2f}, takes away "
         f"{100 * found['misfit_share']:.0f} % of the squared error on specimens left out; {short}."
+        f"{unused}"
     )
+
+
+def _listed(names: list[str]) -> str:
+    titles = [COVARIATES[name].title for name in names]
+    return " or ".join(filter(None, [", ".join(titles[:-1]), titles[-1]]))
 
 
 def embedded_discrepancy(
@@ -605,17 +625,21 @@ def embedded_discrepancy(
     tried = _tried(problem, tracks, state, np.random.default_rng(seed), replicates)
     if not tracks:
         return Discrepancy(tried)
-    curves = [problem.fit(track.smooth()) for track in tracks]
-    best = int(np.argmax([curve.log_likelihood for curve in curves]))
-    track, curve = tracks[best], curves[best]
-    errors = [
-        _left_out_error(measurements, model, track.recorded) for model in (problem.fit(None), curve)
-    ]
+    plain = problem.fit(None)
+    fitted = [(track, problem.fit(track.smooth())) for track in tracks]
+    failed = [t.covariate.name for t, c in fitted if not (c.converged and plain.converged)]
+    fitted = [(track, curve) for track, curve in fitted if track.covariate.name not in failed]
+    if not fitted:
+        return Discrepancy(tried, not_converged=tuple(failed))
+    track, curve = max(fitted, key=lambda pair: pair[1].log_likelihood)
+    errors = [_left_out_error(measurements, model, track.recorded) for model in (plain, curve)]
     share = 1.0 - (errors[1] / errors[0]) ** 2
     if tried[track.covariate.name] > SIGNIFICANCE or not share > 0:
-        return Discrepancy(tried)
+        return Discrepancy(tried, not_converged=tuple(failed))
     everything = replace(problem, keep=np.ones_like(state.keep), scatters=curve.scatters)
-    whole = _track(everything, track.covariate.name) or track
+    whole = everything.fit((_track(everything, track.covariate.name) or track).smooth())
+    if not whole.converged:
+        return Discrepancy(tried, not_converged=(*failed, track.covariate.name))
     # The factor's mean logarithm over the features goes into the coefficients.
     weights = track.hats[track.recorded].mean(axis=0)
     mean = weights @ curve.values
@@ -633,11 +657,12 @@ def embedded_discrepancy(
         low=_rounded(np.exp(log_factors - half)),
         high=_rounded(np.exp(log_factors + half)),
         coefficients=dict(zip(names, _rounded(np.exp(curve.level + mean)), strict=True)),
-        scatters=everything.fit(whole.smooth()).scatters,
+        scatters=whole.scatters,
         rmse_null=float(errors[0]),
         rmse=float(errors[1]),
         share=float(share),
         formula=_formula(problem, track, curve, names, _reach(measurements, state)),
+        not_converged=tuple(failed),
     )
 
 
@@ -712,6 +737,8 @@ def _formula(
             return shape.g(plain, float(values[0]))
 
         found = problem.fit(_Form(track, log_factor, np.array([0.0]), None))
+        if not found.converged:
+            continue
         bic = -2 * found.log_likelihood + (1 + shape.places) * cost
         if best is None or bic < best[0]:
             best = bic, shape, found
