@@ -288,7 +288,7 @@ class _Published:
         dirty, others = set(), set()
         for record in self.records():
             stage, commit = record.get("stage"), record.get("git_commit")
-            if not (isinstance(stage, str) and stage.isidentifier()):
+            if not (isinstance(stage, str) and all(map(str.isidentifier, stage.split(".")))):
                 continue
             commits[commit[:12] if isinstance(commit, str) else "unknown"].add(stage)
             if record.get("git_dirty"):
