@@ -63,7 +63,8 @@ def film(sets, folder, processes):
             "interpolation": {"share": 0.0},
         }
         changes.setdefault("render", {}).update(shown)
-        changes["sample"] = {"validation_materials": []}  # none of these trains
+        # None of these trains.
+        changes["sample"] = {"validation_materials": [], "train_only_frictions": []}
         changes.setdefault("instrument", {})["viewpoints"] = VIEWPOINTS
         if one.model is not None:
             (place / "model.yaml").write_text(yaml.safe_dump(one.model))

@@ -97,8 +97,8 @@ def test_what_the_run_lacks_is_said_and_no_damage(folder):
 def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeypatch):
     """Of published files, and of those that only origin.json tells of."""
     (said,) = notes_of(folder, "made by the code of commit")
-    assert "9d3c2c34be3f (evaluate, instrument, publish)" in said
-    assert "3120c0138774 (simulate)" in said and "ece70d8f813c (calibrate)" in said
+    assert "fb447f17f602 (evaluate, instrument, publish, sample)" in said
+    assert "1f0c485aa741 (calibrate.calibration, simulate), 81461cd74572 (render)" in said
 
     def recorded(stage, *_):
         records = [json.loads(path.read_text()) for path in PUBLISHED.rglob("*.provenance.json")]

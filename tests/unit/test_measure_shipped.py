@@ -69,8 +69,10 @@ def test_it_is_what_its_configuration_trains():
     (unseen,) = now.sample.validation_materials
     assert {*card["materials"], unseen} == set(now.grid.materials)
     assert len(now.grid.materials) == 10
-    assert (min(card["frictions"]), max(card["frictions"])) == (0.0, 1.5)
-    assert card["calibration_simulations"] == 48
+    # The largest only trains, so that it is for coefficients up to 1.5.
+    assert (min(card["frictions"]), max(card["frictions"])) == (0.0, 1.75)
+    assert now.sample.train_only_frictions == [1.75]
+    assert card["calibration_simulations"] == 50
     assert card["split"] == "by_simulation"
     low, high = card["pose_range"]["yaw_deg"]
     assert low < -10 < 10 < high
