@@ -627,15 +627,16 @@ def embedded_discrepancy(
         return Discrepancy(tried)
     plain = problem.fit(None)
     fitted = [(track, problem.fit(track.smooth())) for track in tracks]
-    failed = [t.covariate.name for t, c in fitted if not (c.converged and plain.converged)]
-    fitted = [(track, curve) for track, curve in fitted if track.covariate.name not in failed]
-    if not fitted:
-        return Discrepancy(tried, not_converged=tuple(failed))
-    track, curve = max(fitted, key=lambda pair: pair[1].log_likelihood)
+    failed = tuple(t.covariate.name for t, c in fitted if not (c.converged and plain.converged))
+    nothing = Discrepancy(tried, not_converged=failed)
+    usable = [(track, curve) for track, curve in fitted if track.covariate.name not in failed]
+    if not usable:
+        return nothing
+    track, curve = max(usable, key=lambda pair: pair[1].log_likelihood)
     errors = [_left_out_error(measurements, model, track.recorded) for model in (plain, curve)]
     share = 1.0 - (errors[1] / errors[0]) ** 2
     if tried[track.covariate.name] > SIGNIFICANCE or not share > 0:
-        return Discrepancy(tried, not_converged=tuple(failed))
+        return nothing
     everything = replace(problem, keep=np.ones_like(state.keep), scatters=curve.scatters)
     whole = everything.fit((_track(everything, track.covariate.name) or track).smooth())
     if not whole.converged:
@@ -662,7 +663,7 @@ def embedded_discrepancy(
         rmse=float(errors[1]),
         share=float(share),
         formula=_formula(problem, track, curve, names, _reach(measurements, state)),
-        not_converged=tuple(failed),
+        not_converged=failed,
     )
 
 
