@@ -12,8 +12,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+import torch
 from filmed import instruments, publish
-from surrogate_places import LOWER_EDGE, reading, torch
+from surrogate_places import mean_errors, places_off, reading
 
 from slipstitch.evaluate.instruments import measured
 from slipstitch.instrument.augmentation import phased
@@ -38,7 +39,6 @@ def rows_of(part, videos, instrument):
     true_m = phased(videos.points_m, frames, None)
     seen = measured(instrument, phased(videos.pixels, frames, None), videos.rows)
     for row, measurement, places_m in zip(videos.rows, seen, true_m, strict=True):
-        off_mm = 1e3 * (measurement.points_m - places_m)
         yield {
             "part": part,
             "simulation": row["simulation"],
@@ -47,8 +47,7 @@ def rows_of(part, videos, instrument):
             "friction": row["friction"],
             "reading": float(measurement.friction_coefficient),
             "from_true_places": reading(instrument.network, torch.from_numpy(places_m[None])),
-            "places_off_mm": float(np.sqrt(np.mean(off_mm**2))),
-            "lower_edge_off_mm": float(np.abs(off_mm[:, LOWER_EDGE, 0]).mean()),
+            **places_off(measurement.points_m, places_m),
         }
 
 
@@ -60,7 +59,7 @@ def main():
     every = instruments()
     fabrics = set(every[0].card["materials"])
     rows = []
-    manifest, _ = read_manifest(arguments.folder)
+    manifest, digest = read_manifest(arguments.folder)
     for part, step in PARTS.items():
         chosen = [row["video"] for row in manifest if part_of(row, fabrics) == part][::step]
         videos = read_videos(
@@ -75,12 +74,10 @@ def main():
             "videos": len({row["video"] for row in own}),
             "simulations": len({row["simulation"] for row in own}),
             "lower_edge_off_mm": float(np.mean([row["lower_edge_off_mm"] for row in own])),
-            **{
-                name: float(np.mean([abs(row[name] - row["friction"]) for row in own]))
-                for name in ("reading", "from_true_places")
-            },
+            **mean_errors(own, ("reading", "from_true_places")),
         }
-    publish("found_places", {"instruments": len(every), "parts": summary}, [], rows)
+    result = {"instruments": len(every), "dataset_digest": digest, "parts": summary}
+    publish("found_places", result, [], rows)
     print(json.dumps(summary, indent=1))
 
 

@@ -90,6 +90,22 @@ def reading(network, places_m):
     return float(medians(cumulative, network.grid))
 
 
+def places_off(found_m, true_m):
+    """How far places (n, 9, 3) are from the true ones, mean over the axes, and along the track."""
+    off_mm = 1e3 * (found_m - true_m)
+    return {
+        "places_off_mm": float(np.abs(off_mm).mean()),
+        "lower_edge_off_mm": float(np.abs(off_mm[:, LOWER_EDGE, 0]).mean()),
+    }
+
+
+def mean_errors(rows, names):
+    """Mean error of each of these readings."""
+    return {
+        name: float(np.mean([abs(row[name] - row["friction"]) for row in rows])) for name in names
+    }
+
+
 def rows_of(config, film, folder, places, run):
     """One row an instrument; none if the video is refused."""
     settings = surrogate_simulation(config)
@@ -101,7 +117,6 @@ def rows_of(config, film, folder, places, run):
         except BadInput:
             return
         true_m, ideal_m = (at(result.video.time_s, places[film.id, one]) for one in BENCHES)
-        off = 1e3 * (result.measurement.points_m - true_m[0].numpy())
         moved_m = (true_m - ideal_m)[0]
         yield {
             "simulation": film.id,
@@ -112,8 +127,7 @@ def rows_of(config, film, folder, places, run):
             "reading": float(result.measurement.friction_coefficient),
             "from_its_places": reading(bench.instrument.network, true_m),
             "from_ideal_places": reading(bench.instrument.network, ideal_m),
-            "places_off_mm": float(np.abs(off).mean()),
-            "lower_edge_off_mm": float(np.abs(off[:, LOWER_EDGE, 0]).mean()),
+            **places_off(result.measurement.points_m, true_m[0].numpy()),
             "lower_edge_elsewhere_mm": float(1e3 * moved_m[:, LOWER_EDGE, 0].abs().mean()),
         }
 
@@ -132,10 +146,7 @@ def main():
         for film in films(config)
         for row in rows_of(config, film, arguments.folder, places, arguments.run)
     ]
-    summary = {
-        name: float(np.mean([abs(row[name] - row["friction"]) for row in rows]))
-        for name in ("reading", "from_its_places", "from_ideal_places")
-    }
+    summary = mean_errors(rows, ("reading", "from_its_places", "from_ideal_places"))
     sets = [FilmedSet("surrogates", yaml.safe_load(changes.read_text()))]
     publish("surrogate_places", {"errors": summary}, sets, rows, arguments.run)
     for row in rows:
