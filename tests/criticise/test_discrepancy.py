@@ -1,6 +1,7 @@
 """Where no mechanism explains the data, the smooth factor that they ask for is found."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,11 @@ from support.hidden_effects.bench import make_case
 from slipstitch.bench.extended_model import model_of, read_extended_model
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import criticise_to_files
-from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
+from slipstitch.criticise.inference.discrepancy import (
+    _Problem,
+    discrepancy_words,
+    embedded_discrepancy,
+)
 from slipstitch.criticise.inference.gain import plain_scatters
 from slipstitch.criticise.inference.outliers import fit_without_outliers
 from slipstitch.criticise.measurements import assemble
@@ -88,6 +93,22 @@ def test_a_fit_that_did_not_converge_says_so_and_is_not_used(tmp_path, monkeypat
     assert (result["covariate"], result["not_converged"]) == (None, list(found.tried))
     assert "not known. The fit along position" in discrepancy_words(result)
     assert discrepancy_words(result).endswith("did not converge and is not used.")
+
+
+def test_a_short_formula_whose_fit_did_not_converge_is_not_said_to_fit_worse(tmp_path, monkeypatch):
+    fit = _Problem.fit
+
+    def without_short_formulas(problem, form):
+        found = fit(problem, form)
+        curve = form is None or form.roots is not None
+        return replace(found, converged=found.converged and curve)
+
+    monkeypatch.setattr(_Problem, "fit", without_short_formulas)
+    *_, found = discrepancy(tmp_path, SEED, PLANTED["a patch"])
+    result = found.as_dict()
+    assert (result["covariate"], result["formula"]) == ("pos_x_mm", None)
+    assert result["shapes_not_converged"] == ["line", "exponential", "step"]
+    assert "(not known of line, exponential, step: the fit" in discrepancy_words(result)
 
 
 def test_coefficients_and_scatter_that_go_to_and_fro_are_damped(tmp_path):

@@ -476,6 +476,7 @@ class Discrepancy:
     rmse_null, rmse : errors of features of left-out specimens, relative to friction.
     share : of the squared error that the factor takes away there.
     not_converged : covariates along which a factor's fit did not: it is not used.
+    shapes_not_converged : short formulas whose fit did not: whether they fit as well is not known.
     """
 
     tried: dict[str, float]
@@ -491,6 +492,7 @@ class Discrepancy:
     share: float = 0.0
     formula: Formula | None = None
     not_converged: tuple[str, ...] = ()
+    shapes_not_converged: tuple[str, ...] = ()
 
     def as_dict(self) -> dict:
         """The layout of docs/measurements.md."""
@@ -513,6 +515,8 @@ class Discrepancy:
             "misfit_share": round(self.share, 4),
             "formula": None,
         }
+        if self.shapes_not_converged:
+            result["shapes_not_converged"] = list(self.shapes_not_converged)
         if self.formula is not None:
             result["formula"] = {
                 "text": self.formula.text,
@@ -597,6 +601,8 @@ def discrepancy_words(found: dict | None) -> str:
         return f"{along_none} takes any of it away.{unused}"
     formula = found["formula"]
     short = f"{formula['text']} fits as well" if formula else "no short formula fits as well"
+    if not formula and (unknown := found.get("shapes_not_converged")):
+        short += f" (not known of {', '.join(unknown)}: the fit did not converge)"
     return (
         f"A smooth factor on the coefficient along the {COVARIATES[found['covariate']].title}, "
         f"{min(found['factors']):.2f} to {max(found['factors']):.2f}, takes away "
@@ -650,6 +656,7 @@ def embedded_discrepancy(
     half = _reach(measurements, state) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     log_factors = curve.values - mean
     names = [p.name for p in measurements.null_parameters]
+    formula, unknown = _formula(problem, track, curve, names, _reach(measurements, state))
     return Discrepancy(
         tried,
         track.covariate.name,
@@ -662,8 +669,9 @@ def embedded_discrepancy(
         rmse_null=float(errors[0]),
         rmse=float(errors[1]),
         share=float(share),
-        formula=_formula(problem, track, curve, names, _reach(measurements, state)),
+        formula=formula,
         not_converged=failed,
+        shapes_not_converged=unknown,
     )
 
 
@@ -727,11 +735,14 @@ def _left_out_error(m: Measurements, model: _Fitted, scored: np.ndarray) -> floa
 
 def _formula(
     problem: _Problem, track: _Track, curve: _Fitted, names: list[str], reach: float
-) -> Formula | None:
-    """The best named shape, if it fits as well as the curve by BIC (size and length: two)."""
+) -> tuple[Formula | None, tuple[str, ...]]:
+    """The best named shape, if it fits as well as the curve by BIC (size and length: two).
+
+    And the names of those whose fit did not converge.
+    """
     cost = np.log(max(number_of_runs(problem.measurements, problem.keep), 2))
     limit = -2 * curve.log_likelihood + 2 * cost
-    best = None
+    best, unknown = None, []
     for shape in _shapes(track, _edge(track, curve)):
 
         def log_factor(plain, values, shape=shape):
@@ -739,17 +750,18 @@ def _formula(
 
         found = problem.fit(_Form(track, log_factor, np.array([0.0]), None))
         if not found.converged:
+            unknown.append(shape.name)
             continue
         bic = -2 * found.log_likelihood + (1 + shape.places) * cost
         if best is None or bic < best[0]:
             best = bic, shape, found
     if best is None or best[0] > limit + AS_WELL_BIC:
-        return None
+        return None, tuple(unknown)
     bic, shape, found = best
     value, half = float(found.values[0]), float(reach * np.sqrt(found.covariance[-1, -1]))
     ends = np.array([shape.parameter(value + step) for step in (-half, 0.0, half)])
     low, estimate, high = _rounded(np.sort(ends))
-    return Formula(
+    formula = Formula(
         shape.name,
         shape.text(value),
         estimate,
@@ -757,3 +769,4 @@ def _formula(
         dict(zip(names, _rounded(np.exp(found.level)), strict=True)),
         float(bic - limit),
     )
+    return formula, tuple(unknown)
