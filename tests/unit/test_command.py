@@ -204,6 +204,18 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
             ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
             "is a file; must be a folder",
         ),
+        (
+            ["capture", "check", "camera.json", "--picture", "/proc/x.png"],
+            "/proc/x.png: cannot be written: ",
+        ),
+        (
+            ["capture", "reference", "{folder}/file.csv", "--out", "{folder}/x/../file.csv"],
+            "/x/../file.csv: the command reads this file",
+        ),
+        (
+            ["criticise", "{folder}", "--out", "v.json", "--resimulate", "./v.json"],
+            "--resimulate ./v.json: is the file of --out, too",
+        ),
     ],
 )
 def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_path, capsys):

@@ -1,6 +1,7 @@
 """``slipstitch measure``: one video in, one line and one page out."""
 
 import csv
+import errno
 import json
 import shutil
 from dataclasses import replace
@@ -22,7 +23,7 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.instrument.alarm import Alarm
 from slipstitch.instrument.distribution import friction_grid, probabilities_on_grid
 from slipstitch.instrument.measuring import ErrorBars, save_instrument
-from slipstitch.measure.measurement_files import names_of
+from slipstitch.measure.measurement_files import MeasuredPair, names_of
 from slipstitch.measure.measurement_page import page
 from slipstitch.measure.measuring import _half_width, measuring_bench
 from slipstitch.render.camera import pose
@@ -50,6 +51,12 @@ def bench(tmp_path_factory):
     )
     save_instrument(instrument, folder / "results" / "instrument" / "seed0")
     return folder
+
+
+def another(bench, path):
+    """The video once more, in a file of other bytes: with an empty box at its end."""
+    path.write_bytes((bench / "video.mp4").read_bytes() + b"\x00\x00\x00\x08free")
+    return path
 
 
 def measure(bench, *words):
@@ -183,8 +190,9 @@ def _portrait(bench, path):
             "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
         ),
         (lambda bench, path: None, "no such file"),
+        (lambda bench, path: path.mkdir(), "is a folder; must be a video"),
     ],
-    ids=["text", "cut off", "ten frames", "portrait", "none"],
+    ids=["text", "cut off", "ten frames", "portrait", "none", "folder"],
 )
 def test_a_bad_video_is_one_line(bench, tmp_path, capfd, make, problem):
     path = tmp_path / "bad.mp4"
@@ -208,7 +216,7 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     _text(bench, damaged)
     missing = tmp_path / "missing.mp4"
     (tmp_path / "again").mkdir()
-    again = shutil.copy(bench / "video.mp4", tmp_path / "again")
+    again = another(bench, tmp_path / "again" / "video.mp4")
     files = [str(bench / "video.mp4"), str(again), str(damaged), str(missing)]
     words = ["--camera", str(bench / "camera.json")]
     words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
@@ -253,7 +261,7 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     bars = ErrorBars(1.0, 1.0, np.inf, calm)
     save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
     write_config(CONFIG, tmp_path / "config.json")
-    again = shutil.copy(bench / "video.mp4", tmp_path / "price $5_$6_.mp4")
+    again = another(bench, tmp_path / "price $5_$6_.mp4")
     files = [str(bench / "video.mp4"), str(again), "--camera", str(bench / "camera.json")]
     out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
     out += [f"--out={tmp_path / 'x.html'}", "--model", str(tmp_path / "model")]
@@ -282,6 +290,44 @@ def test_a_video_counts_once(bench, tmp_path, capsys):
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "other.mp4: given twice; each video counts once" in said
+
+
+def test_a_copy_of_a_video_is_no_repeat(bench, tmp_path, capsys):
+    copy = shutil.copy(bench / "video.mp4", tmp_path / "copy.mp4")
+    words = ["--camera", str(bench / "camera.json")]
+    assert main(["measure", str(bench / "video.mp4"), str(copy), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"copy.mp4: a copy of {bench / 'video.mp4'}; each video counts once" in said
+
+
+def test_what_is_read_is_not_written_over(bench, tmp_path, capsys):
+    camera = shutil.copy(bench / "camera.json", tmp_path / "camera.json")
+    before = camera.read_bytes()
+    words = ["--camera", str(camera), "--json", str(tmp_path / "." / "camera.json")]
+    assert measure(bench, *words) == 2
+    assert "camera.json: the command reads this file" in capsys.readouterr().err
+    assert camera.read_bytes() == before
+
+
+def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("slipstitch.measure.measurement_files.write_json", full)
+    assert measure(bench, "--json", str(tmp_path / "x.json")) == 1
+    told = capsys.readouterr()
+    assert told.out.startswith("friction 0.")
+    assert "no space left on the disk" in told.err
+
+
+@pytest.mark.parametrize(
+    ("name", "cell"),
+    [("combined", "./combined"), ("=1+1.mp4", "./=1+1.mp4"), ("glass_1.mp4", "glass_1.mp4")],
+)
+def test_the_table_names_a_video_by_no_formula_and_not_as_the_last_row(name, cell):
+    rows = list(csv.DictReader(MeasuredPair([], {name: "damaged"}).table().splitlines()))
+    assert rows[0]["video"] == cell
 
 
 @pytest.mark.parametrize(

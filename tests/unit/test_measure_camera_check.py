@@ -50,6 +50,9 @@ def bench(tmp_path_factory):
     stage.camera_file(
         stage.lens_camera(rotation, translation_m, focal_px=5000.0), folder / "long_focus.json"
     )
+    stage.camera_file(
+        stage.lens_camera(rotation, translation_m, focal_px=35.0), folder / "focal_mm.json"
+    )
     return folder
 
 
@@ -126,6 +129,16 @@ def test_a_camera_that_does_not_see_the_track_is_told_so_before_any_film_is_read
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert problem in said and "no.mp4" not in said
+
+
+def test_a_camera_that_sees_the_cloth_too_coarsely_is_told_so(bench, capsys):
+    """As with a focal length in millimetres: everything is in view, in a few pixels."""
+    problem = "pixels for each of the instrument's; at least 0.8 needed"
+    assert check(bench, "focal_mm") == 3
+    assert problem in capsys.readouterr().out
+    words = ["--camera", str(bench / "focal_mm.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words]) == 2
+    assert problem in capsys.readouterr().err
 
 
 def test_the_picture_shows_the_range_the_tolerance_and_the_roll(bench):

@@ -15,8 +15,8 @@ from slipstitch.page.wording import shortened
 
 _LARGEST_BYTES = 20_000_000
 _LONGEST_NAME = 80
-# What a spreadsheet takes for a formula when it opens the file.
-_FORMULA = ("=", "+", "@", "\t", "\r")
+#: What a spreadsheet takes for a formula when it opens the file.
+FORMULA = ("=", "+", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _value(column: TableColumn, cell: str, where: str) -> Any:
             return None
         raise BadInput(f"{where}: empty")
     shown = shortened(cell, 60)
-    if cell.startswith(_FORMULA):
+    if cell.startswith(FORMULA):
         raise BadInput(f"{where}: {shown!r} looks like a formula; must be a plain value")
     try:
         return column.read(cell)

@@ -63,7 +63,8 @@ class Recording:
     def __init__(self, path: str | os.PathLike, frame_rate_hz: float | None = None):
         self.path, self.frame_rate_hz = Path(path), frame_rate_hz
         if not self.path.is_file():
-            raise BadInput(f"{path}: no such file")
+            missing = "is a folder; must be a video" if self.path.is_dir() else "no such file"
+            raise BadInput(f"{path}: {missing}")
         with open(self.path, "rb") as stream:
             first = stream.read(_FIRST_BYTES)
         # FFmpeg would draw the letters of a text file, or follow a playlist to other places.

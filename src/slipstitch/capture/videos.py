@@ -15,7 +15,7 @@ from slipstitch.render.bench_camera import relative_pose
 from slipstitch.render.camera import AIM_M
 from slipstitch.render.camera_file import LensCamera
 from slipstitch.render.mean_cloth import cloth_surface
-from slipstitch.render.rectification import fine_source_pixels, in_image, rectify
+from slipstitch.render.rectification import fine_source_pixels, in_image, rectify, source_pixels
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -26,6 +26,8 @@ _LARGEST_GAP_S = 1.0
 _NEAR_START_S = 0.2
 _FAR_VIEW_DEG = 5.0
 _LEAST_INSIDE = 0.8
+# Instruments learn from 1.25 camera pixels for each of theirs (render.bench_camera.oversampling).
+_LEAST_SAMPLING = 0.8
 # A film's clock: corrected from here on if it is told that closely, noted, refused; and how far the
 # stage may stand from the path at any time.
 _CORRECTED_RATE, _NOTED_RATE, _REFUSED_RATE = 0.001, 0.005, 0.02
@@ -196,6 +198,21 @@ def seen_too_little(
     return (
         f"{time_s[worst]:.1f} s after the start the camera sees only "
         f"{100 * shares[worst]:.0f} % of the crop; at least {100 * _LEAST_INSIDE:.0f} % needed"
+    )
+
+
+def seen_too_coarsely(lens: LensCamera, schedule: Schedule) -> str:
+    """How few pixels a camera that sees the crop has for each of its; empty if enough."""
+    crop = schedule.crop(0.0)
+    place = source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(0.0)))
+    steps = [np.linalg.norm(np.diff(place, axis=axis), axis=-1) for axis in (0, 1)]
+    sampling = min(float(np.nanmedian(step)) for step in steps)
+    if sampling >= _LEAST_SAMPLING:
+        return ""
+    return (
+        f"the camera has {sampling:.2g} pixels for each of the instrument's; at least "
+        f"{_LEAST_SAMPLING:g} needed: nearer, a longer focal length or a finer film (is focal_px "
+        "in pixels?)"
     )
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from slipstitch import __version__
+from slipstitch.cli.options import refuse_overwriting
 from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
 from slipstitch.threads import use_one_thread
 
@@ -161,7 +162,9 @@ def main(arguments: list[str] | None = None) -> int:
     use_one_thread()
     try:
         module = importlib.import_module(f"slipstitch.cli.{verb}")
-        parsed = _parser(verb, module).parse_args(words[1:])
+        parser = _parser(verb, module)
+        parsed = parser.parse_args(words[1:])
+        refuse_overwriting(parser, parsed)
         _refuse_tight_memory()
         status = module.run(parsed)
         sys.stdout.flush()

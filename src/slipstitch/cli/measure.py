@@ -83,8 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     from slipstitch.errors import BadInput
     from slipstitch.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
-    from slipstitch.measure.measurement_files import measure_to_files
+    from slipstitch.measure.measurement_files import measured_pair, write_measurements
     from slipstitch.measure.measuring import measuring_bench
+    from slipstitch.provenance import start_clock
 
     check_at_least(arguments, threads=1)
     if arguments.example:
@@ -103,6 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise BadInput(f"{flag(name)} {value:g}: must be {least}")
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s cannot be combined with several videos")
+    started = start_clock()
     bench = measuring_bench(
         arguments.camera,
         arguments.model,
@@ -110,20 +112,22 @@ def run(arguments: argparse.Namespace) -> int:
         threads=arguments.threads,
         force=arguments.force,
     )
-    pair = measure_to_files(
-        arguments.videos,
-        bench,
-        arguments.camera,
-        page_path=arguments.out and Path(arguments.out),
-        numbers_path=arguments.json and Path(arguments.json),
-        table_path=arguments.csv and Path(arguments.csv),
-        start_s=arguments.start_s,
-        frame_rate_hz=arguments.frame_rate_hz,
+    pair = measured_pair(
+        arguments.videos, bench, start_s=arguments.start_s, frame_rate_hz=arguments.frame_rate_hz
     )
+    # Before the files: should one of them fail, the result is not lost.
     for line in pair.videos[0].lines() if len(arguments.videos) == 1 else pair.lines():
         print(line)
     if arguments.example:
         print(known_of_example())
+    write_measurements(
+        pair,
+        [*arguments.videos, arguments.camera, bench.config_path],
+        started,
+        page_path=arguments.out and Path(arguments.out),
+        numbers_path=arguments.json and Path(arguments.json),
+        table_path=arguments.csv and Path(arguments.csv),
+    )
     if pair.refused:
         return BAD_INPUT_EXIT_CODE
     return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0

@@ -2,7 +2,8 @@
 
 import argparse
 import re
-from collections.abc import Callable, Iterable
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from slipstitch.errors import BadInput
@@ -22,6 +23,43 @@ def _refuse_target(text: str, folder: bool) -> None:
     above = next((parent for parent in path.absolute().parents if parent.exists()), path)
     if not above.is_dir():
         raise argparse.ArgumentTypeError(f"{text}: {above} is a file, not a folder")
+    try:  # permissions alone do not tell of a read-only disk, or of /proc
+        with tempfile.TemporaryDirectory(prefix=".", dir=above):
+            pass
+    except OSError as error:
+        reason = (error.strerror or "refused").lower()
+        raise argparse.ArgumentTypeError(f"{text}: cannot be written: {reason}") from None
+
+
+def refuse_overwriting(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Refuse a file to be written that the command reads, or writes under another option, too."""
+    writes = {action.dest for action in _actions(parser) if hasattr(action.type, "writes")}
+    outputs: dict[Path, tuple[str, str]] = {}
+    for name in sorted(writes & set(vars(arguments))):
+        for file, text in _files(getattr(arguments, name)).items():
+            if file in outputs:
+                raise BadInput(f"{flag(name)} {text}: is the file of {outputs[file][0]}, too")
+            outputs[file] = flag(name), text
+    for name in sorted(set(vars(arguments)) - writes):
+        for file in _files(getattr(arguments, name)):
+            if file in outputs:
+                raise BadInput(f"{' '.join(outputs[file])}: the command reads this file")
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                yield from _actions(verb)
+
+
+def _files(value: object) -> dict[Path, str]:
+    """The files that an option's value may name -> the words that name them."""
+    several = value if isinstance(value, list | tuple) else [value]
+    return {
+        Path(one).resolve(): str(one) for one in several if isinstance(one, str | Path) and str(one)
+    }
 
 
 def output_named(*endings: str) -> Callable[[str], str]:
@@ -33,6 +71,12 @@ def output_named(*endings: str) -> Callable[[str], str]:
             raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
         return text
 
+    return _writing(check)
+
+
+def _writing(check: Callable) -> Callable:
+    """An option's type, marked as one of files to be written."""
+    check.writes = True  # type: ignore[attr-defined]
     return check
 
 
@@ -46,7 +90,7 @@ output_picture = output_named(".png", ".svg")
 def output_path(*endings: str) -> Callable[[str], Path]:
     """As `output_named`, as a path."""
     check = output_named(*endings)
-    return lambda text: Path(check(text))
+    return _writing(lambda text: Path(check(text)))
 
 
 def output_folder(text: str) -> str:

@@ -8,11 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from slipstitch.capture.csv_table import FORMULA
 from slipstitch.errors import BadInput
 from slipstitch.measure import measurement_page, repeats_page
 from slipstitch.measure.measuring import MeasuredVideo, MeasuringBench
 from slipstitch.measure.repeats import Repeats, combined
-from slipstitch.provenance import provenance_record, start_clock, write_json, write_text
+from slipstitch.provenance import file_digest, provenance_record, write_json, write_text
 
 COLUMNS = (
     "video",
@@ -26,6 +27,7 @@ COLUMNS = (
     "scatter",
     "notes",
 )
+COMBINED = "combined"  # the name of the last row
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class MeasuredPair:
             measured = video.measurement
             rows.writerow(
                 [
-                    video.name,
+                    _cell(video.name),
                     f"{measured.friction_coefficient:.4f}",
                     *self._interval(measured.interval_90),
                     video.fabric[0],
@@ -136,12 +138,13 @@ class MeasuredPair:
                 ]
             )
         rows.writerows(
-            [name, *[""] * 8, f"not measured: {problem}"] for name, problem in self.refused.items()
+            [_cell(name), *[""] * 8, f"not measured: {problem}"]
+            for name, problem in self.refused.items()
         )
         if together := self.together:
             rows.writerow(
                 [
-                    "combined",
+                    COMBINED,
                     f"{together.friction_coefficient:.4f}",
                     *self._interval(together.interval_90),
                     *[""] * 4,
@@ -156,28 +159,25 @@ class MeasuredPair:
         return ["", ""] if self.without_error_bar else [f"{end:.4f}" for end in interval_90]
 
 
-def measure_to_files(
+def _cell(name: str) -> str:
+    """A video's name that is neither taken for a formula nor for the last row."""
+    return f"./{name}" if name == COMBINED or name.startswith((*FORMULA, "-")) else name
+
+
+def measured_pair(
     videos: Sequence[Path],
     bench: MeasuringBench,
-    camera: Path,
     *,
-    page_path: Path | None,
-    numbers_path: Path | None,
-    table_path: Path | None = None,
     start_s: float | None = None,
     frame_rate_hz: float | None = None,
 ) -> MeasuredPair:
-    """Measure videos of one pair and write what is asked for, with its provenance beside it.
+    """Measure videos of one pair.
 
     Parameters
     ----------
     videos : sequence of path
-        At least one, each once. A single video has the page and the numbers of a single video.
+        At least one, each once.
     bench : MeasuringBench
-    camera : path
-        The camera file, for the record.
-    page_path, numbers_path, table_path : path, optional
-        HTML, JSON and CSV.
     start_s, frame_rate_hz : float, optional
         As for `MeasuringBench.measure`.
 
@@ -186,7 +186,7 @@ def measure_to_files(
     BadInput
         If a video is given twice, or none could be measured: the first one's problem.
     """
-    started = start_clock()
+    refuse_copies(videos)
     measured: list[MeasuredVideo] = []
     refused: dict[str, str] = {}
     for name, video in zip(names_of(videos), videos, strict=True):
@@ -198,24 +198,66 @@ def measure_to_files(
             refused[name] = str(problem)
         else:
             measured.append(replace(result, name=name))
-    pair = MeasuredPair(measured, refused)
     if not measured:
         first = next(iter(refused.values()))
         raise BadInput(f"none of {len(videos)} videos can be measured; the first: {first}")
+    return MeasuredPair(measured, refused)
+
+
+def write_measurements(
+    pair: MeasuredPair,
+    read: Sequence[Path],
+    started: tuple[float, float],
+    *,
+    page_path: Path | None,
+    numbers_path: Path | None,
+    table_path: Path | None,
+) -> None:
+    """Write what is asked for, with its provenance beside it.
+
+    Parameters
+    ----------
+    pair : MeasuredPair
+        Of a single video: the page and the numbers of a single video.
+    read : sequence of path
+        The videos, the camera file, the instrument's configuration, for the record.
+    started : tuple of float
+        As of `slipstitch.provenance.start_clock`.
+    page_path, numbers_path, table_path : path, optional
+        HTML, JSON and CSV.
+    """
     if not (page_path or numbers_path or table_path):
-        return pair
-    read = [path for path in [*videos, camera, bench.config_path] if Path(path).is_file()]
-    record = provenance_record("measure", inputs=read, started=started)
-    record["instrument"] = measured[0].instrument
-    single = len(videos) == 1
+        return
+    inputs = [path for path in read if Path(path).is_file()]
+    record = provenance_record("measure", inputs=inputs, started=started)
+    first = pair.videos[0]
+    record["instrument"] = first.instrument
+    single = len(pair.videos) + len(pair.refused) == 1
     if page_path:
-        content = measurement_page.page(measured[0]) if single else repeats_page.page(pair)
+        content = measurement_page.page(first) if single else repeats_page.page(pair)
         write_text(page_path, content, record)
     if numbers_path:
-        write_json(numbers_path, measured[0].numbers() if single else pair.numbers(), record)
+        write_json(numbers_path, first.numbers() if single else pair.numbers(), record)
     if table_path:
         write_text(table_path, pair.table(), record)
-    return pair
+
+
+def refuse_copies(videos: Sequence[Path]) -> None:
+    """Refuse two files of the same content: a copy is not a repeat.
+
+    Raises
+    ------
+    BadInput
+        If there are such.
+    """
+    files = [path for path in map(Path, videos) if path.is_file()]
+    sizes = [path.stat().st_size for path in files]
+    seen: dict[str, Path] = {}
+    for path, size in zip(files, sizes, strict=True):
+        if sizes.count(size) > 1:
+            first = seen.setdefault(file_digest(path), path)
+            if first.resolve() != path.resolve():
+                raise BadInput(f"{path}: a copy of {first}; each video counts once")
 
 
 def names_of(videos: Sequence[Path]) -> list[str]:

@@ -11,7 +11,13 @@ import torch
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
-from slipstitch.capture.videos import StageVideo, read_stage_video, seen_shares, seen_too_little
+from slipstitch.capture.videos import (
+    StageVideo,
+    read_stage_video,
+    seen_shares,
+    seen_too_coarsely,
+    seen_too_little,
+)
 from slipstitch.config import load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
@@ -258,7 +264,7 @@ def measuring_bench(
     ------
     BadInput
         If a file cannot be used, or the camera stands outside the poses of the training, or does
-        not see the track.
+        not see the track, or too coarsely.
     """
     lens = read_camera_file(camera)
     model = model or SHIPPED
@@ -271,7 +277,8 @@ def measuring_bench(
             "--force measures anyway, with an alarm"
         )
     # Before any film is read: in one, such a camera would find no start of the stage's motion.
-    if problem := seen_too_little(seen_shares(lens, schedule), schedule.time_s):
+    little = seen_too_little(seen_shares(lens, schedule), schedule.time_s)
+    if problem := little or seen_too_coarsely(lens, schedule):
         raise BadInput(f"{camera}: {problem}; see `slipstitch capture check`")
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
