@@ -145,12 +145,14 @@ def instrument_parts(root):
         "friction": "μ",
         "floor": "floor",
         "texture": "texture",
+        "pitch_deg": "camera raised by, to the nearest 4°",
+        "farther_percent": "camera farther by, to the nearest 10 %",
     }
     parts = _instrument(root)["by"]
     rows = []
     for kind, words in kinds.items():
         of_kind = parts[kind].items()
-        if kind in ("yaw_deg", "friction"):
+        if kind not in ("material", "floor", "texture"):
             of_kind = sorted(of_kind, key=lambda item: float(item[0]))
         for value, part in of_kind:
             rows.append(
@@ -162,41 +164,8 @@ def instrument_parts(root):
                     f"{part['coverage_90']:.0%}",
                 ]
             )
-    rows += _by_pose(root)
     head = "part|simulations|mean error of μ|within 0.1|in the 90 % interval"
     return _table(head.split("|"), rows)
-
-
-def _by_pose(root):
-    """Rows of `instrument_parts` by the camera's elevation and distance, all trainings together."""
-    folder = root / "results" / "published" / "instrument"
-    manifest = pandas.read_parquet(folder / "dataset" / "manifest.parquet")
-    found = pandas.read_parquet(folder / "predictions.parquet").merge(
-        manifest[["video", "pose_pitch_deg", "pose_log_distance"]], on="video"
-    )
-    found["error"] = (found["predicted_value"] - found["true_value"]).abs()
-    found["close"] = found["error"] < 0.1
-    found["held"] = found["true_value"].between(found["low"], found["high"])
-    pitch = found["pose_pitch_deg"]
-    farther = np.expm1(found["pose_log_distance"])
-    rows = []
-    for words, steps, form in (
-        ("camera raised by, to the nearest 4°", 4 * (pitch / 4).round() + 0, "+.0f"),
-        ("camera farther by, to the nearest 10 %", 0.1 * (farther / 0.1).round() + 0, "+.0%"),
-    ):
-        for value, part in found.groupby(steps):
-            # Each simulation counts once for the coverage, as in `evaluate`.
-            held = part.groupby("simulation")["held"].mean()
-            rows.append(
-                [
-                    f"{words}: {value:{form}}",
-                    str(len(held)),
-                    f"{part['error'].mean():.3f}",
-                    f"{part['close'].mean():.0%}",
-                    f"{held.mean():.0%}",
-                ]
-            )
-    return rows
 
 
 def _scores(part):
@@ -656,6 +625,6 @@ PAGES = {
         pandas.read_csv(root / "results/published/benchmark/simulations.csv"),
     ),
     model_card.PLACE: lambda root: model_card.page(
-        root, instrument(root), instrument_parts(root), reach(root)
+        root, instrument(root), instrument_parts(root), reach(root), surrogates(root)
     ),
 }

@@ -27,7 +27,7 @@ INPUTS = {
 }
 
 
-def page(root, whole, parts, beyond):
+def page(root, whole, parts, beyond, surrogates):
     """The card, with the tables of all trainings as they are in the docs."""
     run = root / RUN
     read = {
@@ -45,7 +45,7 @@ def page(root, whole, parts, beyond):
         "": _what(card),
         "Use": _use(card),
         "Data": _data(card, config, pandas.read_parquet(run / "dataset/manifest.parquet")),
-        "Accuracy and coverage": _accuracy(card, found, whole, parts, beyond),
+        "Accuracy and coverage": _accuracy(card, found, whole, parts, beyond, surrogates),
         "Limits": _limits(card, config, found, (run / "captures/metrics.json").is_file()),
         "Licence": _licence(root),
         "Provenance": _provenance(root, card, read["dataset/digests.json"]),
@@ -113,7 +113,7 @@ def _data(card, config, rows):
     ]
 
 
-def _accuracy(card, found, whole, parts, beyond):
+def _accuracy(card, found, whole, parts, beyond, surrogates):
     own, alarms = found["seeds"][str(card["seed"])], found["alarms"][str(card["seed"])]
     detected = [f"{words} {alarms[name]:.0%}" for name, words in INPUTS.items() if name in alarms]
     return [
@@ -133,6 +133,11 @@ def _accuracy(card, found, whole, parts, beyond):
         "other mass and bending rigidity than any that it was trained on):",
         "",
         beyond,
+        "",
+        "On surrogate videos, which are simulated as a bench would film: other textures, a finer "
+        "mesh, a lens, drifting exposure, compression:",
+        "",
+        surrogates,
     ]
 
 
@@ -146,6 +151,8 @@ def _limits(card, config, found, real):
             ("material", "fabric"),
             ("friction", "μ ="),
             ("floor", "floor"),
+            ("pitch_deg", "camera raised by"),
+            ("farther_percent", "camera farther by, in %,"),
         )
         for value, part in found["by"][kind].items()
         if part["mean_absolute_error"] > BAD * error or part["coverage_90"] < promised - 0.05

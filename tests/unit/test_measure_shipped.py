@@ -92,7 +92,7 @@ def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, c
     # The page says what this instrument knows: seven floors that reflect are among its floors.
     page = (tmp_path / "page.html").read_text()
     assert "° from the calibrated viewpoint<br>rotation about the vertical +2 degrees" in page
-    assert "roll +0.1 degrees (trained on -2.1 ... +2)" in page
+    assert "roll +0.1 degrees (trained on -2.1 ... +2.1)" in page
     config = load_config(SHIPPED / "config.json")
     assert f"floors other than {', '.join(sorted(config.render.floors))};" in page
     fabrics = load_instrument(SHIPPED).card["materials"]

@@ -22,7 +22,7 @@ from slipstitch.render.rectification import fine_source_pixels, in_image, rectif
 _NEAR_S = 0.25
 _LARGEST_GAP_S = 1.0
 # A start is found to 0.03 s. In the example that ships, one stated this much too early or too late
-# moves friction by its error bar at most, one 0.45 s too early by twice as much.
+# moves friction by its error bar or little more, one 0.45 s too early by four times as much.
 _NEAR_START_S = 0.2
 _FAR_VIEW_DEG = 5.0
 _LEAST_INSIDE = 0.8
