@@ -224,19 +224,31 @@ def _chevron(u, v, rng):
 
 
 def _drawn_cloth(u, v, rng):
-    """A cloth of random pattern: one, or two over one another, on a mottled ground."""
-    cloth = np.broadcast_to(_drawn_colour(rng), (*u.shape, 3))
+    """A cloth of random pattern: one, or two over one another, on a mottled ground.
+
+    A quarter of the grounds are white or pale. Half of the patterns are bold, as prints and woven
+    checks are: light on dark, or dark on light.
+    """
+    pale = rng.uniform() < 0.25
+    ground = _drawn_colour(rng, (0.85, 0.98), 0.2) if pale else _drawn_colour(rng)
+    cloth = np.broadcast_to(ground, (*u.shape, 3))
     mottle = _noise(rng, *rng.integers(3, 80, 2)) + _noise(rng, *rng.integers(3, 80, 2))
     cloth = _mix(cloth, _drawn_colour(rng), 0.5 * rng.uniform(0, 0.25) * (1 + mottle))
-    for _ in range(rng.choice(3, p=[0.15, 0.55, 0.3])):
+    for _ in range(rng.choice(3, p=[0.1, 0.5, 0.4])):
         share = _PATTERNS[rng.integers(len(_PATTERNS))](*_turned(u, v, rng), rng)
-        cloth = _mix(cloth, _drawn_colour(rng), rng.uniform(0.15, 1) * share)
+        if rng.uniform() < 0.5:
+            values = (0.7, 0.97) if ground.max() < 0.5 else (0.08, 0.4)
+            cloth = _mix(cloth, _drawn_colour(rng, values), rng.uniform(0.6, 1) * share)
+        else:
+            cloth = _mix(cloth, _drawn_colour(rng), rng.uniform(0.15, 1) * share)
     return cloth
 
 
-def _drawn_colour(rng):
+def _drawn_colour(rng, values=(0.08, 0.97), most_saturated=1.0):
+    """A colour in sRGB; its largest channel is drawn from `values`."""
     # Cloth is often grey, seldom saturated.
-    hue, saturation, value = rng.uniform(), rng.uniform() ** 1.5, rng.uniform(0.08, 0.97)
+    saturation = most_saturated * rng.uniform() ** 1.5
+    hue, value = rng.uniform(), rng.uniform(*values)
     return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
 
 
