@@ -343,6 +343,11 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     rows = pq.read_table(names[1]).to_pylist()
     assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
     assert len(rows) == instrument["n"]
+    poses = {"yaw_deg": 5, "pitch_deg": 4, "farther_percent": 10}
+    assert set(instrument["by"]) == {"material", "friction", "floor", "texture", *poses}
+    for kind, step in poses.items():
+        assert "+0" in instrument["by"][kind]  # the calibrated view
+        assert all(int(value) % step == 0 for value in instrument["by"][kind])
     for kind, parts in instrument["by"].items():
         assert sum(part["n"] for part in parts.values()) == instrument["n"], kind
     off = {mu: part["mean_absolute_error"] for mu, part in instrument["by"]["friction"].items()}

@@ -1,5 +1,6 @@
 """Evaluation of instruments on their test videos: errors, coverage of intervals, alarms."""
 
+import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -133,7 +134,7 @@ def _answers(
 def breakdown(
     measurements: list[Measurement], rows: list[Row], friction_step: float
 ) -> dict[str, dict[str, Row]]:
-    """Errors and coverage by fabric, coefficient, floor, texture, and azimuth of the camera.
+    """Errors and coverage by fabric, coefficient, floor, texture, and pose of the camera.
 
     Parameters
     ----------
@@ -146,15 +147,20 @@ def breakdown(
     Returns
     -------
     dict
-        Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``; azimuths
-        relative to the calibrated view, in degrees, rounded to fives.
+        Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``. Poses are
+        relative to the calibrated view: azimuth and elevation in degrees, rounded to fives and
+        fours, the distance beyond it in per cent, rounded to tens.
     """
     kinds: dict[str, Callable[[Row], Any]] = {
         "material": lambda row: row["material"],
         "friction": lambda row: f"{row['friction']:g}",
         "floor": lambda row: row["floor"],
         "texture": lambda row: row["texture"],
-        "yaw_deg": lambda row: f"{5 * round(row['pose_yaw_deg'] / 5) + 0:+d}",
+        "yaw_deg": lambda row: f"{5 * round(row['pose_yaw_deg'] / 5):+d}",
+        "pitch_deg": lambda row: f"{4 * round(row['pose_pitch_deg'] / 4):+d}",
+        "farther_percent": lambda row: (
+            f"{10 * round(10 * math.expm1(row['pose_log_distance'])):+d}"
+        ),
     }
     result: dict[str, dict[str, Row]] = {}
     for kind, value_of in kinds.items():
