@@ -216,6 +216,10 @@ def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
             ["criticise", "{folder}", "--out", "v.json", "--resimulate", "./v.json"],
             "--resimulate ./v.json: is the file of --out, too",
         ),
+        (
+            ["audit", "{folder}", "--config", "c.json", "--json", "c.json"],
+            "--json c.json: the command reads this file",
+        ),
     ],
 )
 def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_path, capsys):

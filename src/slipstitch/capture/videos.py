@@ -146,7 +146,7 @@ def read_stage_video(
         frames.append(picture[..., ::-1])
         inside.append(share)
         time_s.append(at_s)
-    if problem := seen_too_little(inside, time_s):
+    if problem := _seen_too_little(inside, time_s):
         raise BadInput(f"{path}: {problem}")
     video = StageVideo(
         frames=np.stack(frames),
@@ -180,7 +180,7 @@ def seen_shares(lens: LensCamera, schedule: Schedule) -> np.ndarray:
     return np.array(shares)
 
 
-def seen_too_little(
+def _seen_too_little(
     shares: Sequence[float] | np.ndarray, time_s: Sequence[float] | np.ndarray
 ) -> str:
     """When a camera sees less of a crop than is needed, and how much; empty where it never does.
@@ -201,7 +201,15 @@ def seen_too_little(
     )
 
 
-def seen_too_coarsely(lens: LensCamera, schedule: Schedule) -> str:
+def problem_of_view(lens: LensCamera, schedule: Schedule, shares: np.ndarray) -> str:
+    """Why a camera sees too little of the crops, or too coarsely; empty where it sees enough.
+
+    ``shares`` (n,) as `seen_shares` gives them.
+    """
+    return _seen_too_little(shares, schedule.time_s) or _seen_too_coarsely(lens, schedule)
+
+
+def _seen_too_coarsely(lens: LensCamera, schedule: Schedule) -> str:
     """How few pixels a camera that sees the crop has for each of its; empty if enough."""
     crop = schedule.crop(0.0)
     place = source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(0.0)))

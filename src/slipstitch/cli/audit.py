@@ -5,7 +5,7 @@ import os
 import re
 from pathlib import Path
 
-from slipstitch.cli.options import add_config, output_json, output_page, refuse
+from slipstitch.cli.options import add_config, output_json, output_page, refuse, writing
 
 SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
@@ -65,6 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@writing
 def _json_or_stdout(text: str) -> str:
     return text if text == "-" else output_json(text)
 

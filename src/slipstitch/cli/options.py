@@ -71,10 +71,10 @@ def output_named(*endings: str) -> Callable[[str], str]:
             raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
         return text
 
-    return _writing(check)
+    return writing(check)
 
 
-def _writing(check: Callable) -> Callable:
+def writing(check: Callable) -> Callable:
     """An option's type, marked as one of files to be written."""
     check.writes = True  # type: ignore[attr-defined]
     return check
@@ -90,7 +90,7 @@ output_picture = output_named(".png", ".svg")
 def output_path(*endings: str) -> Callable[[str], Path]:
     """As `output_named`, as a path."""
     check = output_named(*endings)
-    return _writing(lambda text: Path(check(text)))
+    return writing(lambda text: Path(check(text)))
 
 
 def output_folder(text: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipstitch.capture.videos import seen_shares, seen_too_coarsely, seen_too_little
+from slipstitch.capture.videos import problem_of_view, seen_shares
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.measuring import CARD
 from slipstitch.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
@@ -90,10 +90,7 @@ def check_camera(
     pose = relative_pose(*lens.pose, schedule.pose)
     tested = instrument.card.get("pose_range") or {name: [0.0, 0.0] for name in POSE}
     shares = seen_shares(lens, schedule)
-    problems = [
-        *outside(pose, tested),
-        seen_too_little(shares, schedule.time_s) or seen_too_coarsely(lens, schedule),
-    ]
+    problems = [*outside(pose, tested), problem_of_view(lens, schedule, shares)]
     return CameraCheck(
         pose,
         tested,

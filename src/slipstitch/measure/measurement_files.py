@@ -186,10 +186,11 @@ def measured_pair(
     BadInput
         If a video is given twice, or none could be measured: the first one's problem.
     """
-    refuse_copies(videos)
+    names = names_of(videos)
+    _refuse_copies(videos)
     measured: list[MeasuredVideo] = []
     refused: dict[str, str] = {}
-    for name, video in zip(names_of(videos), videos, strict=True):
+    for name, video in zip(names, videos, strict=True):
         try:
             result = bench.measure(video, start_s=start_s, frame_rate_hz=frame_rate_hz)
         except BadInput as problem:
@@ -242,21 +243,15 @@ def write_measurements(
         write_text(table_path, pair.table(), record)
 
 
-def refuse_copies(videos: Sequence[Path]) -> None:
-    """Refuse two files of the same content: a copy is not a repeat.
-
-    Raises
-    ------
-    BadInput
-        If there are such.
-    """
+def _refuse_copies(videos: Sequence[Path]) -> None:
+    """Refuse two files of the same content: a copy is not a repeat."""
     files = [path for path in map(Path, videos) if path.is_file()]
     sizes = [path.stat().st_size for path in files]
     seen: dict[str, Path] = {}
     for path, size in zip(files, sizes, strict=True):
         if sizes.count(size) > 1:
             first = seen.setdefault(file_digest(path), path)
-            if first.resolve() != path.resolve():
+            if first is not path:
                 raise BadInput(f"{path}: a copy of {first}; each video counts once")
 
 

@@ -11,13 +11,7 @@ import torch
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.bench.stage_path import StagePath
 from slipstitch.capture.schedule import Schedule
-from slipstitch.capture.videos import (
-    StageVideo,
-    read_stage_video,
-    seen_shares,
-    seen_too_coarsely,
-    seen_too_little,
-)
+from slipstitch.capture.videos import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.config import load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.errors import BadInput, Damaged
@@ -277,8 +271,7 @@ def measuring_bench(
             "--force measures anyway, with an alarm"
         )
     # Before any film is read: in one, such a camera would find no start of the stage's motion.
-    little = seen_too_little(seen_shares(lens, schedule), schedule.time_s)
-    if problem := little or seen_too_coarsely(lens, schedule):
+    if problem := problem_of_view(lens, schedule, seen_shares(lens, schedule)):
         raise BadInput(f"{camera}: {problem}; see `slipstitch capture check`")
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
