@@ -11,6 +11,12 @@ rule instrument:
             seed=CONFIG.instrument.seeds,
             file=["instrument.safetensors", "instrument.json", "history.csv"],
         ),
+        # Of several trainings, their average too.
+        expand(
+            "results/instrument/{split}/ensemble/{file}",
+            split=CONFIG.train.splits if len(CONFIG.instrument.seeds) > 1 else [],
+            file=["instrument.safetensors", "instrument.json", "calibration.parquet"],
+        ),
 
 
 rule instrument_one:
@@ -43,4 +49,37 @@ rule instrument_one:
     shell:
         "slipstitch instrument --config {params.config} --dataset results/sample"
         " --split {wildcards.split} --seed {wildcards.seed} --threads {threads}"
+        " --out-dir {params.folder} > {log} 2>&1"
+
+
+rule instrument_ensemble:
+    input:
+        members=lambda wildcards: expand(
+            "results/instrument/{split}/seed{seed}/instrument.safetensors",
+            split=wildcards.split,
+            seed=CONFIG.instrument.seeds,
+        ),
+        dataset=rules.sample.input,
+    output:
+        weights="results/instrument/{split}/ensemble/instrument.safetensors",
+        card="results/instrument/{split}/ensemble/instrument.json",
+        calibration="results/instrument/{split}/ensemble/calibration.parquet",
+    log:
+        "results/logs/instrument/{split}_ensemble.log",
+    benchmark:
+        "results/benchmarks/instrument/{split}_ensemble.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("evaluate", CONFIG),
+        runtime=job_runtime_min("instrument", CONFIG),
+    params:
+        code=code_of("instrument"),
+        config=CONFIG_FILE,
+        members=lambda wildcards, input: [os.path.dirname(name) for name in input.members],
+        folder=subpath(output.weights, parent=True),
+    message:
+        "Average the instruments of split {wildcards.split}"
+    shell:
+        "slipstitch instrument --config {params.config} --dataset results/sample"
+        " --split {wildcards.split} --members {params.members} --threads {threads}"
         " --out-dir {params.folder} > {log} 2>&1"

@@ -23,4 +23,4 @@ def untrained_instrument(
         "dataset_digest": None,
         "seed": 0,
     }
-    return Instrument(network, card, None)
+    return Instrument((network,), card, None)

@@ -20,6 +20,7 @@ from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
 from slipstitch.evaluate.probes import PREFIX
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
+from slipstitch.instrument.ensemble import combine_instruments
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import read_provenance
 from slipstitch.sample.dataset import write_dataset
@@ -312,30 +313,36 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     )
     shards = synthetic_videos.write_shards(config, tmp_path / "render")
     write_dataset(config, shards, tmp_path / "sample")
-    train_instrument(
-        config.instrument,
-        tmp_path / "sample",
-        "by_simulation",
-        0,
-        tmp_path / "instrument/by_simulation/seed0",
-        viewpoints=["calibrated", "bench_1"],
-        frames=6,
-    )
     trained = Path("instrument/by_simulation/seed0/instrument.safetensors")
+    for seed in (0, 1):
+        train_instrument(
+            config.instrument,
+            tmp_path / "sample",
+            "by_simulation",
+            seed,
+            tmp_path / f"instrument/by_simulation/seed{seed}",
+            viewpoints=["calibrated", "bench_1"],
+            frames=6,
+        )
     left_over = tmp_path / "instrument/by_simulation/seed7" / trained.name
     left_over.parent.mkdir()
     left_over.write_text("of an earlier configuration")
     names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
-    with contextlib.chdir(tmp_path):
-        metrics = write_evaluation(
-            EvaluateSettings(),
-            tmp_path / "sample",
-            None,
-            *names,
-            calibrated="calibrated",
-            instruments_folder=tmp_path / "instrument",
-            instrument_seeds=[0],
-        )
+
+    def evaluated(seeds, **options):
+        with contextlib.chdir(tmp_path):
+            return write_evaluation(
+                EvaluateSettings(),
+                tmp_path / "sample",
+                None,
+                *names,
+                calibrated="calibrated",
+                instruments_folder=tmp_path / "instrument",
+                instrument_seeds=seeds,
+                **options,
+            )
+
+    metrics = evaluated([0])
     assert set(metrics) == {"by_simulation"}
     for name in names:
         assert set(read_provenance(name)["inputs"]) == {"sample/manifest.parquet", str(trained)}
@@ -358,3 +365,65 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
             if f"{row['true_value']:g}" == mu
         ]
         assert error == pytest.approx(np.mean(errors))
+
+    # Averaged later, when the images of all but the test's simulations are gone.
+    evaluated([0, 1])
+    before = [content(name) for name in (names[0], names[2])]
+    rows = pq.read_table(names[1]).to_pylist()
+    members = [tmp_path / f"instrument/by_simulation/seed{seed}" for seed in (0, 1)]
+    with contextlib.chdir(tmp_path):
+        combine_instruments(
+            [member.relative_to(tmp_path) for member in members],
+            tmp_path / "sample",
+            "by_simulation",
+            tmp_path / "instrument/by_simulation/ensemble",
+        )
+    tested = {f"{row['simulation']}.parquet" for row in rows}
+    for shard in (tmp_path / "sample").glob("m0*.parquet"):
+        if shard.name not in tested:
+            shard.unlink()
+    evaluated([0, 1], update=True)
+    after = [content(name) for name in (names[0], names[2])]
+    average = {
+        name: one["by_simulation"].pop("instrument_ensemble")
+        for name, one in zip(("metrics", "details"), after, strict=True)
+    }
+    assert after == before
+    assert average["metrics"]["seeds"] == [0, 1]
+    assert list(average["details"]["seeds"]) == list(average["details"]["alarms"]) == ["ensemble"]
+    now = pq.read_table(names[1]).to_pylist()
+    assert [row for row in now if row["network"] == "instrument"] == rows
+    averaged = [row for row in now if row["network"] == "instrument_ensemble"]
+    assert [row["video"] for row in averaged] == [row["video"] for row in rows if not row["seed"]]
+    assert {row["seed"] for row in averaged} == {None}
+    inputs = read_provenance(names[0])["inputs"]
+    assert {Path(name).parent.name for name in inputs} == {"sample", "seed0", "seed1", "ensemble"}
+    evaluated([0, 1], update=True)  # nothing to do
+    assert content(names[0])["by_simulation"]["instrument_ensemble"] == average["metrics"]
+
+
+def test_scores_of_another_dataset_or_other_settings_are_not_updated(
+    chain, evaluated, tmp_path, capsys
+):
+    out = shutil.copytree(evaluated, tmp_path / "evaluate")
+    config = tmp_path / "c.json"
+
+    def said(dataset, settings, words):
+        write_config(CONFIG.model_copy(update={"evaluate": settings}), config)
+        arguments = ["--config", str(config), "--dataset", str(dataset), "--update"]
+        arguments += ["--instruments", str(chain / "instrument")]
+        arguments += ["--predictions", str(out / "predictions.parquet")]
+        assert main(["evaluate", *arguments, "--out", str(out / "metrics.json")]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and words in error
+
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    said(chain / "sample", EvaluateSettings(friction_step=0.2), "scores by other settings")
+    other = shutil.copytree(chain / "sample", tmp_path / "other")
+    table = pq.read_table(other / "manifest.parquet")
+    pq.write_table(table, other / "manifest.parquet", compression="none")
+    said(other, EvaluateSettings(), "scores of another dataset")
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+    for path in list(out.iterdir()):
+        path.unlink()
+    said(chain / "sample", EvaluateSettings(), "no scores to update: run without --update")

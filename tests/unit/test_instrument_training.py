@@ -153,7 +153,7 @@ def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked
     instrument = load_instrument(tmp_path)
     # On simulations that did not train, beside the mean distance from a constant place.
     off_m = float(history[-1]["validation_points"]) * POINT_ERROR_M
-    assert off_m < 0.3 * float(instrument.network.points_spread_m.mean())
+    assert off_m < 0.3 * float(instrument.networks[0].points_spread_m.mean())
     truth = np.array([row["friction"] for row in videos.rows])
     errors = [
         abs(instrument.measure(one).friction_coefficient - mu)
@@ -211,8 +211,8 @@ def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_
         train(dataset, tmp_path, after_step=kill, **FEW)
     train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
     assert "continuing from" in capsys.readouterr().err
-    weights = load_instrument(tmp_path).network.state_dict()
-    for name, value in load_instrument(undisturbed).network.state_dict().items():
+    weights = load_instrument(tmp_path).networks[0].state_dict()
+    for name, value in load_instrument(undisturbed).networks[0].state_dict().items():
         assert torch.equal(value, weights[name]), name
 
 

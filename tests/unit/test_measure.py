@@ -94,8 +94,8 @@ def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
     write_config(CONFIG, bench / "points" / "config.json")
     instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
     # Says of every frame: a point 5 cm below the clamps, 9 times.
-    instrument.network.points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
-    instrument.network.points_spread_m.fill_(1e-9)
+    instrument.networks[0].points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
+    instrument.networks[0].points_spread_m.fill_(1e-9)
     save_instrument(instrument, model)
     measuring = measuring_bench(bench / "camera.json", model)
     result = measuring.measure(bench / "video.mp4")

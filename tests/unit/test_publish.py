@@ -325,3 +325,48 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
     for partial in (False, True):
         with pytest.raises(BadInput, match="nothing of a run in it"):
             publish(CONFIG, tmp_path, tmp_path / "out", partial)
+
+
+def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
+    """As when something was evaluated again after the images had been deleted."""
+    results, out = tmp_path / run.name, tmp_path / "out"
+    with contextlib.chdir(run.parent):
+        before = publish(CONFIG, run.name, out)
+    kept = {name: (out / name).read_bytes() for name in before["files"]}
+    found = audit_published(out).findings  # weights that are text have no dataset
+    shutil.copytree(run, results)
+    for stage in ("simulate", "render", "calibrate"):
+        shutil.rmtree(results / stage)
+    for shard in list((results / "sample").glob("m0*.parquet"))[1:]:
+        shard.unlink()
+    train(results / WEIGHTS, "trained again")
+    evaluate(results)
+    with contextlib.chdir(tmp_path):
+        after = publish(CONFIG, results.name, out, update=True)
+    assert set(after["files"]) == set(kept) and not after["partial"]
+    changed = {name for name, content in kept.items() if (out / name).read_bytes() != content}
+    model = WEIGHTS.replace("train/", "models/")
+    assert {model, model.replace("safetensors", "json")} <= changed
+    assert not changed & {"calibration.json", "simulations.csv", "cost.json"}
+    assert not {name for name in changed if name.startswith("dataset/")}
+    origin = json.loads((out / "origin.json").read_text())
+    assert set(origin) == set(json.loads(kept["origin.json"]))
+    assert audit_published(out).findings == found
+
+
+def test_an_update_of_another_run_is_refused(run, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(BadInput, match="nothing published there to update"):
+        publish(CONFIG, run, out, update=True)
+    publish(CONFIG, run, out)
+    before = _contents(out)
+    other = CONFIG.model_copy(update={"seed": CONFIG.seed + 1})
+    with pytest.raises(BadInput, match="published with another configuration"):
+        publish(other, run, out, update=True)
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    table = pq.read_table(results / "sample/manifest.parquet")
+    write_parquet(table, results / "sample/manifest.parquet", {"made": "again"})
+    with pytest.raises(BadInput, match="published of another dataset"):
+        publish(CONFIG, results, out, update=True)
+    assert _contents(out) == before

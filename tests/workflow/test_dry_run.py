@@ -73,6 +73,14 @@ def test_every_stage_is_a_target(workflow, target):
     assert not set(later) & set(counts)
 
 
+def test_several_trainings_of_the_instrument_are_averaged(workflow):
+    overrides = ("--config", "instrument={seeds: [0, 1]}")
+    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "instrument")
+    assert answer.returncode == 0, answer.stderr
+    counts = job_counts(answer.stdout)
+    assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2 * 2, 2)
+
+
 def test_simulations_in_batches_are_a_job_a_batch(workflow):
     overrides = ("--config", "compute={batch: 10}")
     answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")

@@ -21,7 +21,7 @@ from slipstitch.sample.manifest import MANIFEST, read_manifest
 #: Of a folder that `slipstitch publish` wrote.
 INDEX = "published.json"
 _DIGESTS, _LINEAGE = "dataset/digests.json", "dataset/lineage.json"
-_SIMULATED, _TRAINED = "/simulate/", "/train/"
+_SIMULATED, _TRAINED, _AVERAGED = "/simulate/", "/train/", "/instrument/"
 
 
 @dataclass(frozen=True)
@@ -216,10 +216,21 @@ class _Published:
         inputs = _mapping(self.json(weights + SIDECAR_SUFFIX).get("inputs"))
         if not inputs:
             self.find(Kind.BROKEN, weights, "has no record of what it was trained on")
-        trained_on, others = {}, []
+        trained_on: dict[str, str] = {}
+        others = []
         for path, digest in sorted(inputs.items()):
             name = Path(path).name
-            if _TRAINED in path:  # the network that tells this one the fabric
+            if _AVERAGED in path:  # one of the instruments of which this one is the average
+                split, _, member = path.rpartition(_AVERAGED)[2].partition("/")
+                of_member = f"models/{split}/instrument/{member}"
+                known = self.digests.get(of_member)
+                behind = _mapping(self.json(of_member + SIDECAR_SUFFIX).get("inputs"))
+                trained_on |= {
+                    Path(one).name: sha256
+                    for one, sha256 in behind.items()
+                    if Path(one).name != MANIFEST
+                }
+            elif _TRAINED in path:  # the network that tells this one the fabric
                 known = self.digests.get(f"models/{path.rpartition(_TRAINED)[2]}")
             elif name == MANIFEST:
                 known = self.digests.get(f"dataset/{name}")

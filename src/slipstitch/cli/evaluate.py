@@ -35,6 +35,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=output_json,
         help="chance level, seeds, viewpoints, confusion (default: details.json beside --out)",
     )
+    parser.add_argument(
+        "--update",
+        action="store_true",
+        help="keep the scores of models that are unchanged since --out was written",
+    )
     add_threads(parser)
     captures = parser.add_argument_group("evaluation on captures, real or surrogate")
     captures.add_argument(
@@ -74,6 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
         frames=config.sample.frames,
         instruments_folder=arguments.instruments,
         instrument_seeds=config.instrument.seeds,
+        update=arguments.update,
         calibrated=config.calibrated_view,
         threads=arguments.threads,
     )
@@ -85,7 +91,7 @@ def _captures(config, arguments: argparse.Namespace) -> None:
     from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
     from slipstitch.evaluate.text_table import capture_lines
 
-    refuse(arguments, ("details",), "--captures")
+    refuse(arguments, ("details", "update"), "--captures")
     metrics = write_captures_evaluation(
         config.evaluate,
         arguments.dataset,

@@ -1,6 +1,7 @@
-"""slipstitch instrument: train and calibrate the measuring instrument."""
+"""slipstitch instrument: train and calibrate the measuring instrument, or average trainings."""
 
 import argparse
+from typing import Any
 
 from slipstitch.cli.options import add_training, check_at_least
 
@@ -13,16 +14,37 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_training(parser, "folder for the instrument")
+    what = parser.add_mutually_exclusive_group(required=True)
+    add_training(parser, "folder for the instrument", what)
+    what.add_argument(
+        "--members",
+        nargs="+",
+        metavar="DIR",
+        help="average these instruments, trained with other seeds, and calibrate the average",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train, calibrate, write, print a summary."""
+    """Train or average, calibrate, write, print a summary."""
     from slipstitch.config import load_config
-    from slipstitch.instrument.training import train_instrument
 
     check_at_least(arguments, threads=1, seed=0)
     config = load_config(*arguments.config)
+    if arguments.members:
+        from slipstitch.instrument.ensemble import combine_instruments
+
+        card = combine_instruments(
+            arguments.members,
+            arguments.dataset,
+            arguments.split,
+            arguments.out_dir,
+            threads=arguments.threads,
+        )
+        seeds = ", ".join(map(str, card["seeds"]))
+        print(f"instrument {card['split']}, average of seeds {seeds}; {_error_bars(card)}")
+        return
+    from slipstitch.instrument.training import train_instrument
+
     card = train_instrument(
         config.instrument,
         arguments.dataset,
@@ -33,17 +55,17 @@ def run(arguments: argparse.Namespace) -> None:
         viewpoints=config.instrument_views,
         threads=arguments.threads,
     )
-    bars = card["error_bars"]
-    if bars is None:
-        error_bars = "not calibrated: no simulations available"
-    elif bars["factor"] is None:
-        error_bars = (
-            f"calibrated on {card['calibration_simulations']} simulations, too few for an interval"
-        )
-    else:
-        error_bars = f"calibrated on {card['calibration_simulations']} simulations"
     print(
         f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
-        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {error_bars}"
+        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {_error_bars(card)}"
     )
+
+
+def _error_bars(card: dict[str, Any]) -> str:
+    """On how many simulations they are calibrated, and whether these suffice."""
+    bars = card["error_bars"]
+    if bars is None:
+        return "not calibrated: no simulations available"
+    calibrated = f"calibrated on {card['calibration_simulations']} simulations"
+    return calibrated + (", too few for an interval" if bars["factor"] is None else "")

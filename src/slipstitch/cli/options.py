@@ -166,14 +166,25 @@ def add_instrument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_training(parser: argparse.ArgumentParser, out: str) -> None:
-    """Dataset, split, seed and folder of one training."""
+def add_training(
+    parser: argparse.ArgumentParser, out: str, seed: argparse._ActionsContainer | None = None
+) -> None:
+    """Dataset, split, seed and folder of one training.
+
+    Parameters
+    ----------
+    seed : group of `parser`, optional
+        Gets ``--seed``, of which that group says whether it is required.
+    """
     from slipstitch.config.train import TRAINED_ON
 
     add_config(parser)
     parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
     parser.add_argument("--split", required=True, choices=TRAINED_ON)
-    parser.add_argument("--seed", required=True, type=int)
+    if seed is None:
+        parser.add_argument("--seed", required=True, type=int)
+    else:
+        seed.add_argument("--seed", type=int)
     parser.add_argument("--out-dir", type=output_folder, required=True, help=out)
     add_threads(parser)
 

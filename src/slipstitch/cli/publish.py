@@ -26,6 +26,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="publish an unfinished run; every page is marked as partial",
     )
+    parser.add_argument(
+        "--update",
+        action="store_true",
+        help="keep what the folder has and the results have no longer (images deleted since)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -34,6 +39,8 @@ def run(arguments: argparse.Namespace) -> None:
     from slipstitch.publish.publishing import publish
 
     config = load_config(*arguments.config)
-    index = publish(config, arguments.results, arguments.out_dir, arguments.partial)
+    index = publish(
+        config, arguments.results, arguments.out_dir, arguments.partial, arguments.update
+    )
     lacking = f", partial: {len(index['missing'])} lacking" if index["partial"] else ""
     print(f"{arguments.out_dir}: {len(index['files'])} files{lacking}")

@@ -262,6 +262,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     sampled = videos * config.sample.frames_kept
     networks = sum(len(config.train.trainings(one)) for one in config.train.splits)
     instruments = len(config.train.splits) * len(config.instrument.seeds)
+    averages = len(config.train.splits) * (len(config.instrument.seeds) > 1)
     vertices = config.simulation.vertices_per_side**2
     trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
     evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
@@ -287,7 +288,10 @@ def estimate(config: Config) -> list[StageEstimate]:
             "train", networks, networks * _training_cpu_s(config), networks * 4e6 * _width2(config)
         ),
         StageEstimate(
-            "instrument", instruments, instruments * _instrument_cpu_s(config), instruments * 2e6
+            "instrument",
+            instruments + averages,
+            instruments * _instrument_cpu_s(config),
+            instruments * 2e6 + averages * 4e6,
         ),
         StageEstimate(
             "evaluate",

@@ -21,7 +21,7 @@ from slipstitch.evaluate.evaluation import (
     network_weights,
     predicted_probabilities,
 )
-from slipstitch.evaluate.instruments import find_instruments, instrument_weights
+from slipstitch.evaluate.instruments import AVERAGE, TRAINING, find_instruments, instrument_weights
 from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
@@ -144,7 +144,7 @@ def _instruments(dataset, instruments) -> list[Predictions]:
         ]
         found.append(
             Predictions(
-                "instrument",
+                AVERAGE if seed is None else TRAINING,
                 split,
                 seed,
                 np.array([measurement.friction_coefficient for measurement in measurements]),
@@ -193,7 +193,7 @@ def evaluate_captures(
                 for predictions in members
             ]
             mean = mean_over_seeds(scores)
-            seeds = sorted(predictions.seed for predictions in members)
+            seeds = sorted(one.seed for one in members if one.seed is not None)
             whole = entry(int(chosen.sum()), seeds, mean)
             metrics[name][label] = {
                 **mean,

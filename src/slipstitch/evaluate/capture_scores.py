@@ -22,10 +22,11 @@ class Predictions:
     Attributes
     ----------
     model : str
-        lrcn_baseline, lrcn_conditional, instrument.
+        lrcn_baseline, lrcn_conditional, instrument, instrument_ensemble.
     trained_on : str
         The split.
-    seed : int
+    seed : int or None
+        None of an average of seeds.
     friction : ndarray (n,)
     intervals : ndarray (n, 2), optional
     materials : list of list of str
@@ -38,7 +39,7 @@ class Predictions:
 
     model: str
     trained_on: str
-    seed: int
+    seed: int | None
     friction: np.ndarray
     intervals: np.ndarray | None = None
     materials: list[list[str]] = field(default_factory=list)
@@ -82,7 +83,7 @@ def pair_medians(
         friction = predictions.friction[repeats]
         median = float(np.median(friction))
         # The class of an instrument's continuous answer is the nearest multiple of the grid's step.
-        classes = np.round(friction / step) if predictions.model == "instrument" else friction
+        classes = np.round(friction / step) if predictions.intervals is not None else friction
         rows.append(
             {
                 "pair": pair,

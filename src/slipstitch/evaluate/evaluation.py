@@ -3,7 +3,7 @@
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from itertools import compress
@@ -17,6 +17,9 @@ from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import (
+    AVERAGE,
+    ENSEMBLE,
+    TRAINING,
     alarm_rates,
     evaluate_instruments,
     find_instruments,
@@ -36,8 +39,17 @@ from slipstitch.evaluate.metrics import (
 )
 from slipstitch.evaluate.probes import entries as probe_entries
 from slipstitch.evaluate.probes import probes
-from slipstitch.provenance import provenance_record, start_clock, write_json, write_parquet
-from slipstitch.sample.manifest import read_manifest
+from slipstitch.provenance import (
+    file_digest,
+    provenance_record,
+    read_json,
+    read_parquet,
+    read_provenance,
+    start_clock,
+    write_json,
+    write_parquet,
+)
+from slipstitch.sample.manifest import MANIFEST, read_manifest
 from slipstitch.sample.videos import Videos, read_videos, takes_part, test_only
 from slipstitch.train.classes import classes_of, labels_of
 from slipstitch.train.loop import simulations
@@ -72,6 +84,7 @@ PREDICTIONS_SCHEMA = pa.schema(
 
 
 Row = dict[str, Any]
+NETWORKS_SCORED = "networks"
 
 
 @dataclass(frozen=True)
@@ -223,6 +236,7 @@ def evaluate(
     frames: int | None = None,
     instruments_folder: str | os.PathLike | None = None,
     instrument_seeds: list[int] | None = None,
+    scored: Collection[str] = (),
     threads: int = 1,
 ) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
     """Evaluate all models on all test sets.
@@ -244,6 +258,8 @@ def evaluate(
         What the instrument stage wrote.
     instrument_seeds : list of int, optional
         Seeds that count; by default all.
+    scored : collection of {"networks", "instrument", "instrument_ensemble"}
+        Kinds of models that are left out, and then the probes of the dataset too.
     threads : int
 
     Returns
@@ -262,31 +278,47 @@ def evaluate(
         must tell nothing of friction tells it (see `slipstitch.evaluate.probes`).
     """
     set_up_torch(threads)
-    models = find_models(models_folder, train) if models_folder is not None else {}
+    models = {}
+    if models_folder is not None and NETWORKS_SCORED not in scored:
+        models = find_models(models_folder, train)
     pixels = {model.card["pixels"] for model in models.values()}
     if len(pixels) > 1:
         raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
-    videos = read_videos(
-        dataset, lambda row: row["split_by_video"] == "test" or row["split_by_simulation"] == "test"
-    )
+    instruments = {}
+    if instruments_folder is not None:
+        instruments = {
+            key: instrument
+            for key, instrument in find_instruments(
+                instruments_folder, train, instrument_seeds
+            ).items()
+            if (AVERAGE if key[1] is None else TRAINING) not in scored
+        }
+    manifest, _ = read_manifest(dataset)
+    trained_on = {key[0] for key in (*models, *instruments)}
+    tests = [
+        test
+        for test in evaluation_sets(manifest, calibrated, settings.viewpoints)
+        if test.trained_on in trained_on
+    ]
+    if not tests:
+        return {}, {}, []
+    videos = read_videos(dataset, lambda row: any(test.holds(row) for test in tests))
     for (split, network, seed), model in models.items():
         if model.card["dataset_digest"] != videos.digest:
             raise BadInput(f"{network} {split} seed {seed} was not trained on {dataset}")
 
-    instruments = {}
-    if instruments_folder is not None:
-        instruments = find_instruments(instruments_folder, train, instrument_seeds)
-    for (split, seed), instrument in instruments.items():
+    for (split, of_one), instrument in instruments.items():
         if instrument.card.get("dataset_digest") != videos.digest:
-            raise BadInput(f"instrument {split} seed {seed} was not trained on {dataset}")
+            which = "ensemble" if of_one is None else f"seed {of_one}"
+            raise BadInput(f"instrument {split} {which} was not trained on {dataset}")
 
-    grid = classes_of([row for row in read_manifest(dataset)[0] if takes_part(row)], "friction")
-    probed = probes(settings, dataset)
+    grid = classes_of([row for row in manifest if takes_part(row)], "friction")
+    probed = {} if scored else probes(settings, dataset)
     side = pixels.pop() if pixels else None
     metrics: dict[str, Any] = {}
     details: dict[str, Any] = {}
     predictions: list[dict[str, Any]] = []
-    for test in evaluation_sets(videos.rows, calibrated, settings.viewpoints):
+    for test in tests:
         chosen = np.array([test.holds(row) for row in videos.rows])
         whole = videos.chosen(chosen)
         part = whole if side is None else whole.seen_with(side, frames)
@@ -296,8 +328,11 @@ def evaluate(
                 probabilities = predicted_probabilities(models, key, part, settings.batch_size)
                 by_network[key[1]][key[2]] = probabilities
                 predictions += _rows(part, test, key, models[key], probabilities)
-        measured, rows = evaluate_instruments(settings, test, whole, instruments, grid)
-        if not by_network and not measured:
+        measured = {
+            network: evaluate_instruments(settings, test, whole, instruments, grid, network)
+            for network in (TRAINING, AVERAGE)
+        }
+        if not by_network and not any(found for found, _ in measured.values()):
             continue
         scores = {
             network: _scores(settings, part, models, test.trained_on, network, of_seed)
@@ -315,13 +350,19 @@ def evaluate(
                 )
         details[test.name] |= probed.get(test.name, {})
         metrics[test.name] |= probe_entries(probed.get(test.name, {}))
-        if measured:
+        for network, (found, rows) in measured.items():
+            if not found:
+                continue
             if test.name in TRAINED_ON:
-                measured["alarms"] = alarm_rates(instruments, test.name, whole)
-            details[test.name]["instrument"] = measured
+                found["alarms"] = alarm_rates(instruments, test.name, whole, network)
+            details[test.name][network] = found
             predictions += rows
-            seeds = sorted(map(int, measured["seeds"]))
-            metrics[test.name]["instrument"] = entry(measured["n"], seeds, measured["mean"])
+            seeds = (
+                sorted(map(int, found["seeds"]))
+                if network == TRAINING
+                else instruments[test.trained_on, None].card["seeds"]
+            )
+            metrics[test.name][network] = entry(found["n"], seeds, found["mean"])
     return metrics, details, predictions
 
 
@@ -417,6 +458,27 @@ def _rows(
     ]
 
 
+def _scored_before(
+    settings: EvaluateSettings, manifest: Path, out: str | os.PathLike
+) -> dict[str, str]:
+    """Path -> SHA-256 of what the metrics in `out` are of."""
+    try:
+        record = read_provenance(out)
+    except FileNotFoundError:
+        raise BadInput(f"{out}: no scores to update: run without --update") from None
+    inputs = record.get("inputs", {})
+    if file_digest(manifest) not in inputs.values():
+        raise BadInput(f"{out}: scores of another dataset than {manifest.parent}")
+    if record.get("config", {}).get("evaluate") != settings.model_dump(mode="json"):
+        raise BadInput(f"{out}: scores by other settings than those of the section evaluate")
+    return inputs
+
+
+def _updated(kept: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """Test sets with their models, those that are new in the place of earlier ones."""
+    return kept | {name: kept.get(name, {}) | models for name, models in new.items()}
+
+
 def write_evaluation(
     settings: EvaluateSettings,
     dataset: str | os.PathLike,
@@ -428,10 +490,37 @@ def write_evaluation(
     train: TrainSettings | None = None,
     instruments_folder: str | os.PathLike | None = None,
     instrument_seeds: list[int] | None = None,
+    update: bool = False,
     **options: Any,
 ) -> dict[str, Any]:
-    """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics."""
+    """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics.
+
+    With `update`, what these files say of models that are unchanged stays, as of the dataset's
+    probes, and only kinds of models (networks, instruments, their averages) of which one is new or
+    changed are evaluated.
+
+    Raises
+    ------
+    BadInput
+        As `evaluate`; with `update` also if the files are of another dataset or other settings.
+    """
     started = start_clock()
+    manifest = Path(dataset) / MANIFEST
+    kinds: dict[str, list[Path]] = {NETWORKS_SCORED: [], TRAINING: [], AVERAGE: []}
+    if models_folder is not None:
+        weights = network_weights(models_folder, train)
+        kinds[NETWORKS_SCORED] = [
+            path.with_name(name) for path in weights for name in (WEIGHTS, CARD)
+        ]
+    if instruments_folder is not None:
+        for path in instrument_weights(instruments_folder, train, instrument_seeds):
+            kinds[AVERAGE if path.parent.name == ENSEMBLE else TRAINING].append(path)
+    before = _scored_before(settings, manifest, out) if update else {}
+    scored = {
+        kind
+        for kind, paths in kinds.items()
+        if before and all(file_digest(path) in before.values() for path in paths)
+    }
     metrics, details, predictions = evaluate(
         settings,
         dataset,
@@ -439,19 +528,23 @@ def write_evaluation(
         train=train,
         instruments_folder=instruments_folder,
         instrument_seeds=instrument_seeds,
+        scored=scored,
         **options,
     )
-    inputs = [Path(dataset) / "manifest.parquet"]
-    if models_folder is not None:
-        weights = network_weights(models_folder, train)
-        inputs += [path.with_name(name) for path in weights for name in (WEIGHTS, CARD)]
-    if instruments_folder is not None:
-        inputs += instrument_weights(instruments_folder, train, instrument_seeds)
+    if scored:
+        again = {row["network"] for row in predictions}
+        metrics = _updated(read_json(out), metrics)
+        details = _updated(read_json(details_out), details)
+        kept = read_parquet(predictions_out).to_pylist()
+        predictions = [row for row in kept if row["network"] not in again] + predictions
     record = provenance_record(
-        "evaluate", inputs=inputs, config={"evaluate": settings}, started=started
+        "evaluate",
+        inputs=[manifest, *(path for paths in kinds.values() for path in paths)],
+        config={"evaluate": settings},
+        started=started,
     )
-    for path, content in ((out, metrics), (details_out, details)):
-        write_json(path, content, record)
+    for place, content in ((out, metrics), (details_out, details)):
+        write_json(place, content, record)
     table = pa.Table.from_pylist(predictions, schema=PREDICTIONS_SCHEMA)
     write_parquet(table, predictions_out, {}, record)
     return metrics

@@ -30,6 +30,9 @@ from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
 Row = dict[str, Any]
+# Of the trainings each, and of their average: names of entries, and the folder of the latter.
+TRAINING, AVERAGE = "instrument", "instrument_ensemble"
+ENSEMBLE = "ensemble"
 
 
 def instrument_weights(
@@ -37,12 +40,20 @@ def instrument_weights(
     train: TrainSettings | None = None,
     seeds: Sequence[int] | None = None,
 ) -> list[Path]:
-    """Weights in ``{split}/seed{seed}/``: all, or of the configured splits and seeds only."""
+    """Weights in ``{split}/seed{seed}/``: all, or of the configured splits and seeds only.
+
+    After those of a split comes their average in ``{split}/ensemble/``, unless a single seed is
+    configured.
+    """
+    wanted = None if seeds is None else {f"seed{seed}" for seed in seeds}
+    if wanted is not None and len(wanted) > 1:
+        wanted.add(ENSEMBLE)
     return [
         path
         for split in (TRAINED_ON if train is None else train.splits)
-        for path in sorted(Path(folder, split).glob(f"seed*/{WEIGHTS}"))
-        if seeds is None or path.parent.name in {f"seed{seed}" for seed in seeds}
+        for pattern in ("seed*", ENSEMBLE)
+        for path in sorted(Path(folder, split).glob(f"{pattern}/{WEIGHTS}"))
+        if wanted is None or path.parent.name in wanted
     ]
 
 
@@ -50,8 +61,8 @@ def find_instruments(
     folder: str | os.PathLike,
     train: TrainSettings | None = None,
     seeds: Sequence[int] | None = None,
-) -> dict[tuple[str, int], Instrument]:
-    """The instruments in ``{split}/seed{seed}/``, by (split, seed).
+) -> dict[tuple[str, int | None], Instrument]:
+    """The instruments in ``{split}/seed{seed}/``, by (split, seed), and averages by (split, None).
 
     Parameters
     ----------
@@ -64,18 +75,26 @@ def find_instruments(
     Raises
     ------
     BadInput
-        If one is damaged, or does not match its folder.
+        If one is damaged, or does not match its folder, or an average is of other instruments than
+        those beside it.
     """
-    found = {}
+    found: dict[tuple[str, int | None], Instrument] = {}
     for path in instrument_weights(folder, train, seeds):
         instrument = load_instrument(path)
         card = instrument.card
-        if (card.get("split"), f"seed{card.get('seed')}") != path.parts[-3:-1]:
-            raise BadInput(
-                f"{path}: holds {card.get('split')} seed {card.get('seed')}: does not match its "
-                "folder"
-            )
-        found[card["split"], card["seed"]] = instrument
+        averaged = len(instrument.networks) > 1
+        name = ENSEMBLE if averaged else f"seed{card.get('seed')}"
+        if (card.get("split"), name) != path.parts[-3:-1]:
+            held = "an average" if averaged else f"seed {card.get('seed')}"
+            raise BadInput(f"{path}: holds {card.get('split')} {held}: does not match its folder")
+        if averaged:
+            beside = {found[key].card["weights_sha256"] for key in found if key[0] == card["split"]}
+            if set(card["members_sha256"]) != beside:
+                raise BadInput(
+                    f"{path}: is the average of other instruments than those beside it; combine "
+                    "these with slipstitch instrument --members"
+                )
+        found[card["split"], None if averaged else card["seed"]] = instrument
     return found
 
 
@@ -184,8 +203,9 @@ def evaluate_instruments(
     settings: EvaluateSettings,
     test,
     videos: Videos,
-    instruments: dict[tuple[str, int], Instrument],
+    instruments: dict[tuple[str, int | None], Instrument],
     grid: Sequence[Row],
+    network: str = TRAINING,
 ) -> tuple[dict[str, Any] | None, list[Row]]:
     """All instruments of a test set's split on its videos from the viewpoint that they know.
 
@@ -198,15 +218,18 @@ def evaluate_instruments(
     videos : Videos
         Of the test set.
     instruments : dict
-        By (split, seed).
+        By (split, seed); seed None: an average.
     grid : sequence of mapping
         Friction coefficients that train, as `slipstitch.train.classes.classes_of` gives them.
+    network : {"instrument", "instrument_ensemble"}
+        Whether those of one training each count, or averages.
 
     Returns
     -------
     details : dict or None
         ``n, simulations, trained_on, chance, mean, seeds`` as for the networks, and `breakdown` of
-        all seeds as ``by``; None if there is no instrument or no video.
+        all seeds as ``by``; an average counts as a seed ``ensemble``. None if there is no
+        instrument or no video.
     predictions : list of dict
         Rows of predictions.parquet.
     """
@@ -214,7 +237,7 @@ def evaluate_instruments(
     predictions: list[Row] = []
     everything: list[Measurement] = []
     for (split, seed), instrument in instruments.items():
-        if split != test.trained_on:
+        if split != test.trained_on or (seed is None) != (network == AVERAGE):
             continue
         views = instrument.card["viewpoints"]
         seen = np.array(
@@ -226,10 +249,10 @@ def evaluate_instruments(
         rows = chosen.rows
         frames = phased(chosen.pixels, instrument.card["frames"], None)
         measurements = measured(instrument, frames, rows)
-        each[str(seed)] = scores(measurements, rows, settings)
+        each[_name(seed)] = scores(measurements, rows, settings)
         everything += measurements
         predictions += [
-            _prediction(row, test, seed, measurement, grid)
+            _prediction(row, test, network, seed, measurement, grid)
             for row, measurement in zip(rows, measurements, strict=True)
         ]
     if not each:
@@ -248,7 +271,10 @@ def evaluate_instruments(
 
 
 def alarm_rates(
-    instruments: dict[tuple[str, int], Instrument], split: str, videos: Videos
+    instruments: dict[tuple[str, int | None], Instrument],
+    split: str,
+    videos: Videos,
+    network: str = TRAINING,
 ) -> dict[str, dict[str, float]]:
     """Share of alarms on wrong inputs made from the split's test videos, and on these themselves.
 
@@ -264,7 +290,7 @@ def alarm_rates(
     """
     result: dict[str, dict[str, float]] = {}
     for (trained_on, seed), instrument in instruments.items():
-        if trained_on != split:
+        if trained_on != split or (seed is None) != (network == AVERAGE):
             continue
         mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
         own, others = (list(compress(videos.rows, which)) for which in (mine, ~mine))
@@ -273,25 +299,31 @@ def alarm_rates(
         kinds = {kind: (some, own) for kind, some in inputs.items()}
         if others:
             kinds["viewpoint"] = (frames[~mine], others)
-        result[str(seed)] = {
+        result[_name(seed)] = {
             kind: float(np.mean([one.alarm for one in measured(instrument, of_kind, rows)]))
             for kind, (of_kind, rows) in kinds.items()
         }
     return result
 
 
-def prediction_of(row: Row, test, network: str, seed: int) -> Row:
+def _name(seed: int | None) -> str:
+    return ENSEMBLE if seed is None else str(seed)
+
+
+def prediction_of(row: Row, test, network: str, seed: int | None) -> Row:
     """Of a row of predictions.parquet: whose it is."""
     video = {name: row[name] for name in ("video", "simulation", "texture", "viewpoint")}
     told = {"split": test.name, "trained_on": test.trained_on, "network": network, "seed": seed}
     return video | told
 
 
-def _prediction(row: Row, test, seed: int, measurement: Measurement, grid: Sequence[Row]) -> Row:
+def _prediction(
+    row: Row, test, network: str, seed: int | None, measurement: Measurement, grid: Sequence[Row]
+) -> Row:
     friction = measurement.friction_coefficient
     materials = measurement.material_probabilities
     return {
-        **prediction_of(row, test, "instrument", seed),
+        **prediction_of(row, test, network, seed),
         "true": row["friction_id"],
         "predicted": min(grid, key=lambda of_class: abs(of_class["value"] - friction))["id"],
         "true_value": row["friction"],

@@ -65,8 +65,10 @@ class Alarm:
     mean : ndarray, shape (frames * 144,)
     components : ndarray, shape (K, frames * 144)
     variances : ndarray, shape (K,)
-    embedding_mean : ndarray, shape (E,)
-    embedding_whitening : ndarray, shape (E, E)
+    embedding_mean : ndarray, shape (N * E,)
+        Of the embeddings of N networks, one after another.
+    embedding_whitening : ndarray, shape (N * E, E)
+        Each network's own, one below another.
     centre, scale : ndarray, shape (4,)
         Median and spread of each score on held-out videos.
     threshold : float
@@ -88,19 +90,21 @@ class Alarm:
         Parameters
         ----------
         videos : ndarray of uint8, shape (n, frames, side, side, 3)
-        embedding : ndarray, shape (n, E)
+        embedding : ndarray, shape (n, N * E)
         order : ndarray, shape (n,)
             Logit of an ordinary video.
         """
         away = thumbnails(videos) - self.mean
         inside = away @ self.components.T
         rest = np.maximum((away**2).sum(1) - (inside**2).sum(1), 0.0)
-        white = (embedding - self.embedding_mean) @ self.embedding_whitening
+        size = self.embedding_whitening.shape[1]
+        of_each = (embedding - self.embedding_mean).reshape(len(embedding), -1, size)
+        white = of_each.swapaxes(0, 1) @ self.embedding_whitening.reshape(-1, size, size)
         return np.stack(
             [
                 np.sqrt(rest / away.shape[1]),
                 np.sqrt((inside**2 / self.variances).mean(1)),
-                np.sqrt((white**2).mean(1)),
+                np.sqrt((white**2).mean((0, 2))),
                 -order,
             ],
             axis=1,

@@ -5,7 +5,8 @@ step is tested with it fitted on the same groups (tests/unit).
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from slipstitch.instrument.alarm import calibrated_alarm, describe
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import ranked_probability_score, spread
-from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
+from slipstitch.instrument.measuring import Answers, ErrorBars, Instrument, stretch_scores
 from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
@@ -81,18 +82,44 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     videos : Videos
     training : ndarray of bool, shape (n,)
     """
-    held = np.flatnonzero(~training)
-    if not len(held):
+    if training.all():
         return instrument
     generator = np.random.default_rng(0)
-    frames = phased(videos.pixels, instrument.card["frames"], None)
-    poses = poses_of(videos.rows)
-    trained = instrument.answers(frames[training], generator, poses[training])
-    answers = instrument.answers(frames[held], generator, poses[held])
-    groups = [videos.rows[number]["simulation"] for number in held]
-    friction = np.array([videos.rows[number]["friction"] for number in held])
+    trained = _frames(instrument, videos, training)
+    answers = instrument.answers(trained, generator, poses_of(videos.rows)[training])
+    statistics = describe(trained, answers.embedding)
+    del trained  # as large as all videos that train
+    held = videos.chosen(~training)
+    frames = _frames(instrument, videos, ~training)
+    answers = instrument.answers(frames, generator, poses_of(held.rows))
+    return with_error_bars(instrument, statistics, frames, answers, held.rows)
+
+
+def with_error_bars(
+    instrument: Instrument,
+    statistics: tuple[np.ndarray, ...],
+    frames: np.ndarray,
+    answers: Answers,
+    rows: Sequence[Mapping[str, Any]],
+) -> Instrument:
+    """The instrument with error bars from its answers on held-out videos.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    statistics : tuple of ndarray
+        Of the training videos, as `slipstitch.instrument.alarm.describe` gives them.
+    frames : ndarray of uint8, shape (n, frames, side, side, 3)
+        Of the held-out videos.
+    answers : Answers
+        On them.
+    rows : sequence of mapping, length n
+        Of the manifest.
+    """
+    groups = [row["simulation"] for row in rows]
+    friction = np.array([row["friction"] for row in rows])
     names = instrument.card["materials"]
-    fabrics = [videos.rows[number]["material"] for number in held]
+    fabrics = [row["material"] for row in rows]
     known = [k for k, fabric in enumerate(fabrics) if fabric in names]
 
     width = fitted_spread(answers.probabilities, instrument.grid, friction, groups)
@@ -112,8 +139,8 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
         else 1.0,
         factor=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(
-            describe(frames[training], trained.embedding),
-            frames[held],
+            statistics,
+            frames,
             answers.embedding,
             answers.order,
             groups,
@@ -121,3 +148,8 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
         ),
     )
     return dataclasses.replace(instrument, error_bars=bars)
+
+
+def _frames(instrument: Instrument, videos: Videos, chosen: np.ndarray) -> np.ndarray:
+    """The frames that the instrument sees of some of the videos."""
+    return phased(videos.pixels[chosen], instrument.card["frames"], None)

@@ -34,6 +34,7 @@ FORMAT = "slipstitch-instrument-3"
 WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
+NETWORKS_MAX = 16
 NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 
@@ -74,7 +75,11 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Answers:
-    """Uncalibrated answers for n videos, averaged over augmented views."""
+    """Uncalibrated answers for n videos, averaged over augmented views and over the networks.
+
+    Distributions are averaged point by point, as a mixture of the networks' own (a linear pool).
+    The embedding is not averaged: it has those of all networks, one after another.
+    """
 
     probabilities: np.ndarray
     material_logits: np.ndarray
@@ -108,16 +113,27 @@ class ErrorBars:
 
 @dataclass(frozen=True)
 class Instrument:
-    """A network with its card and, once calibrated, its error bars."""
+    """One network, or several that are averaged, with its card and, once calibrated, error bars.
 
-    network: InstrumentNetwork
+    Networks that differ only in their seed err in part independently: their mean errs less than
+    one of them (deep ensembles: Lakshminarayanan, Pritzel & Blundell 2017, arXiv 1612.01474).
+
+    Attributes
+    ----------
+    networks : tuple of InstrumentNetwork
+        At least one; trained on the same videos with the same settings.
+    card : dict
+    error_bars : ErrorBars, optional
+    """
+
+    networks: tuple[InstrumentNetwork, ...]
     card: dict[str, Any]
     error_bars: ErrorBars | None
 
     @property
     def settings(self) -> InstrumentSettings:
         """As it was trained."""
-        return self.network.settings
+        return self.networks[0].settings
 
     @property
     def grid(self) -> np.ndarray:
@@ -138,28 +154,30 @@ class Instrument:
         poses : ndarray, shape (n, 4), optional
             How the cameras stand (`slipstitch.render.pose.POSE`); as calibrated by default.
         """
-        self.network.eval()
+        for network in self.networks:
+            network.eval()
         told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
         parts = []
         with torch.inference_mode():
             for video, pose in zip(videos, told, strict=True):
                 repeated = np.repeat(video[None], self.settings.draws, axis=0)
                 views = augmented(repeated, self.settings, generator)
-                outputs = self.network(
-                    views, self.card["bfloat16"], pose.expand(self.settings.draws, -1)
-                )
-                # In float64: in float32 a distribution's tail would end at five deviations.
-                cumulative = mixture_cumulative(
-                    outputs["friction"].double(), self.network.middles.double()
-                )
-                means = [
-                    outputs[name].double().mean(0).numpy()
-                    for name in ("material", "order", "attention_weights", "embedding")
+                poses_told = pose.expand(self.settings.draws, -1)
+                of_each = [
+                    _answer(network, network(views, self.card["bfloat16"], poses_told))
+                    for network in self.networks
                 ]
-                if self.network.points is not None:
-                    means.append(self.network.places_m(outputs["points"]).mean(0).numpy())
-                parts.append([probabilities_on_grid(cumulative.numpy()).mean(0), *means])
-        return Answers(*(np.stack(column) for column in zip(*parts, strict=True)))
+                parts.append(
+                    {
+                        name: np.concatenate(answers)
+                        if name == "embedding"
+                        else np.mean(answers, axis=0)
+                        for name, answers in (
+                            (name, [answer[name] for answer in of_each]) for name in of_each[0]
+                        )
+                    }
+                )
+        return Answers(**{name: np.stack([part[name] for part in parts]) for name in parts[0]})
 
     def distributions(self, answers: Answers) -> np.ndarray:
         """Calibrated distributions on the grid, shape (n, G)."""
@@ -246,8 +264,23 @@ class Instrument:
         count, height, width, colours = frames.shape
         if count != self.card["frames"] or height != width or colours != 3 or height < 8:
             raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
-        side = self.network.pixels
+        side = self.networks[0].pixels
         return frames if height == side else resized(frames, side)
+
+
+def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """What a network says of a video, averaged over its augmented views: fields of `Answers`."""
+    # In float64: in float32 a distribution's tail would end at five deviations.
+    cumulative = mixture_cumulative(outputs["friction"].double(), network.middles.double())
+    answer = {
+        "probabilities": probabilities_on_grid(cumulative.numpy()).mean(0),
+        "material_logits": outputs["material"].double().mean(0).numpy(),
+    }
+    for name in ("order", "attention_weights", "embedding"):
+        answer[name] = outputs[name].double().mean(0).numpy()
+    if network.points is not None:
+        answer["points_m"] = network.places_m(outputs["points"]).mean(0).numpy()
+    return answer
 
 
 def stretched(
@@ -281,8 +314,16 @@ def stretch_scores(
 
 
 def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:
-    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written."""
-    tensors = dict(instrument.network.state_dict())
+    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written.
+
+    Several networks are stored as `halved`, which must be done before they are calibrated.
+    """
+    networks = instrument.networks
+    tensors = {
+        prefix + name: value
+        for prefix, network in zip(_prefixes(len(networks)), networks, strict=True)
+        for name, value in network.state_dict().items()
+    }
     card = {"format": FORMAT, **instrument.card, "error_bars": None}
     bars = instrument.error_bars
     if bars:
@@ -295,7 +336,24 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
         for field in fields(Alarm):
             if field.name != "threshold":
                 tensors[ALARM + field.name] = torch.from_numpy(getattr(bars.alarm, field.name))
+    if len(networks) > 1:
+        tensors = {name: halved(value) for name, value in tensors.items()}
     return write_weights(tensors, card, Path(folder) / WEIGHTS, Path(folder) / CARD)
+
+
+def halved(value: torch.Tensor) -> torch.Tensor:
+    """Matrices in float16, so that several networks take the space of two; the rest as it is."""
+    return value.half() if value.ndim > 1 else value
+
+
+def restored(value: torch.Tensor) -> torch.Tensor:
+    """What `halved` gave, in float32."""
+    return value.float() if value.dtype == torch.float16 else value
+
+
+def _prefixes(count: int) -> list[str]:
+    """Of the names of each network's tensors, of so many."""
+    return [""] if count == 1 else [f"{number}." for number in range(count)]
 
 
 class _Card(BaseModel):
@@ -308,6 +366,7 @@ class _Card(BaseModel):
     pixels: int = Field(ge=8, le=1024)
     frames: int = Field(ge=1, le=10_000)
     bfloat16: bool
+    networks: int = Field(1, ge=1, le=NETWORKS_MAX)
 
 
 def load_instrument(path: str | os.PathLike) -> Instrument:
@@ -330,20 +389,24 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
     try:
         known = _Card.model_validate(card)
         arguments = (known.settings, len(known.materials), known.pixels)
-        learnt = {name: value for name, value in tensors.items() if not name.startswith(ALARM)}
+        learnt = {
+            name: restored(value) for name, value in tensors.items() if not name.startswith(ALARM)
+        }
         with torch.device("meta"):  # no memory yet for what a card claims
             shapes = InstrumentNetwork(*arguments).state_dict()
-        if {name: value.shape for name, value in shapes.items()} != {
-            name: value.shape for name, value in learnt.items()
-        }:
+        prefixes = _prefixes(known.networks)
+        if {
+            prefix + name: value.shape for prefix in prefixes for name, value in shapes.items()
+        } != {name: value.shape for name, value in learnt.items()}:
             raise BadInput(f"{weights}: weights do not match the card: different sizes")
-        network = InstrumentNetwork(*arguments)
-        network.load_state_dict(learnt)
+        networks = tuple(InstrumentNetwork(*arguments).eval() for _ in prefixes)
+        for prefix, network in zip(prefixes, networks, strict=True):
+            network.load_state_dict({name: learnt[prefix + name] for name in shapes})
         noted = card["error_bars"]
         bars = None
         if noted is not None:
             arrays = {
-                name.removeprefix(ALARM): value.numpy()
+                name.removeprefix(ALARM): restored(value).numpy()
                 for name, value in tensors.items()
                 if name.startswith(ALARM)
             }
@@ -355,6 +418,5 @@ def load_instrument(path: str | os.PathLike) -> Instrument:
             )
     except (ValidationError, RuntimeError, KeyError, TypeError) as error:
         raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
-    network.eval()
     inside = {key: value for key, value in card.items() if key != "error_bars"}
-    return Instrument(network, inside, bars)
+    return Instrument(networks, inside, bars)

@@ -500,7 +500,7 @@ def train_instrument(
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
         "videos it should raise its alarm, and its intervals are not valid",
     }
-    card = save_instrument(calibrated(Instrument(network, card, None), videos, training), out)
+    card = save_instrument(calibrated(Instrument((network,), card, None), videos, training), out)
     write_record(
         "instrument",
         out,

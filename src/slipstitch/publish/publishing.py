@@ -13,7 +13,7 @@ from typing import Any
 import pandas
 
 from slipstitch.audit.scored import SCORES, SCORES_OF, and_more, compare
-from slipstitch.config import Config
+from slipstitch.config import Config, load_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.errors import BadInput, Damaged
 from slipstitch.provenance import (
@@ -48,6 +48,9 @@ OPTIONAL = (
     "captures/predictions.parquet",
 )
 
+#: Made from all images and trajectories: of an update, whose results may have no longer all.
+_OF_ALL = ("cost.json", "simulations.csv", "dataset/digests.json", "dataset/lineage.json")
+
 
 def finished_files(config: Config) -> dict[str, str]:
     """Files of a finished run, below its results -> where they are published."""
@@ -67,6 +70,12 @@ def finished_files(config: Config) -> dict[str, str]:
             folder = f"{split}/seed{seed}"
             to = f"models/{split}/instrument/seed{seed}"
             files |= _model(f"instrument/{folder}", to, "instrument")
+        if len(config.instrument.seeds) > 1:
+            to = f"models/{split}/instrument/ensemble"
+            files |= {
+                f"instrument/{split}/ensemble/{file}": f"{to}/{file}"
+                for file in ("instrument.safetensors", "instrument.json", "calibration.parquet")
+            }
     return files
 
 
@@ -77,7 +86,11 @@ def _model(folder: str, to: str, name: str) -> dict[str, str]:
 
 
 def publish(
-    config: Config, results: str | os.PathLike, out: str | os.PathLike, partial: bool = False
+    config: Config,
+    results: str | os.PathLike,
+    out: str | os.PathLike,
+    partial: bool = False,
+    update: bool = False,
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all.
 
@@ -91,6 +104,9 @@ def publish(
     partial : bool
         Publish an unfinished run, with what it lacks said at the head of every page: files, and
         scores of models that were trained after the evaluation.
+    update : bool
+        Keep what the folder has and the results have no longer, as images' digests whose files were
+        deleted since: of the same dataset and configuration.
 
     Returns
     -------
@@ -103,13 +119,18 @@ def publish(
     BadInput
         If `out` holds anything else, or results; if the run is not finished, without `partial`; if
         there is nothing of it; if a file is damaged; if the scores are of other models or of
-        another dataset.
+        another dataset; with `update` if `out` is of another run.
     """
     started = start_clock()
     found = Results(results, config)
     _check_target(Path(out), found.folder)
     wanted = finished_files(config)
-    missing = sorted(name for name in wanted if not (found.folder / name).is_file())
+    kept = _kept(config, found, Path(out)) if update else set()
+    missing = sorted(
+        name
+        for name, to in wanted.items()
+        if not (found.folder / name).is_file() and to not in kept
+    )
     if len(missing) == len(wanted):
         raise BadInput(f"{results}: nothing of a run in it")
     if missing and not partial:
@@ -124,7 +145,9 @@ def publish(
     }
     for name in there:
         _check_file(found.folder / name)
-    unscored = _unscored(found.folder, there)
+    digests = {name: file_digest(found.folder / name) for name in there}
+    before = {name: file_digest(Path(out) / name) for name in kept}
+    unscored = [name for name in _unscored(found.folder, before | digests) if name in there]
     if unscored and not partial:
         raise BadInput(
             f"{results}: the scores do not include {and_more(unscored)}; {_AGAIN}, or "
@@ -157,6 +180,8 @@ def publish(
             write_json(folder / "dataset" / "digests.json", dataset)
             if lineage := _lineage(found.folder.resolve(), shards):
                 write_json(folder / "dataset" / "lineage.json", lineage)
+        if update:
+            _keep(Path(out), folder, kept, there)
         index = {
             "name": config.publish.name,
             "partial": bool(missing),
@@ -169,6 +194,32 @@ def publish(
         }
         write_json(folder / INDEX, index, record)
     return index
+
+
+def _kept(config: Config, results: Results, out: Path) -> set[str]:
+    """What a folder published before keeps; BadInput if it is of another run."""
+    if not (out / INDEX).is_file():
+        raise BadInput(f"{out}: nothing published there to update: publish without --update")
+    if load_config(out / "config.json") != config:
+        raise BadInput(f"{out}: published with another configuration; publish without --update")
+    manifest = results.folder / "sample" / MANIFEST
+    before = out / "dataset" / MANIFEST
+    if manifest.is_file() and before.is_file() and file_digest(manifest) != file_digest(before):
+        raise BadInput(f"{out}: published of another dataset; publish without --update")
+    own = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    return own - {INDEX, INDEX + SIDECAR_SUFFIX}
+
+
+def _keep(before: Path, folder: Path, kept: Iterable[str], there: Mapping[str, str]) -> None:
+    """Put into a new folder what the one before has of results that are gone."""
+    # Records of what is there again, but not published anew, are not those of the published files.
+    anew = {name: one for name, one in read_json(folder / "origin.json").items() if name in there}
+    for name in kept:
+        to = folder / name
+        if name in _OF_ALL or not to.exists():
+            to.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(before / name, to)
+    write_json(folder / "origin.json", read_json(before / "origin.json") | anew)
 
 
 def _check_target(out: Path, results: Path) -> None:
@@ -205,9 +256,11 @@ def _check_file(path: Path) -> None:
             raise Damaged(path, f"not the weights that its card {path.stem}.json describes")
 
 
-def _unscored(results: Path, there: Mapping[str, str]) -> list[str]:
-    """Models that the scores do not include; BadInput if these are of what is not there."""
-    digests = {name: file_digest(results / name) for name in there}
+def _unscored(results: Path, digests: Mapping[str, str]) -> list[str]:
+    """Models that the scores do not include; BadInput if these are of what is not there.
+
+    `digests` has the SHA-256 of every file that is published.
+    """
     found: set[str] = set()
     for path in [results / "evaluate" / name for name in SCORES]:
         if not path.is_file():

@@ -10,6 +10,7 @@ from slipstitch.ablate.summary import LEVEL, interval
 from slipstitch.config import Config
 from slipstitch.evaluate import paper, probes
 from slipstitch.evaluate.evaluation import MODELS
+from slipstitch.evaluate.instruments import AVERAGE, TRAINING
 from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of, steps_off
 from slipstitch.page.wording import percent, seeds_in_words
 
@@ -25,12 +26,14 @@ SPLIT_TITLES = {
 MODEL_TITLES = {
     "lrcn_baseline": "baseline network",
     "lrcn_conditional": "network given the material",
-    "instrument": "instrument",
+    TRAINING: "instrument",
+    AVERAGE: "instruments averaged",
 }
 # Which entry of metrics.json holds a network's scores.
 ENTRIES = {
     "material_baseline": "lrcn_baseline",
-    "instrument": "instrument",
+    TRAINING: TRAINING,
+    AVERAGE: AVERAGE,
     **{network: model for model, network in MODELS.items()},
 }
 # What the paper's tables count of each network, and what tells its rows apart.
@@ -38,7 +41,8 @@ COUNTED = {
     "material_baseline": ("fabric", ""),
     "friction_baseline": ("friction", ", baseline"),
     "friction_conditional": ("friction", ", given the material"),
-    "instrument": ("friction", ", instrument"),
+    TRAINING: ("friction", ", instrument"),
+    AVERAGE: ("friction", ", instruments averaged"),
 }
 TURNED = "view_"
 
@@ -298,9 +302,10 @@ def _model_title(model: str) -> str:
 
 
 def alarms(details) -> list[dict[str, Any]]:
-    """Alarm rates of the instruments, one row per instrument."""
+    """Alarm rates, one row per instrument, and one of their average."""
     return [
         {"split": SPLIT_TITLES[split], "seed": seed, "rates": rates}
         for split in ("by_simulation", "by_video")
-        for seed, rates in details.get(split, {}).get("instrument", {}).get("alarms", {}).items()
+        for network in (TRAINING, AVERAGE)
+        for seed, rates in details.get(split, {}).get(network, {}).get("alarms", {}).items()
     ]

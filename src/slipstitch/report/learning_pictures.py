@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from slipstitch.errors import BadInput
 from slipstitch.evaluate.cumulative import draw_cumulative
+from slipstitch.evaluate.instruments import AVERAGE, TRAINING
 from slipstitch.page.figures import new_figure, styled
 from slipstitch.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
 from slipstitch.report.results import History
@@ -18,7 +19,8 @@ NETWORK_NAMES = {
     "material_baseline": "material",
     "friction_baseline": "friction, baseline",
     "friction_conditional": "friction, given the material",
-    "instrument": "instrument (score in µ)",
+    TRAINING: "instrument (score in µ)",
+    AVERAGE: "instruments averaged",
 }
 SPLIT_NAMES = {
     "by_video": "by video (the paper's)",
@@ -181,7 +183,8 @@ def cumulative(predictions, frictions: Sequence[float]) -> Figure | None:
         for network, colour in (
             ("friction_baseline", BLUE),
             ("friction_conditional", MEASURED),
-            ("instrument", INK),
+            (TRAINING, INK),
+            (AVERAGE, GREEN),
         ):
             true, predicted = _friction_rows(predictions, split, network)
             if not len(true):
@@ -203,7 +206,8 @@ _LINES = {
     "material_baseline": ("fabric, top 1", GREEN),
     "friction_baseline": ("friction, baseline", BLUE),
     "friction_conditional": ("friction, given the material", MEASURED),
-    "instrument": ("instrument", INK),
+    TRAINING: ("instrument", INK),
+    AVERAGE: ("instruments averaged", ORANGE),
 }
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from slipstitch.evaluate import paper
 from slipstitch.evaluate.evaluation import MODELS
+from slipstitch.evaluate.instruments import AVERAGE, TRAINING
 from slipstitch.evaluate.metrics import Metric
 from slipstitch.page.figures import svg_uri
 from slipstitch.page.wording import percent
@@ -93,7 +94,8 @@ def table_3(metrics, details, calibrated: str) -> dict[str, Any] | None:
 def _headings(columns) -> list[tuple[str, int]]:
     """Name of each network, and how many columns it has."""
     titles = {network: MODEL_TITLES[model] for model, network in MODELS.items()}
-    titles |= {"material_baseline": "material network", "instrument": MODEL_TITLES["instrument"]}
+    titles |= {"material_baseline": "material network"}
+    titles |= {network: MODEL_TITLES[network] for network in (TRAINING, AVERAGE)}
     networks = [network for network, _ in columns]
     return [(titles[network], networks.count(network)) for network in dict.fromkeys(networks)]
 
@@ -108,7 +110,9 @@ def _size(of_set: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 def _straight(of_set, columns, calibrated: str) -> dict[str, Any] | None:
     """The row at 0 degrees, from the scores by viewpoint; the instrument knows one only."""
     seen = {
-        network: detail if network == "instrument" else detail.get("viewpoints", {}).get(calibrated)
+        network: detail
+        if network in (TRAINING, AVERAGE)
+        else detail.get("viewpoints", {}).get(calibrated)
         for network, detail in of_set.items()
     }
     seen = {network: detail for network, detail in seen.items() if detail}

@@ -1,0 +1,235 @@
+"""Several trainings of the instrument, averaged, stored and calibrated as one."""
+
+import contextlib
+import json
+import shutil
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_videos
+
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.errors import BadInput
+from slipstitch.evaluate.instruments import find_instruments
+from slipstitch.instrument import load_instrument
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.conformal import grouped_quantile
+from slipstitch.instrument.distribution import quantiles, spread
+from slipstitch.instrument.ensemble import CALIBRATION, combine_instruments
+from slipstitch.instrument.measuring import CARD, WEIGHTS, stretch_scores
+from slipstitch.instrument.training import train_instrument
+from slipstitch.provenance import file_digest, read_metadata, read_sidecar
+from slipstitch.sample.dataset import write_dataset
+from slipstitch.sample.videos import read_videos
+
+CONFIG = synthetic_videos.config(
+    grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
+    render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+    sample={"frames": 6, "validation_fraction": 0.34, "test_fraction": 0.16},
+    instrument={
+        "seeds": [0, 1, 2],
+        "channels": [8, 16, 24],
+        "features": 128,
+        "recurrent_units": 64,
+        "epochs": 10,
+        "rectification_error": 0.01,
+        "blur_px": 0.0,
+        "precision": "float32",
+        "points_weight": 1.0,
+        "plateau_margin": None,
+    },
+)
+SEEDS = CONFIG.instrument.seeds
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render", marked=True)
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def train(dataset, folder, seed, **changes):
+    settings = InstrumentSettings(**{**CONFIG.instrument.model_dump(), **changes})
+    out = folder / "by_simulation" / f"seed{seed}"
+    train_instrument(
+        settings, dataset, "by_simulation", seed, out, viewpoints=["calibrated"], frames=6
+    )
+    return out
+
+
+def combine(members, dataset, out):
+    return combine_instruments(members, dataset, "by_simulation", out)
+
+
+@pytest.fixture(scope="module")
+def folder(dataset, tmp_path_factory):
+    """Three trainings and their average."""
+    folder = tmp_path_factory.mktemp("instrument")
+    members = [train(dataset, folder, seed) for seed in SEEDS]
+    with contextlib.chdir(folder):  # records name files by their path from the working folder
+        inside = [member.relative_to(folder) for member in members]
+        combine(inside, dataset, folder / "by_simulation" / "ensemble")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def members(folder):
+    return [folder / "by_simulation" / f"seed{seed}" for seed in SEEDS]
+
+
+@pytest.fixture(scope="module")
+def average(folder):
+    return load_instrument(folder / "by_simulation" / "ensemble")
+
+
+def held_out(dataset, side):
+    return read_videos(
+        dataset, lambda row: row["split_by_simulation"] == side and row["viewpoint"] == "calibrated"
+    )
+
+
+def answers_of(instrument, videos):
+    return instrument.answers(phased(videos.pixels, 6, None), np.random.default_rng(0))
+
+
+def test_its_distribution_is_the_mixture_of_its_members(dataset, members, average):
+    """To the rounding of the weights, of which a float16 keeps eleven bits."""
+    videos = held_out(dataset, "test")
+    each = [answers_of(load_instrument(member), videos) for member in members]
+    whole = answers_of(average, videos)
+    for name in ("probabilities", "material_logits", "order", "attention_weights", "points_m"):
+        mean = np.mean([getattr(one, name) for one in each], axis=0)
+        assert getattr(whole, name) == pytest.approx(mean, abs=0.02 * np.abs(mean).max()), name
+    assert not np.allclose(each[0].probabilities, each[1].probabilities, atol=1e-3)
+    assert whole.embedding.shape == (len(videos), 3 * each[0].embedding.shape[1])
+
+
+def test_it_errs_less_than_its_members_do_on_average(dataset, members, average):
+    """As any average does, of answers whose errors are of either sign."""
+    videos = held_out(dataset, "test")
+    truth = np.array([row["friction"] for row in videos.rows])
+
+    def error(instrument):
+        shares = answers_of(instrument, videos).probabilities
+        return abs(quantiles(shares, instrument.grid, np.array([0.5]))[:, 0] - truth).mean()
+
+    assert error(average) < np.mean([error(load_instrument(member)) for member in members])
+
+
+def test_its_alarm_is_quiet_for_its_like_and_rings_for_other_videos(dataset, average):
+    videos = held_out(dataset, "test")
+    frames = phased(videos.pixels, 6, None)
+    assert np.mean([average.measure(one).alarm for one in frames]) <= 0.25
+    assert all(average.measure(one).alarm for one in np.full_like(frames[:4], 20))
+    assert np.mean([average.measure(one).alarm for one in 255 - frames]) >= 0.95
+
+
+def test_it_takes_half_the_space_of_its_members(members, average, folder):
+    size = (folder / "by_simulation/ensemble" / WEIGHTS).stat().st_size
+    assert size < 0.6 * sum((member / WEIGHTS).stat().st_size for member in members)
+
+
+def test_its_card_and_its_records_name_its_members(members, average, folder):
+    card = average.card
+    assert card["networks"] == 3
+    assert card["seeds"] == SEEDS
+    assert card["members_sha256"] == [file_digest(member / WEIGHTS) for member in members]
+    assert card["calibration_simulations"] == 12
+    inputs = read_sidecar(folder / "by_simulation/ensemble" / WEIGHTS)["inputs"]
+    assert {inputs[name] for name in inputs if name.endswith(WEIGHTS)} == {*card["members_sha256"]}
+    assert len(inputs) == 3 + 1  # the manifest has the digests of all pixels
+    kept = read_metadata(folder / "by_simulation/ensemble" / CALIBRATION)["provenance"]
+    assert kept["inputs"] == inputs
+
+
+def test_the_same_members_give_the_same_bits(dataset, members, folder, tmp_path):
+    combine(members, dataset, tmp_path)
+    for name in (WEIGHTS, CARD):
+        first = (folder / "by_simulation/ensemble" / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == first, name
+
+
+def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
+    table = pq.read_table(folder / "by_simulation/ensemble" / CALIBRATION)
+    rows = table.to_pylist()
+    assert len({row["simulation"] for row in rows}) == 12
+    shares = np.array([row["probabilities"] for row in rows], np.float64)
+    truth = np.array([row["friction"] for row in rows])
+    wide = spread(shares, average.grid, average.error_bars.spread)
+    scores = stretch_scores(wide, average.grid, 0.9, truth)
+    factor = grouped_quantile(scores, [row["simulation"] for row in rows], 0.9)
+    assert factor == pytest.approx(average.error_bars.factor, rel=1e-4)
+
+
+def test_members_that_nothing_calibrates_give_an_average_without_error_bars(tmp_path):
+    config = synthetic_videos.config(
+        grid={"replicates": 1}, sample={"frames": 6, "validation_fraction": 0.0}
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    members = [train(tmp_path / "sample", tmp_path, seed, epochs=1) for seed in (0, 1)]
+    assert all(load_instrument(member).error_bars is None for member in members)
+    card = combine(members, tmp_path / "sample", tmp_path / "out")
+    assert card["error_bars"] is None
+    average = load_instrument(tmp_path / "out")
+    assert "not calibrated" in average.measure(np.zeros((6, 16, 16, 3), np.uint8)).alarm_reason
+    assert pq.read_table(tmp_path / "out" / CALIBRATION).num_rows == 0
+
+
+def test_what_does_not_belong_together_is_refused(dataset, members, folder, tmp_path):
+    whole = folder / "by_simulation/ensemble"
+    with pytest.raises(BadInput, match=r"1 instrument\(s\) given; 2 to 16 are combined"):
+        combine(members[:1], dataset, tmp_path)
+    with pytest.raises(BadInput, match=r"has seed 0, as .*seed0 has"):
+        combine([members[0], members[0]], dataset, tmp_path)
+    with pytest.raises(BadInput, match="is itself combined of 3 trainings"):
+        combine([members[0], whole], dataset, tmp_path)
+    with pytest.raises(BadInput, match="was trained on the split by_simulation, not by_video"):
+        combine_instruments(members, dataset, "by_video", tmp_path)
+    other = train(dataset, tmp_path, 3, epochs=2)
+    with pytest.raises(BadInput, match=r"seed3: differs from .*seed0 in its settings"):
+        combine([*members, other], dataset, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_it_is_found_beside_its_members_and_only_with_them(members, folder, tmp_path):
+    found = find_instruments(folder, None, SEEDS)
+    assert [key[1] for key in found] == [0, 1, 2, None]
+    assert [key[1] for key in find_instruments(folder, None, [1])] == [1]
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    shutil.rmtree(copy / "by_simulation/seed2")
+    with pytest.raises(BadInput, match="is the average of other instruments than those beside it"):
+        find_instruments(copy)
+    shutil.copytree(members[0], copy / "by_simulation/ensemble", dirs_exist_ok=True)
+    with pytest.raises(BadInput, match="holds by_simulation seed 0: does not match its folder"):
+        find_instruments(copy)
+
+
+def test_weights_of_fewer_networks_than_its_card_says_are_refused(folder, tmp_path):
+    whole = shutil.copytree(folder / "by_simulation/ensemble", tmp_path / "model")
+    card = json.loads((whole / CARD).read_text())
+    (whole / CARD).write_text(json.dumps(card | {"networks": 2}))
+    with pytest.raises(BadInput, match="differs from the card inside"):
+        load_instrument(whole)
+
+
+def test_the_command_averages_and_says_so(dataset, members, tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "c.json")
+    words = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
+    words += ["--split", "by_simulation", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *words, "--members", *map(str, members)]) == 0
+    said = capsys.readouterr().out
+    assert "average of seeds 0, 1, 2; calibrated on 12 simulations" in said
+    assert main(["instrument", *words, "--members", *map(str, members), "--seed", "0"]) == 2
+    assert "not allowed with argument --members" in capsys.readouterr().err
+    assert main(["instrument", *words]) == 2
+    assert "one of the arguments --seed --members is required" in capsys.readouterr().err
+    missing = tmp_path / "missing"
+    assert main(["instrument", *words, "--members", str(members[0]), str(missing)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and f"{missing / WEIGHTS}: no such file" in said
