@@ -19,7 +19,7 @@ PUBLISHED = ROOT / "results/published/instrument"
 
 
 def test_it_is_the_published_one_and_small():
-    models = PUBLISHED / "models/by_simulation/instrument/seed0"
+    models = PUBLISHED / "models/by_simulation/instrument/ensemble"
     for name in ("instrument.safetensors", "instrument.json"):
         assert (SHIPPED / name).read_bytes() == (models / name).read_bytes(), name
     assert (SHIPPED / "config.json").read_bytes() == (PUBLISHED / "config.json").read_bytes()
