@@ -107,8 +107,8 @@ benchmark-scale: setup
 	$(BIN)/python benchmarks/scale.py
 
 shipped-instrument: setup
-	cp results/published/instrument/models/by_simulation/instrument/seed0/instrument.safetensors \
-	   results/published/instrument/models/by_simulation/instrument/seed0/instrument.json \
+	cp results/published/instrument/models/by_simulation/instrument/ensemble/instrument.safetensors \
+	   results/published/instrument/models/by_simulation/instrument/ensemble/instrument.json \
 	   results/published/instrument/config.json src/slipstitch/measure/shipped/
 	cd src/slipstitch/measure/shipped && \
 		sha256sum config.json instrument.json instrument.safetensors > SHA256SUMS

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from filmed import ROOT, FilmedSet, film, instruments, publish, readings
+from filmed import ROOT, FilmedSet, film, publish, readings, trainings
 
 from slipstitch.cli.main import main as slipstitch
 
@@ -99,7 +99,7 @@ def main():
     arguments = parser.parse_args()
     found = model_found()
     configs = film(sets(found), arguments.folder, arguments.processes)
-    measuring = instruments()
+    measuring = trainings()
     rows = readings(configs, arguments.folder, measuring)
     result = {
         "hidden": HIDDEN,

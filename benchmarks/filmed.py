@@ -124,14 +124,20 @@ def run_slipstitch(*words):
         raise SystemExit(f"{' '.join(words[:3])}: {done.stderr[-2000:]}")
 
 
-def models(run=SHIPPED):
+def trainings(run=SHIPPED):
     """Weights of the instruments of a published run, one a seed."""
     return sorted((PUBLISHED / run / "models/by_simulation/instrument").glob("seed*/*.safetensors"))
 
 
-def instruments(run=SHIPPED):
-    """Those of a published run, one a seed."""
-    return [load_instrument(path) for path in models(run)]
+def models(run=SHIPPED):
+    """Weights of the trainings, and of their average, if there is one: its card has no seed."""
+    ensemble = PUBLISHED / run / "models/by_simulation/instrument/ensemble"
+    return [*trainings(run), *ensemble.glob("*.safetensors")]
+
+
+def answering(rows):
+    """The rows of the average; of all trainings where there is none."""
+    return [row for row in rows if row["seed"] is None] or rows
 
 
 def publish(name, result, sets, rows, run=SHIPPED):
@@ -155,7 +161,11 @@ def publish(name, result, sets, rows, run=SHIPPED):
 
 
 def readings(configs, folder, measuring):
-    """One row a video and instrument: what is true of it, and what the instrument reads."""
+    """One row a video and instrument: what is true of it, and what the instrument reads.
+
+    `measuring` lists the instruments' weights.
+    """
+    measuring = [load_instrument(path) for path in measuring]
     rows = []
     for name, config in configs.items():
         frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
@@ -174,7 +184,7 @@ def readings(configs, folder, measuring):
                 for texture, video in videos(path, frames, config.render.pixels):
                     rows += [
                         row
-                        | {"texture": names[texture], "seed": one.card["seed"]}
+                        | {"texture": names[texture], "seed": one.card.get("seed")}
                         | _reading(one, video, row)
                         for one in measuring
                     ]

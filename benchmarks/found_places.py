@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from filmed import instruments, publish
+from filmed import publish, trainings
 from surrogate_places import mean_errors, places_off, reading
 
 from slipstitch.evaluate.instruments import measured
 from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.measuring import load_instrument
 from slipstitch.sample.manifest import read_manifest
 from slipstitch.sample.videos import read_videos
 
@@ -46,7 +47,7 @@ def rows_of(part, videos, instrument):
             "seed": instrument.card["seed"],
             "friction": row["friction"],
             "reading": float(measurement.friction_coefficient),
-            "from_true_places": reading(instrument.network, torch.from_numpy(places_m[None])),
+            "from_true_places": reading(instrument.networks[0], torch.from_numpy(places_m[None])),
             **places_off(measurement.points_m, places_m),
         }
 
@@ -56,7 +57,7 @@ def main():
     parser.add_argument("folder", type=Path, help="dataset that the sample stage wrote")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    every = instruments()
+    every = [load_instrument(path) for path in trainings()]
     fabrics = set(every[0].card["materials"])
     rows = []
     manifest, digest = read_manifest(arguments.folder)

@@ -16,13 +16,16 @@ from filmed import (
     TEXTURES,
     UNSEEN_TEXTURE,
     FilmedSet,
+    answering,
     film,
-    instruments,
+    models,
     publish,
     readings,
+    trainings,
 )
 
 from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
+from slipstitch.instrument.measuring import load_instrument
 from slipstitch.instrument.poses import outside
 
 MATERIALS = ["pink-ribbon-brown", "gray-interlock", "11oz-black-denim", "white-swim-solid"]
@@ -93,6 +96,14 @@ def scores(rows):
     }
 
 
+def _is_unseen_fabric(row):
+    return "unseen" in row["set"] and row["texture"] != UNSEEN_TEXTURE
+
+
+def _is_off_grid(row):
+    return row["set"] == "off_grid" and row["texture"] != UNSEEN_TEXTURE
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for simulations and videos")
@@ -100,9 +111,9 @@ def main():
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     configs = film(sets(), arguments.folder, arguments.processes)
-    measuring = instruments(arguments.run)
-    rows = readings(configs, arguments.folder, measuring)
-    tested = measuring[0].card["pose_range"]
+    every = readings(configs, arguments.folder, models(arguments.run))
+    rows = answering(every)
+    tested = load_instrument(trainings(arguments.run)[0]).card["pose_range"]
     parts = {"off_grid": [], "unseen_fabric": [], "unseen_texture": [], "far": []}
     refused = []
     for row in rows:
@@ -113,7 +124,7 @@ def main():
         elif row["texture"] == UNSEEN_TEXTURE:
             parts["unseen_texture"].append(row)
         else:
-            parts["unseen_fabric" if "unseen" in row["set"] else "off_grid"].append(row)
+            parts["unseen_fabric" if _is_unseen_fabric(row) else "off_grid"].append(row)
     result = {name: scores(part) for name, part in parts.items()}
     result["far"]["refused"] = float(np.mean(refused))
     result["fabrics"] = {
@@ -125,8 +136,14 @@ def main():
         name: scores([row for row in near if row["texture"] == name])
         for name in [*TEXTURES, UNSEEN_TEXTURE]
     }
-    result["instruments"] = len(measuring)
-    publish("reach", result, sets(), rows, arguments.run)
+    result["instruments"] = len({row["seed"] for row in rows})
+    alone = [row for row in every if row["seed"] is not None]
+    result["trainings"] = {
+        "instruments": len({row["seed"] for row in alone}),
+        "off_grid": scores([row for row in alone if _is_off_grid(row)]),
+        "unseen_fabric": scores([row for row in alone if _is_unseen_fabric(row)]),
+    }
+    publish("reach", result, sets(), every, arguments.run)
     print(json.dumps({name: result[name] for name in parts}, indent=1))
 
 

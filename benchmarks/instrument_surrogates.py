@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import yaml
-from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, models, publish, run_slipstitch
+from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, answering, models, publish, run_slipstitch
 from instrument_reach import scores
 
 from slipstitch.capture.surrogate.bench import films, write_bench
@@ -69,7 +69,7 @@ def readings(wanted, folder, run):
             rows.append(
                 {
                     "simulation": film.id,
-                    "seed": bench.instrument.card["seed"],
+                    "seed": bench.instrument.card.get("seed"),
                     "material": film.pair.material,
                     "floor": film.pair.substrate,
                     "friction": film.friction,
@@ -102,12 +102,13 @@ def main():
     config = load_config(*files)
     write_bench(config, folder)
     wanted = made(config, folder, files, arguments.processes)
-    rows, refused = readings(wanted, folder, arguments.run)
+    every, refused = readings(wanted, folder, arguments.run)
+    rows = answering(every)
     parts = {
         "all": rows,
         "matte": [row for row in rows if not FLOORS[row["floor"]].reflects_plainly],
         "reflective": [row for row in rows if FLOORS[row["floor"]].reflects_plainly],
-        "shipped": [row for row in rows if row["seed"] == 0],
+        "trainings": [row for row in every if row["seed"] is not None],
     }
     parts |= {
         name: [row for row in rows if row["material"] == name]
@@ -118,7 +119,7 @@ def main():
         for name, part in parts.items()
     }
     result["refused"] = refused
-    publish("surrogates", result, [FilmedSet("surrogates", changes)], rows, arguments.run)
+    publish("surrogates", result, [FilmedSet("surrogates", changes)], every, arguments.run)
     print(json.dumps({name: result[name] for name in parts} | {"refused": refused}, indent=1))
 
 

@@ -12,7 +12,8 @@ SHIPPED = "src/slipstitch/measure/shipped"
 PLACE = f"{SHIPPED}/MODEL_CARD.md"
 FILES = ("instrument.safetensors", "instrument.json", "config.json")
 RUN = "results/published/instrument"
-MODEL = "models/by_simulation/instrument/seed0"
+MODEL = "models/by_simulation/instrument/ensemble"
+TRAINED = "models/by_simulation/instrument/seed0"
 RECORD = f"{MODEL}/instrument.safetensors.provenance.json"
 # A part of the test is named among the limits beyond this many times the mean error.
 BAD = 1.5
@@ -40,7 +41,7 @@ def page(root, whole, parts, beyond, surrogates):
         )
     }
     card, config = read[f"{MODEL}/instrument.json"], read["config.json"]
-    found = read["details.json"]["by_simulation"]["instrument"]
+    found = read["details.json"]["by_simulation"]["instrument_ensemble"]
     sections = {
         "": _what(card),
         "Use": _use(card),
@@ -58,10 +59,11 @@ def page(root, whole, parts, beyond, surrogates):
 
 def _what(card):
     return [
-        f"`instrument.safetensors`: a network of {card['parameters']} parameters that estimates "
-        f"the friction coefficient μ of a cloth on a substrate from {card['frames']} frames of "
-        f"{card['pixels']} × {card['pixels']} pixels, with a 90 % interval, the fabric and an "
-        "alarm. Written from published files by `make shipped-instrument`."
+        f"`instrument.safetensors`: {card['networks']} networks of {card['parameters']} parameters "
+        f"in all, which differ in the seed of their training and whose answers are averaged. They "
+        f"estimate the friction coefficient μ of a cloth on a substrate from {card['frames']} "
+        f"frames of {card['pixels']} × {card['pixels']} pixels, with a 90 % interval, the fabric "
+        "and an alarm. Written from published files by `make shipped-instrument`."
     ]
 
 
@@ -80,8 +82,8 @@ def _data(card, config, rows):
     frictions, ideal = card["frictions"], simulation["ideal_replicates"]
     return [
         f"- {len(rows)} simulated videos of {len(simulations)} simulations; {parts['train']} "
-        f"trained the network, {card['calibration_simulations']} calibrate the intervals and the "
-        f"alarm, {parts['test']} test. The network saw {card['training_videos']} of the videos.",
+        f"trained the networks, {card['calibration_simulations']} calibrate the intervals and the "
+        f"alarm, {parts['test']} test. The networks saw {card['training_videos']} of the videos.",
         f"- Fabrics: {', '.join(card['materials'])}.",
         *(
             f"- For error bars alone: {fabric}."
@@ -114,7 +116,7 @@ def _data(card, config, rows):
 
 
 def _accuracy(card, found, whole, parts, beyond, surrogates):
-    own, alarms = found["seeds"][str(card["seed"])], found["alarms"][str(card["seed"])]
+    own, alarms = found["mean"], found["alarms"]["ensemble"]
     detected = [f"{words} {alarms[name]:.0%}" for name, words in INPUTS.items() if name in alarms]
     return [
         f"These weights, on {found['simulations']} simulations held out: mean error of μ "
@@ -123,7 +125,7 @@ def _accuracy(card, found, whole, parts, beyond, surrogates):
         f"{own['material_top1']:.0%}. Alarms: {alarms['good']:.1%} of good videos; "
         f"{', '.join(detected)}.",
         "",
-        f"Over the {len(found['seeds'])} trainings, of which these weights are one:",
+        "Beside the trainings of which it is the average, each with error bars of its own:",
         "",
         whole,
         "",
@@ -190,7 +192,6 @@ def _licence(root):
 def _provenance(root, card, dataset):
     run = root / RUN
     record = json.loads((run / RECORD).read_text(encoding="utf-8"))
-    changed = ", with uncommitted changes" if record["git_dirty"] else ""
     shipped = root / SHIPPED
     followed = (run / "dataset/lineage.json").is_file()
     reached = "simulations" if followed else "files of images"
@@ -199,7 +200,8 @@ def _provenance(root, card, dataset):
         **{
             f"{words}: `{RUN}/{name}`": run / name
             for words, name in (
-                ("training", RECORD),
+                ("averaging and calibration", RECORD),
+                ("training", f"{TRAINED}/instrument.safetensors.provenance.json"),
                 ("scores", "details.json"),
                 ("videos", "dataset/manifest.parquet"),
                 ("files of images", "dataset/digests.json"),
@@ -208,14 +210,22 @@ def _provenance(root, card, dataset):
             if (run / name).is_file()
         },
     }
+    trained = json.loads(
+        (run / TRAINED / "instrument.safetensors.provenance.json").read_text(encoding="utf-8")
+    )
+    changed = ", with uncommitted changes" if trained["git_dirty"] else ""
+    seeds = ", ".join(map(str, card["seeds"]))
+    members = len(card["seeds"])
     return [
         "| | SHA-256 |",
         "| --- | --- |",
         *(f"| {words} | `{file_digest(path)}` |" for words, path in digests.items()),
         f"| dataset | `{card['dataset_digest']}` |",
-        f"| code of the training | `{record['code_digest']}` |",
+        f"| code of the trainings | `{trained['code_digest']}` |",
+        f"| code that averaged and calibrated | `{record['code_digest']}` |",
         "",
-        f"Trained with that code{changed}, seed {record['seed']}, on "
-        f"{len(record['inputs']) - 1} of the {len(dataset['files'])} files of images. "
+        f"Trained with the first code{changed}, seeds {seeds}, on {len(trained['inputs']) - 1} of "
+        f"the {len(dataset['files'])} files of images; averaged and calibrated with the second on "
+        f"{len(record['inputs']) - 1 - members} of these. "
         f"`slipstitch audit {RUN}` follows the weights to the digests of their {reached}.",
     ]

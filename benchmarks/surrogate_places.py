@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, models, publish
+from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, publish, trainings
 from scipy.interpolate import RegularGridInterpolator
 
 from slipstitch.capture.surrogate.bench import films, surrogate_simulation
@@ -110,7 +110,7 @@ def rows_of(config, film, folder, places, run):
     """One row an instrument; none if the video is refused."""
     settings = surrogate_simulation(config)
     curl = draw_perturbation(settings, film.seed).natural_curl_per_m
-    for model in models(run):
+    for model in trainings(run):
         bench = measuring_bench(folder / f"{film.id}.json", model.parent)
         try:
             result = bench.measure(folder / f"{film.id}.mp4")
@@ -125,8 +125,8 @@ def rows_of(config, film, folder, places, run):
             "friction": film.friction,
             "curl_per_m": curl,
             "reading": float(result.measurement.friction_coefficient),
-            "from_its_places": reading(bench.instrument.network, true_m),
-            "from_ideal_places": reading(bench.instrument.network, ideal_m),
+            "from_its_places": reading(bench.instrument.networks[0], true_m),
+            "from_ideal_places": reading(bench.instrument.networks[0], ideal_m),
             **places_off(result.measurement.points_m, true_m[0].numpy()),
             "lower_edge_elsewhere_mm": float(1e3 * moved_m[:, LOWER_EDGE, 0].abs().mean()),
         }
