@@ -3,8 +3,8 @@
 import hashlib
 import re
 import subprocess
-import tarfile
 import tempfile
+import zipfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -217,9 +217,10 @@ def _git(checkout: Path, commit: str, *words: str) -> str | None:
 
 def _extract(checkout: Path, commit: str, folder: Path) -> bool:
     """Put ``src`` of a commit into `folder`; False if the commit is not known."""
-    archive = folder / "src.tar"
+    archive = folder / "src.zip"
     if _git(checkout, commit, "archive", f"--output={archive}", commit, "src") is None:
         return False
-    with tarfile.open(archive) as tar:
-        tar.extractall(folder, filter="data")
+    # Unlike tarfile before Python 3.11.4, zipfile never writes outside the folder.
+    with zipfile.ZipFile(archive) as packed:
+        packed.extractall(folder)
     return True
