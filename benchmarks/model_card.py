@@ -215,7 +215,6 @@ def _provenance(root, card, dataset):
     )
     changed = ", with uncommitted changes" if trained["git_dirty"] else ""
     seeds = ", ".join(map(str, card["seeds"]))
-    members = len(card["seeds"])
     return [
         "| | SHA-256 |",
         "| --- | --- |",
@@ -226,6 +225,6 @@ def _provenance(root, card, dataset):
         "",
         f"Trained with the first code{changed}, seeds {seeds}, on {len(trained['inputs']) - 1} of "
         f"the {len(dataset['files'])} files of images; averaged and calibrated with the second on "
-        f"{len(record['inputs']) - 1 - members} of these. "
+        f"{card['calibration_simulations']} of these. "
         f"`slipstitch audit {RUN}` follows the weights to the digests of their {reached}.",
     ]
