@@ -16,7 +16,7 @@ from slipstitch.bench.stage_path import SIDE_M, StagePath
 from slipstitch.capture.stage_start import vertex_of_parabola
 from slipstitch.render.camera import Camera
 from slipstitch.render.camera_file import LensCamera
-from slipstitch.render.rectification import in_stage_plane
+from slipstitch.render.rectification import bounds, in_stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0
@@ -176,8 +176,9 @@ class StageFollower:
         """The part of a frame that the maps reach, grey and smooth, and the maps into it."""
         margin = int(3 * self._blur_px) + 2
         rows, columns = image.shape[:2]
-        low = np.floor(maps.min(axis=(0, 1, 2))).astype(int) - margin
-        high = np.ceil(maps.max(axis=(0, 1, 2))).astype(int) + margin
+        low, high = bounds(maps)
+        low = np.floor(low).astype(int) - margin
+        high = np.ceil(high).astype(int) + margin
         low = np.clip(low, 0, (columns - 1, rows - 1))
         high = np.clip(high, low + 1, (columns, rows))
         part = cv2.cvtColor(image[low[1] : high[1], low[0] : high[0]], cv2.COLOR_BGR2GRAY)

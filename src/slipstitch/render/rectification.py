@@ -122,10 +122,11 @@ def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndar
     if not inside.any():
         return np.zeros((pixels, pixels, 3), np.uint8), 0.0
     # Only the part of the image that is used is turned into linear light.
-    low = np.maximum(np.floor(place[inside].min(axis=0)).astype(int) - 2, 0)
-    high = np.ceil(place[inside].max(axis=0)).astype(int) + 3
+    low, high = bounds(place[inside])
+    low = np.maximum(np.floor(low).astype(int) - 2, 0)
+    high = np.ceil(high).astype(int) + 3
     part = LINEAR[image[low[1] : high[1], low[0] : high[0]]]
-    known = np.isfinite(place).all(axis=-1)
+    known = np.isfinite(place[..., 0]) & np.isfinite(place[..., 1])
     at = np.where(known[..., None], np.nan_to_num(place) - low, -1e4).astype(np.float32)
     light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     light[~known] = 0
@@ -135,8 +136,19 @@ def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndar
 
 def in_image(place: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """Whether an image has these pixels (..., 2), bool of shape (...); not where they are NaN."""
+    x, y = place[..., 0], place[..., 1]
     with np.errstate(invalid="ignore"):
-        return ((place > -0.5) & (place < (columns - 0.5, rows - 0.5))).all(axis=-1)
+        return (x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)
+
+
+def bounds(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest x and y, shape (2,) each, of pixels (..., 2).
+
+    One coordinate at a time: over all axes but a last one of length 2, NumPy takes 30 times
+    as long.
+    """
+    x, y = place[..., 0], place[..., 1]
+    return np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
 
 
 def _rays_per_side(lens: LensCamera, crop: Camera, surface: Surface) -> int:
