@@ -399,8 +399,8 @@ def _backwards(folder):
     [
         (_text, "a text file, not a video"),
         (_playlist, "a text file, not a video"),
-        (_noise, "not a video that OpenCV can read"),
-        (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
+        (_noise, "not a video that FFmpeg can read"),
+        (_truncated, "not a video that FFmpeg can read (damaged or truncated?)"),
         (_truncated_stream, "ends after"),
         (_empty, "empty, not a video"),
         (_ten_frames, "no start of the stage's motion found"),

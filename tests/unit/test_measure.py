@@ -183,7 +183,7 @@ def _portrait(bench, path):
     ("make", "problem"),
     [
         (_text, "a text file, not a video"),
-        (_truncated, "not a video that OpenCV can read (damaged or truncated?)"),
+        (_truncated, "not a video that FFmpeg can read (damaged or truncated?)"),
         (_ten_frames, "if it does, give the start (--start-s, or start_s in a captures table)"),
         (
             _portrait,

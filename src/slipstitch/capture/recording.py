@@ -1,16 +1,13 @@
 """Reading a video frame by frame, with its timestamps and without trusting its header."""
 
+import functools
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-# A broken file is answered with one line of ours, and a play list must not lead to other files or
-# to the network; set before FFmpeg is first used.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
-
-import cv2
+import av
 import numpy as np
 
 from slipstitch.errors import BadInput
@@ -19,7 +16,7 @@ _FIRST_BYTES = 4096
 
 
 class Moment:
-    """A frame that was decoded but not yet converted; good until the next one is asked for.
+    """A frame of a video, not yet converted.
 
     Attributes
     ----------
@@ -29,13 +26,43 @@ class Moment:
         Since the first frame.
     """
 
-    def __init__(self, video: cv2.VideoCapture, number: int, time_s: float, size: tuple[int, int]):
-        self._video, self.number, self.time_s, self._size = video, number, time_s, size
+    def __init__(
+        self, number: int, time_s: float, frame: av.VideoFrame | None, size_px: tuple[int, int]
+    ):
+        self.number, self.time_s, self._frame = number, time_s, frame
+        if frame is not None and (frame.width, frame.height) != size_px:
+            self._frame = None
+
+    @property
+    def has_image(self) -> bool:
+        """False for a frame that is damaged, or was not decoded because nobody needs it."""
+        return self._frame is not None
 
     def image(self) -> np.ndarray | None:
-        """The frame (rows, columns, 3) uint8, blue first; None if it is damaged."""
-        good, image = self._video.retrieve()
-        return image if good and image.shape[1::-1] == self._size else None
+        """The frame (rows, columns, 3) uint8, blue first; None if it has no image."""
+        return self._frame and self._frame.to_ndarray(format="bgr24")
+
+
+@dataclass(frozen=True)
+class FrameIndex:
+    """The frames of a video as its container lists them, by number.
+
+    Attributes
+    ----------
+    time_s : ndarray (n,)
+        Since the first frame.
+    is_entry : ndarray (n,) bool
+        Whether no other frame is needed to decode this one, and none before it for later ones.
+    timestamp : ndarray (n,) int
+        In the stream's unit.
+    packet_number : ndarray (n,) int
+        The frames' numbers in the order of the packets.
+    """
+
+    time_s: np.ndarray
+    is_entry: np.ndarray
+    timestamp: np.ndarray
+    packet_number: np.ndarray
 
 
 class Recording:
@@ -70,57 +97,191 @@ class Recording:
         # FFmpeg would draw the letters of a text file, or follow a playlist to other places.
         if not first or _is_text(first):
             raise BadInput(f"{path}: {'a text file' if first else 'empty'}, not a video")
-        video = self._open()
-        good, image = video.read()
-        self.frames_claimed = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        video.release()
-        if not good:
-            raise BadInput(f"{path}: not a video that OpenCV can read (damaged or truncated?)")
-        self.size_px: tuple[int, int] = (image.shape[1], image.shape[0])
+        with self._open() as video:
+            frame = next(_all_frames(video), None)
+            if frame is None:
+                raise self._unreadable()
+            self.size_px: tuple[int, int] = (frame.width, frame.height)
+            self.frames_claimed = _frames_claimed(video.streams.video[0])
 
-    def _open(self) -> cv2.VideoCapture:
+    def _unreadable(self) -> BadInput:
+        return BadInput(f"{self.path}: not a video that FFmpeg can read (damaged or truncated?)")
+
+    def _open(self) -> av.container.InputContainer:
         name = str(self.path.resolve())
         try:
             name.encode()
         except UnicodeEncodeError:
-            raise BadInput(f"{self.path}: the name is not text; OpenCV cannot open it") from None
-        level = cv2.getLogLevel()
-        cv2.setLogLevel(0)
+            raise BadInput(f"{self.path}: the name is not text; FFmpeg cannot open it") from None
         try:
-            video = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
-        finally:
-            cv2.setLogLevel(level)
-        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+            # A play list must not lead to other files or to the network.
+            only_files = {"protocol_whitelist": "file"}
+            video = av.open(name, options=only_files, metadata_errors="ignore")
+        except (av.FFmpegError, ValueError):
+            raise self._unreadable() from None
+        if not video.streams.video:
+            video.close()
+            raise self._unreadable()
+        video.streams.video[0].thread_type = "AUTO"
         return video
 
-    def moments(self) -> Iterator[Moment]:
+    @functools.cached_property
+    def index(self) -> FrameIndex | None:
+        """The frames, known without decoding them; None if the container does not list them."""
+        timestamps, keys = [], []
+        with self._open() as video:
+            for packet in _packets(video):
+                if packet.pts is None or packet.is_corrupt or packet.is_discard:
+                    return None
+                timestamps.append(packet.pts)
+                keys.append(packet.is_keyframe)
+            unit_s = float(video.streams.video[0].time_base)
+        stamp = np.array(timestamps, np.int64)
+        order = np.argsort(stamp)
+        if not len(stamp) or (np.diff(stamp[order]) == 0).any():
+            return None
+        number = np.empty(len(stamp), int)
+        number[order] = np.arange(len(stamp))
+        # In every packet before an entry there is an earlier frame, in all from it on a later one.
+        before = np.concatenate([[-1], np.maximum.accumulate(number)[:-1]])
+        after = np.minimum.accumulate(number[::-1])[::-1]
+        entry = np.array(keys) & (before < number) & (after >= number)
+        if not entry[0]:
+            return None
+        is_entry = np.zeros(len(stamp), bool)
+        is_entry[number[entry]] = True
+        time_s = (stamp[order] - stamp[order[0]]) * unit_s
+        if self.frame_rate_hz:
+            time_s = np.arange(len(stamp)) / self.frame_rate_hz
+        return FrameIndex(time_s, is_entry, stamp[order], number)
+
+    def moments(self, needed: Collection[int] | None = None) -> Iterator[Moment]:
         """Every frame in turn; frames whose time does not advance are left out.
+
+        Parameters
+        ----------
+        needed : collection of int, optional
+            Numbers of frames in `index` that are to have images; others may have none, which saves
+            the decoding of all that comes between two entries and is not needed. By default all.
 
         Raises
         ------
         BadInput
             If the file gives no times and no frame rate was stated.
         """
-        video = self._open()
-        try:
-            number, first, last = 0, None, -math.inf
-            while video.grab():
-                if self.frame_rate_hz:
-                    time_s = number / self.frame_rate_hz
-                else:
-                    time_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                first = time_s if first is None else first
-                if time_s > last:
-                    last = time_s
-                    yield Moment(video, number, time_s - first, self.size_px)
-                elif number == 25 and last <= first:
-                    raise BadInput(
-                        f"{self.path}: its frames have no timestamps; give the frame rate of the "
-                        "camera"
-                    )
+        with self._open() as video:
+            if needed is None:
+                yield from self._all_moments(video)
+            else:
+                yield from self._indexed_moments(video, needed)
+
+    def _all_moments(self, video: av.container.InputContainer) -> Iterator[Moment]:
+        first, last = None, -math.inf
+        unit_s = float(video.streams.video[0].time_base)
+        for number, frame in enumerate(_all_frames(video)):
+            stamp = frame.dts if frame.pts is None else frame.pts
+            time_s = (stamp or 0) * unit_s
+            if self.frame_rate_hz:
+                time_s = number / self.frame_rate_hz
+            first = time_s if first is None else first
+            if time_s > last:
+                last = time_s
+                yield Moment(number, time_s - first, frame, self.size_px)
+            elif number == 25 and last <= first:
+                raise BadInput(
+                    f"{self.path}: its frames have no timestamps; give the frame rate of the camera"
+                )
+
+    def _indexed_moments(
+        self, video: av.container.InputContainer, needed: Collection[int]
+    ) -> Iterator[Moment]:
+        index = self.index
+        number_of = {int(stamp): number for number, stamp in enumerate(index.timestamp)}
+        wanted = np.zeros(len(index.time_s), bool)
+        wanted[list(needed)] = True
+        fed = _packets_to_decode(index, wanted)
+        number = 0
+
+        def moment(frame: av.VideoFrame | None) -> Moment:
+            return Moment(number, float(index.time_s[number]), frame, self.size_px)
+
+        for frame in _fed_frames(video, fed):
+            at = number_of.get(frame.pts, -1)
+            while number < at:
+                yield moment(None)
                 number += 1
-        finally:
-            video.release()
+            if number == at:
+                yield moment(frame)
+                number += 1
+        while number < len(index.time_s):
+            yield moment(None)
+            number += 1
+
+
+def _packets_to_decode(index: FrameIndex, wanted: np.ndarray) -> np.ndarray:
+    """Which packets are to be decoded for the frames wanted (both bool, shape (n,)).
+
+    From the entry before a frame up to the frame: a frame's packet comes after those of the frames
+    that it rests on.
+    """
+    starts = np.flatnonzero(index.is_entry[index.packet_number])
+    fed = np.zeros(len(wanted), bool)
+    for start, stop in zip(starts, [*starts[1:], len(wanted)], strict=True):
+        of_group = np.flatnonzero(wanted[index.packet_number[start:stop]])
+        if len(of_group):
+            fed[start : start + of_group[-1] + 1] = True
+    return fed
+
+
+def _fed_frames(video: av.container.InputContainer, fed: np.ndarray) -> Iterator[av.VideoFrame]:
+    """Frames of the packets for which `fed` (n,) is true."""
+    decoder = video.streams.video[0].codec_context
+    waiting = False
+    for packet, feed in zip(_packets(video), fed, strict=False):
+        if feed:
+            waiting = True
+            yield from _frames(decoder, packet)
+        elif waiting:
+            waiting = False
+            yield from _frames(decoder, None)
+            decoder.flush_buffers()
+    yield from _frames(decoder, None)
+
+
+def _all_frames(video: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    decoder = video.streams.video[0].codec_context
+    for packet in _packets(video):
+        yield from _frames(decoder, packet)
+    yield from _frames(decoder, None)
+
+
+def _packets(video: av.container.InputContainer) -> Iterator[av.Packet]:
+    """Those of the video stream, up to the file's end or to where it can no longer be read."""
+    try:
+        for packet in video.demux(video.streams.video[0]):
+            if packet.size:  # the last one, which PyAV adds, is empty
+                yield packet
+    except av.FFmpegError:
+        return
+
+
+def _frames(
+    decoder: av.video.codeccontext.VideoCodecContext, packet: av.Packet | None
+) -> list[av.VideoFrame]:
+    """What the decoder has after a packet, or after the last one (None); nothing if damaged."""
+    try:
+        return decoder.decode(packet)
+    except av.FFmpegError:
+        return []
+
+
+def _frames_claimed(stream: av.video.stream.VideoStream) -> int:
+    if stream.frames:
+        return stream.frames
+    length_s = float(stream.duration * stream.time_base) if stream.duration else 0.0
+    if not length_s and stream.container.duration:
+        length_s = stream.container.duration / av.time_base
+    return round(length_s * float(stream.average_rate or 0))
 
 
 def _is_text(content: bytes) -> bool:

@@ -20,6 +20,8 @@ from slipstitch.render.rectification import bounds, in_stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0
+# So much of it may lie between two frames, if that saves decoding.
+_EARLIEST, _LATEST = 0.7, 1.5
 # The part of the stage plane that is followed: around the cloth's upper edge, on a grid this fine.
 _HALF_WIDTH_M = SIDE_M / 2 + 0.015
 _ABOVE_M, _BELOW_M = 0.010, 0.026
@@ -30,7 +32,7 @@ _KNOT_M = 0.02
 _REACH_M, _REACH_RATE = 0.012, 0.08
 _RATES = np.arange(0.93, 1.0701, 0.0005)
 # The template is taken where the stage rests between drop and drag, give or take this.
-_REST_S = 0.35
+_REST_S, _REST_FRAMES = 0.35, 3
 # A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans
 # and is little like its edge at rest: that the places follow a path says more than likeness.
 _LEAST_LIKENESS = 0.2
@@ -115,9 +117,35 @@ class StageFollower:
         if rest_s < -_REST_S:
             return False
         if abs(rest_s) <= _REST_S:
-            return len(self._rest) < 3
+            return len(self._rest) < _REST_FRAMES
         last_s = self._seen[-1][0] if self._seen else -np.inf
         return bool(self._rest) and time_s - last_s >= INTERVAL_S - 1e-3
+
+    def choose(self, time_s: np.ndarray, is_entry: np.ndarray) -> list[int]:
+        """Which of a film's frames to add, where all their times are known: few to be decoded.
+
+        Parameters
+        ----------
+        time_s : ndarray (n,)
+            From the start.
+        is_entry : ndarray (n,) bool
+            Whether a frame can be decoded without those before it: such a one is taken in place of
+            the frame that is due, if it is near.
+        """
+        rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= _REST_S)
+        chosen = list(map(int, rest[:_REST_FRAMES]))
+        if not chosen:
+            return []
+        last_s, entries = float(time_s[rest[-1]]), np.flatnonzero(is_entry)
+        while (due := int(np.searchsorted(time_s, last_s + INTERVAL_S - 1e-3))) < len(time_s):
+            entry = np.searchsorted(time_s[entries], last_s + _EARLIEST * INTERVAL_S)
+            if entry < len(entries) and time_s[entries[entry]] < last_s + _LATEST * INTERVAL_S:
+                due = int(entries[entry])
+            last_s = float(time_s[due])
+            if last_s > self._path.duration_s:
+                break
+            chosen.append(due)
+        return chosen
 
     def add(self, time_s: float, image: np.ndarray) -> None:
         """Look for the edge in a frame (rows, columns, 3) uint8 at a time from the start."""

@@ -1,7 +1,7 @@
 """From a video of the bench to the input frames of a network."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -124,10 +124,13 @@ def read_stage_video(
     else:
         found = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
         start = _checked_start(path, found)
-    follower = None
-    if schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
-        follower = StageFollower(lens, schedule.crop(0.0), schedule.path)
-    chosen, intervals = _choose(recording, schedule.time_s, start.time_s, follower)
+    followed = schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S
+    chosen, intervals, follower = _choose(
+        recording,
+        schedule.time_s,
+        start.time_s,
+        lambda: StageFollower(lens, schedule.crop(0.0), schedule.path) if followed else None,
+    )
     time_base = follower.time_base() if follower else None
     if follower and (still_s := follower.still_from_s(time_base)) is not None:
         raise BadInput(
@@ -136,7 +139,7 @@ def read_stage_video(
         )
     rate = _checked_rate(path, time_base)
     if rate != 1.0:
-        chosen, intervals = _choose(recording, schedule.time_s / rate, start.time_s)
+        chosen, intervals, _ = _choose(recording, schedule.time_s / rate, start.time_s)
     frames, inside, time_s = [], [], []
     for moment_s, image in chosen:
         at_s = rate * (moment_s - start.time_s)
@@ -301,25 +304,53 @@ def _choose(
     recording: Recording,
     protocol_s: np.ndarray,
     start_s: float,
-    follower: StageFollower | None = None,
-) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
+    new_follower: Callable[[], StageFollower | None] = lambda: None,
+) -> tuple[list[tuple[float, np.ndarray]], np.ndarray, StageFollower | None]:
     """The frame nearest to each wanted time, and the times between frames from the start on.
 
-    A follower is shown the frames that it wants on the way.
+    A follower is shown the frames that it wants on the way. Only what these need is decoded, where
+    the container lists its frames and all of them turn out to be sound.
     """
     wanted_s = start_s + protocol_s
+    follower, index = new_follower(), recording.index
+    if index is not None:
+        nearest = [int(np.abs(index.time_s - one_s).argmin()) for one_s in wanted_s]
+        shown = follower.choose(index.time_s - start_s, index.is_entry) if follower else []
+        try:
+            return *_chosen(recording, wanted_s, start_s, follower, nearest, shown), follower
+        except _DamagedFrameError:
+            follower = new_follower()
+    return *_chosen(recording, wanted_s, start_s, follower), follower
+
+
+class _DamagedFrameError(Exception):
+    """A frame that the container lists has no image."""
+
+
+def _chosen(
+    recording: Recording,
+    wanted_s: np.ndarray,
+    start_s: float,
+    follower: StageFollower | None,
+    nearest: Sequence[int] = (),
+    shown: Sequence[int] = (),
+) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
+    """As `_choose`; of all frames, or of those alone whose numbers are known."""
+    needed = {*nearest, *shown} if nearest else None
     chosen: list[tuple[float, np.ndarray]] = []
     best: tuple[float, np.ndarray] | None = None
     last_s, intervals = None, []
-    for moment in recording.moments():
+    for moment in recording.moments(needed):
         now_s = moment.time_s
         if last_s is not None and now_s >= start_s:
             intervals.append(now_s - last_s)
         last_s = now_s
-        if follower and follower.wants(now_s - start_s):
-            image = moment.image()
-            if image is not None:
-                follower.add(now_s - start_s, image)
+        if needed and moment.number in needed and not moment.has_image:
+            raise _DamagedFrameError
+        if follower and moment.has_image:
+            at_s = now_s - start_s
+            if moment.number in shown if needed else follower.wants(at_s):
+                follower.add(at_s, moment.image())
         while len(chosen) < len(wanted_s):
             target_s = wanted_s[len(chosen)]
             near_s = np.inf if best is None else abs(best[0] - target_s)
@@ -336,9 +367,12 @@ def _choose(
             break
         left_s = wanted_s[len(chosen)] - now_s
         # The nearer the wanted time, the more frames are converted, every one in the end.
-        if left_s < _LARGEST_GAP_S and (best is None or now_s - best[0] >= left_s / 4):
-            image = moment.image()
-            best = best if image is None else (now_s, image)
+        if (
+            moment.has_image
+            and left_s < _LARGEST_GAP_S
+            and (best is None or now_s - best[0] >= left_s / 4)
+        ):
+            best = (now_s, moment.image())
     while best and len(chosen) < len(wanted_s) and wanted_s[len(chosen)] - best[0] <= _NEAR_S:
         chosen.append(best)
     if len(chosen) < len(wanted_s):
