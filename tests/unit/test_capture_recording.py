@@ -6,6 +6,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from av.video.reformatter import ColorRange, Colorspace
 from support import analytic_stage as stage
 
 from slipstitch.capture.recording import Recording
@@ -73,6 +74,29 @@ def test_the_pixels_are_those_that_opencv_reads(tmp_path):
         good, image = other.read()
         assert good
         np.testing.assert_array_equal(moment.image(), image)
+
+
+@pytest.mark.parametrize("full_range", [False, True])
+@pytest.mark.parametrize("standard", [Colorspace.ITU709, Colorspace.ITU601])
+def test_colours_are_those_filmed_by_the_standard_that_the_file_names(
+    tmp_path, standard, full_range
+):
+    """Telephones write BT.709; read by BT.601, a green of 180 would be 203."""
+    filmed = np.repeat([[[200, 60, 40], [40, 180, 60], [50, 60, 200]]], 32, axis=1)
+    image = np.repeat(filmed, 64, axis=0).astype(np.uint8)
+    shades = ColorRange.JPEG if full_range else ColorRange.MPEG
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"crf": "5"})
+        stream.height, stream.width, stream.pix_fmt = *image.shape[:2], "yuv420p"
+        stream.codec_context.colorspace, stream.codec_context.color_range = standard, shades
+        frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(
+            format="yuv420p", dst_colorspace=standard, dst_color_range=shades
+        )
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    read = next(Recording(path).moments()).image()[..., ::-1].astype(int)
+    assert np.abs(read[32, [16, 48, 80]] - image[32, [16, 48, 80]]).max() <= 3
 
 
 def test_a_stated_frame_rate_counts_in_place_of_the_files_times(tmp_path):
