@@ -371,6 +371,27 @@ def found_places(root):
     return _table([*head.split("|"), "from the places in its simulation"], rows)
 
 
+def edge_bands(root):
+    """Mean errors of the shipped instrument in ginghams that differ by one thing each."""
+    names = {
+        "gingham": "white and green gingham, the lower edge in a white band",
+        "shifted_half_a_band": "shifted by half a band, the lower edge in half a green one",
+        "colours_exchanged": "white and green exchanged, the lower edge in a green band",
+        "turned_45": "turned by 45°",
+        "half_as_large": "half as large, the lower edge in a white band",
+        "plain_white": "plain white",
+        "plain_grey": "plain grey",
+        "plain_black": "plain black",
+    }
+    textures = _read(root, "camera/edge_bands.json")["textures"]
+    frictions = sorted(textures["gingham"], key=float)
+    rows = [
+        [words, *(f"{textures[name][friction]['mean_error']:+.3f}" for friction in frictions)]
+        for name, words in names.items()
+    ]
+    return _table(["mean error of μ at", *(f"{float(one):g}" for one in frictions)], rows)
+
+
 def hidden_effect(root):
     """A camera's readings under the surrogate case's effect, before and after it is found."""
     found = _read(root, "camera/hidden_effect.json")
@@ -631,6 +652,7 @@ TABLES = {
     "paper_sides": paper_sides,
     "surrogate_places": surrogate_places,
     "found_places": found_places,
+    "edge_bands": edge_bands,
     "hidden_effect": hidden_effect,
     "memory": memory,
 }

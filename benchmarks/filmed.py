@@ -45,6 +45,7 @@ class FilmedSet:
     simulated_as: str = ""  # the set whose simulations these are, filmed by other cameras
     yaw_deg: tuple = (0.0, 180.0)  # only cameras turned by so much, either way
     cameras: int = len(VIEWPOINTS)
+    textures: tuple = ()  # others than `TEXTURES` and `UNSEEN_TEXTURE`
 
 
 def film(sets, folder, processes):
@@ -58,8 +59,8 @@ def film(sets, folder, processes):
         changes = deepcopy(one.changes)
         shown = {
             "viewpoints": VIEWPOINTS,
-            "textures": TEXTURES,
-            "test_textures": [UNSEEN_TEXTURE],
+            "textures": list(one.textures) or TEXTURES,
+            "test_textures": [] if one.textures else [UNSEEN_TEXTURE],
             "interpolation": {"share": 0.0},
         }
         changes.setdefault("render", {}).update(shown)
