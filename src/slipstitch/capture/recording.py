@@ -40,7 +40,9 @@ class Moment:
 
     def image(self) -> np.ndarray | None:
         """The frame (rows, columns, 3) uint8, blue first; None if it has no image."""
-        return self._frame and self._frame.to_ndarray(format="bgr24")
+        if self._frame is None:
+            return None
+        return np.asarray(self._frame.to_ndarray(format="bgr24"))
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class Recording:
             if frame is None:
                 raise self._unreadable()
             self.size_px: tuple[int, int] = (frame.width, frame.height)
-            self.frames_claimed = _frames_claimed(video.streams.video[0])
+            self.frames_claimed = _frames_claimed(video)
 
     def _unreadable(self) -> BadInput:
         return BadInput(f"{self.path}: not a video that FFmpeg can read (damaged or truncated?)")
@@ -135,10 +137,10 @@ class Recording:
                     return None
                 timestamps.append(packet.pts)
                 keys.append(packet.is_keyframe)
-            unit_s = float(video.streams.video[0].time_base)
+            unit_s = _unit_s(video.streams.video[0])
         stamp = np.array(timestamps, np.int64)
         order = np.argsort(stamp)
-        if not len(stamp) or (np.diff(stamp[order]) == 0).any():
+        if not len(stamp) or not unit_s or (np.diff(stamp[order]) == 0).any():
             return None
         number = np.empty(len(stamp), int)
         number[order] = np.arange(len(stamp))
@@ -170,14 +172,14 @@ class Recording:
             If the file gives no times and no frame rate was stated.
         """
         with self._open() as video:
-            if needed is None:
+            if needed is None or self.index is None:
                 yield from self._all_moments(video)
             else:
-                yield from self._indexed_moments(video, needed)
+                yield from self._indexed_moments(video, self.index, needed)
 
     def _all_moments(self, video: av.container.InputContainer) -> Iterator[Moment]:
         first, last = None, -math.inf
-        unit_s = float(video.streams.video[0].time_base)
+        unit_s = _unit_s(video.streams.video[0])
         for number, frame in enumerate(_all_frames(video)):
             stamp = frame.dts if frame.pts is None else frame.pts
             time_s = (stamp or 0) * unit_s
@@ -193,11 +195,10 @@ class Recording:
                 )
 
     def _indexed_moments(
-        self, video: av.container.InputContainer, needed: Collection[int]
+        self, video: av.container.InputContainer, index: FrameIndex, needed: Collection[int]
     ) -> Iterator[Moment]:
-        index = self.index
         number_of = {int(stamp): number for number, stamp in enumerate(index.timestamp)}
-        wanted = np.zeros(len(index.time_s), bool)
+        wanted = np.zeros(len(index.time_s), np.bool_)
         wanted[list(needed)] = True
         fed = _packets_to_decode(index, wanted)
         number = 0
@@ -206,7 +207,7 @@ class Recording:
             return Moment(number, float(index.time_s[number]), frame, self.size_px)
 
         for frame in _fed_frames(video, fed):
-            at = number_of.get(frame.pts, -1)
+            at = -1 if frame.pts is None else number_of.get(frame.pts, -1)
             while number < at:
                 yield moment(None)
                 number += 1
@@ -275,12 +276,16 @@ def _frames(
         return []
 
 
-def _frames_claimed(stream: av.video.stream.VideoStream) -> int:
+def _unit_s(stream: av.video.stream.VideoStream) -> float:
+    """What one unit of the stream's timestamps is in seconds; 0 where the file does not say."""
+    return float(stream.time_base or 0)
+
+
+def _frames_claimed(video: av.container.InputContainer) -> int:
+    stream = video.streams.video[0]
     if stream.frames:
         return stream.frames
-    length_s = float(stream.duration * stream.time_base) if stream.duration else 0.0
-    if not length_s and stream.container.duration:
-        length_s = stream.container.duration / av.time_base
+    length_s = (stream.duration or 0) * _unit_s(stream) or (video.duration or 0) / av.time_base
     return round(length_s * float(stream.average_rate or 0))
 
 

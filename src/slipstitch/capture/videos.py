@@ -349,8 +349,10 @@ def _chosen(
             raise _DamagedFrameError
         if follower and moment.has_image:
             at_s = now_s - start_s
-            if moment.number in shown if needed else follower.wants(at_s):
-                follower.add(at_s, moment.image())
+            is_shown = moment.number in shown if needed else follower.wants(at_s)
+            image = moment.image() if is_shown else None
+            if image is not None:
+                follower.add(at_s, image)
         while len(chosen) < len(wanted_s):
             target_s = wanted_s[len(chosen)]
             near_s = np.inf if best is None else abs(best[0] - target_s)
@@ -367,12 +369,9 @@ def _chosen(
             break
         left_s = wanted_s[len(chosen)] - now_s
         # The nearer the wanted time, the more frames are converted, every one in the end.
-        if (
-            moment.has_image
-            and left_s < _LARGEST_GAP_S
-            and (best is None or now_s - best[0] >= left_s / 4)
-        ):
-            best = (now_s, moment.image())
+        if left_s < _LARGEST_GAP_S and (best is None or now_s - best[0] >= left_s / 4):
+            image = moment.image()
+            best = best if image is None else (now_s, image)
     while best and len(chosen) < len(wanted_s) and wanted_s[len(chosen)] - best[0] <= _NEAR_S:
         chosen.append(best)
     if len(chosen) < len(wanted_s):
