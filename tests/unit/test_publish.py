@@ -14,7 +14,7 @@ from support import synthetic_results
 from slipstitch.audit.published import audit_published
 from slipstitch.audit.scored import SCORES
 from slipstitch.cli.main import main
-from slipstitch.config import write_config
+from slipstitch.config import load_config, write_config
 from slipstitch.config.grid import simulations
 from slipstitch.errors import BadInput
 from slipstitch.provenance import (
@@ -352,6 +352,32 @@ def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
     origin = json.loads((out / "origin.json").read_text())
     assert set(origin) == set(json.loads(kept["origin.json"]))
     assert audit_published(out).findings == found
+
+
+def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, tmp_path):
+    other = f"bench/{run.name}/sample"  # beside the run's results
+    instrument = CONFIG.instrument.model_copy(update={"calibration_datasets": [other]})
+    config = CONFIG.model_copy(update={"instrument": instrument})
+    shutil.copytree(run, tmp_path / run.name)
+    out, place = tmp_path / "out", tmp_path / "out" / "calibration_datasets" / "0"
+    with contextlib.chdir(tmp_path):
+        publish(CONFIG, run.name, out)
+        with pytest.raises(BadInput, match=r"calibration_datasets/0/manifest\.parquet is missing"):
+            publish(config, run.name, out, update=True)
+        shutil.copytree(run, tmp_path / "bench" / run.name)
+        # It may be added to what is published: all else stays as it was.
+        index = publish(config, run.name, out, update=True)
+    assert not index["partial"]
+    assert load_config(out / "config.json").instrument.calibration_datasets == [other]
+    own = json.loads((out / "dataset" / "digests.json").read_text())
+    assert json.loads((place / "digests.json").read_text()) == own
+    assert file_digest(place / "manifest.parquet") == file_digest(run / "sample/manifest.parquet")
+    lineage = json.loads((place / "lineage.json").read_text())
+    assert {f"{run.name}/sample/{name}" for name in own["files"]} <= set(lineage)
+    shutil.rmtree(tmp_path / "bench")
+    with contextlib.chdir(tmp_path):
+        assert not publish(config, run.name, out, update=True)["partial"]
+    assert (place / "manifest.parquet").is_file()
 
 
 def test_an_update_of_another_run_is_refused(run, tmp_path):

@@ -20,7 +20,8 @@ from slipstitch.sample.manifest import MANIFEST, read_manifest
 
 #: Of a folder that `slipstitch publish` wrote.
 INDEX = "published.json"
-_DIGESTS, _LINEAGE = "dataset/digests.json", "dataset/lineage.json"
+_DATASET, _FURTHER = "dataset", "calibration_datasets"
+_DIGESTS, _LINEAGE = f"{_DATASET}/digests.json", f"{_DATASET}/lineage.json"
 _SIMULATED, _TRAINED, _AVERAGED = "/simulate/", "/train/", "/instrument/"
 
 
@@ -124,8 +125,8 @@ class _Published:
     def audit(self) -> PublishedAudit:
         self.check_files()
         self.check_scores()
-        shards = self.check_dataset()
-        lineage = {name: _mapping(inputs) for name, inputs in self.json(_LINEAGE).items()}
+        shards = self.check_dataset(_DATASET)
+        lineage = self.lineage(_DATASET)
         chains = [
             self.chain(name, shards, lineage)
             for name in self.digests
@@ -187,24 +188,38 @@ class _Published:
             if unsaid := [one for one in unscored if SCORES_OF + one not in self.missing]:
                 self.find(Kind.BROKEN, name, f"has no scores of {and_more(unsaid)}")
 
-    def check_dataset(self) -> dict[str, str]:
+    def check_dataset(self, place: str) -> dict[str, str]:
         """Digest of each file of images, by its name, as three files agree on it."""
-        noted = self.json(_DIGESTS)
+        digests = f"{place}/digests.json"
+        noted = self.json(digests)
         shards = _mapping(noted.get("files"))
-        name = f"dataset/{MANIFEST}"
+        name = f"{place}/{MANIFEST}"
         if name not in self.digests:
             return shards
         try:
-            _, digest = read_manifest(self.folder / "dataset")
+            _, digest = read_manifest(self.folder / place)
             record = _mapping(read_metadata(self.folder / name).get("provenance"))
         except (BadInput, ValueError) as problem:
             self.find(Kind.BROKEN, name, first_line(problem))
             return shards
         if digest != noted.get("digest"):
-            self.find(Kind.BROKEN, _DIGESTS, f"is of another dataset than {name}")
+            self.find(Kind.BROKEN, digests, f"is of another dataset than {name}")
         if _by_file(record) != shards:
-            self.find(Kind.BROKEN, _DIGESTS, f"names other files of images than {name}")
+            self.find(Kind.BROKEN, digests, f"names other files of images than {name}")
         return shards
+
+    def lineage(self, place: str) -> dict[str, dict[str, str]]:
+        """What the files of images and everything behind them were made from."""
+        noted = self.json(f"{place}/lineage.json")
+        return {name: _mapping(inputs) for name, inputs in noted.items()}
+
+    def further(self) -> dict[str, str]:
+        """Where datasets that calibrate besides are published -> digest of their manifest."""
+        return {
+            name.removesuffix(f"/{MANIFEST}"): digest
+            for name, digest in self.digests.items()
+            if name.startswith(f"{_FURTHER}/") and name.endswith(f"/{MANIFEST}")
+        }
 
     def chain(
         self, weights: str, shards: dict[str, str], lineage: dict[str, dict[str, str]]
@@ -218,6 +233,7 @@ class _Published:
             self.find(Kind.BROKEN, weights, "has no record of what it was trained on")
         trained_on: dict[str, str] = {}
         others = []
+        besides = {place for place, digest in self.further().items() if digest in inputs.values()}
         for path, digest in sorted(inputs.items()):
             name = Path(path).name
             if _AVERAGED in path:  # one of the instruments of which this one is the average
@@ -232,8 +248,10 @@ class _Published:
                 }
             elif _TRAINED in path:  # the network that tells this one the fabric
                 known = self.digests.get(f"models/{path.rpartition(_TRAINED)[2]}")
+            elif name == MANIFEST and digest in self.further().values():
+                known = digest
             elif name == MANIFEST:
-                known = self.digests.get(f"dataset/{name}")
+                known = self.digests.get(f"{_DATASET}/{name}")
             else:
                 known, trained_on[name] = shards.get(name), digest
             if digest != known:
@@ -243,29 +261,44 @@ class _Published:
             self.find(Kind.BROKEN, weights, what)
         if card.get("dataset_digest") != self.json(_DIGESTS).get("digest"):
             self.find(Kind.BROKEN, weights, "trained on another dataset than the published one")
+        behind = self.behind(set(trained_on), lineage, _LINEAGE) if lineage else {}
+        noted = card.get("calibration_datasets", [])
+        calibrated_on = {
+            _mapping(one).get("digest") for one in (noted if isinstance(noted, list) else [{}])
+        }
+        if calibrated_on != {self.json(f"{place}/digests.json").get("digest") for place in besides}:
+            self.find(Kind.BROKEN, weights, "calibrated on another dataset than the published one")
+        for place in sorted(besides):
+            shards = self.check_dataset(place)
+            trained_on |= {f"{place}/{name}": digest for name, digest in shards.items()}
+            if lineage := self.lineage(place):
+                found = self.behind(set(shards), lineage, f"{place}/lineage.json")
+                behind |= {f"{place}/{name}": digest for name, digest in found.items()}
         return Chain(
             weights,
             self.digests[weights],
             self.digests[weights] == file_digest(SHIPPED / "instrument.safetensors"),
             trained_on,
-            self.behind(set(trained_on), lineage) if lineage else {},
+            behind,
         )
 
-    def behind(self, shards: set[str], lineage: dict[str, dict[str, str]]) -> dict[str, str]:
+    def behind(
+        self, shards: set[str], lineage: dict[str, dict[str, str]], where: str
+    ) -> dict[str, str]:
         waiting = [name for name in lineage if "/sample/" in name and Path(name).name in shards]
         if missing := shards - {Path(name).name for name in waiting}:
-            self.find(Kind.BROKEN, _LINEAGE, f"does not say what {min(missing)} was made from")
+            self.find(Kind.BROKEN, where, f"does not say what {min(missing)} was made from")
         for name in waiting:
             renders = [_mapping(lineage.get(render)) for render in lineage[name]]
             if not renders or not all(any(_SIMULATED in one for one in each) for each in renders):
-                self.find(Kind.BROKEN, _LINEAGE, f"does not lead from {name} to its simulation")
+                self.find(Kind.BROKEN, where, f"does not lead from {name} to its simulation")
         found: dict[str, str] = {}
         while waiting:
             for name, digest in lineage.get(waiting.pop(), {}).items():
                 if name not in found:
                     waiting.append(name)
                 if found.setdefault(name, digest) != digest:
-                    self.find(Kind.BROKEN, _LINEAGE, f"has two digests of {name}")
+                    self.find(Kind.BROKEN, where, f"has two digests of {name}")
         return found
 
     def notes(self, followed: bool) -> list[str]:

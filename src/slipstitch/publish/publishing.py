@@ -79,6 +79,14 @@ def finished_files(config: Config) -> dict[str, str]:
     return files
 
 
+def further_datasets(config: Config, results: Path) -> dict[str, Path]:
+    """Where datasets that calibrate an average besides are published -> their folders."""
+    return {
+        f"calibration_datasets/{number}": results.parent / folder
+        for number, folder in enumerate(config.instrument.calibration_datasets)
+    }
+
+
 def _model(folder: str, to: str, name: str) -> dict[str, str]:
     """Weights, card and training curve."""
     names = (f"{name}.safetensors", f"{name}.json", "history.csv")
@@ -125,18 +133,25 @@ def publish(
     found = Results(results, config)
     _check_target(Path(out), found.folder)
     wanted = finished_files(config)
+    further = further_datasets(config, found.folder)
     kept = _kept(config, found, Path(out)) if update else set()
     missing = sorted(
         name
         for name, to in wanted.items()
         if not (found.folder / name).is_file() and to not in kept
     )
-    if len(missing) == len(wanted):
+    missing += [
+        f"{place}/{MANIFEST}"
+        for place, sample in further.items()
+        if not (sample / MANIFEST).is_file() and f"{place}/{MANIFEST}" not in kept
+    ]
+    if not kept and not any((found.folder / name).is_file() for name in wanted):
         raise BadInput(f"{results}: nothing of a run in it")
     if missing and not partial:
         raise BadInput(
-            f"{results}: not finished: {missing[0]} is missing ({len(missing)} of {len(wanted)} "
-            "files); --partial publishes what is there, marked on every page"
+            f"{results}: not finished: {missing[0]} is missing ({len(missing)} of "
+            f"{len(wanted) + len(further)} files); --partial publishes what is there, marked on "
+            "every page"
         )
     there = {
         name: to
@@ -165,21 +180,11 @@ def publish(
             pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
         write_json(folder / "origin.json", dict(found.provenance()))
         if "sample/" + MANIFEST in there:
-            rows, digest = read_manifest(found.folder / "sample")
-            shards = {row["file"] for row in rows}
-            dataset = {
-                "digest": digest,
-                "videos": len(rows),
-                "images": sum(row["frames"] for row in rows),
-                "files": {
-                    file: file_digest(found.folder / "sample" / file)
-                    for file in sorted(shards)
-                    if (found.folder / "sample" / file).is_file()
-                },
-            }
-            write_json(folder / "dataset" / "digests.json", dataset)
-            if lineage := _lineage(found.folder.resolve(), shards):
-                write_json(folder / "dataset" / "lineage.json", lineage)
+            _describe_dataset(found.folder / "sample", folder / "dataset")
+        for place, sample in further.items():
+            if (sample / MANIFEST).is_file():
+                _describe_dataset(sample, folder / place)
+                _copy(sample / MANIFEST, folder / place / MANIFEST, [])
         if update:
             _keep(Path(out), folder, kept, there)
         index = {
@@ -200,7 +205,7 @@ def _kept(config: Config, results: Results, out: Path) -> set[str]:
     """What a folder published before keeps; BadInput if it is of another run."""
     if not (out / INDEX).is_file():
         raise BadInput(f"{out}: nothing published there to update: publish without --update")
-    if load_config(out / "config.json") != config:
+    if _of_run(load_config(out / "config.json")) != _of_run(config):
         raise BadInput(f"{out}: published with another configuration; publish without --update")
     manifest = results.folder / "sample" / MANIFEST
     before = out / "dataset" / MANIFEST
@@ -208,6 +213,12 @@ def _kept(config: Config, results: Results, out: Path) -> set[str]:
         raise BadInput(f"{out}: published of another dataset; publish without --update")
     own = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     return own - {INDEX, INDEX + SIDECAR_SUFFIX}
+
+
+def _of_run(config: Config) -> Config:
+    """The configuration but for what calibrates an average besides, which alters nothing else."""
+    instrument = config.instrument.model_copy(update={"calibration_datasets": []})
+    return config.model_copy(update={"instrument": instrument})
 
 
 def _keep(before: Path, folder: Path, kept: Iterable[str], there: Mapping[str, str]) -> None:
@@ -281,6 +292,24 @@ def _mapping(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not content:
         raise Damaged(path, "must be a mapping, and not empty")
     return content
+
+
+def _describe_dataset(sample: Path, folder: Path) -> None:
+    """Write the digests of a dataset's files, and of what they were made from."""
+    rows, digest = read_manifest(sample)
+    shards = {row["file"] for row in rows}
+    dataset = {
+        "digest": digest,
+        "videos": len(rows),
+        "images": sum(row["frames"] for row in rows),
+        "files": {
+            file: file_digest(sample / file) for file in sorted(shards) if (sample / file).is_file()
+        },
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "digests.json", dataset)
+    if lineage := _lineage(sample.resolve().parent, shards):
+        write_json(folder / "lineage.json", lineage)
 
 
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
