@@ -1,6 +1,6 @@
 """The measuring instrument: its network, error bars and alarm."""
 
-from slipstitch.config.trainable import check_instrument_can_train
+from slipstitch.config.trainable import check_calibration_datasets, check_instrument_can_train
 
 
 rule instrument:
@@ -40,7 +40,11 @@ rule instrument_one:
         mem_mb=job_memory_mb("instrument", CONFIG),
         runtime=job_runtime_min("instrument", CONFIG),
     params:
-        *settings("instrument", also=("sample.frames", "view_order"), instrument={"seeds"}),
+        *settings(
+            "instrument",
+            also=("sample.frames", "view_order"),
+            instrument={"seeds", "calibration_datasets"},
+        ),
         code=code_of("instrument"),
         config=CONFIG_FILE,
         folder=subpath(output.weights, parent=True),
@@ -60,6 +64,10 @@ rule instrument_ensemble:
             seed=CONFIG.instrument.seeds,
         ),
         dataset=rules.sample.input,
+        further=unless_refused(
+            check_calibration_datasets,
+            expand("{folder}/manifest.parquet", folder=CONFIG.instrument.calibration_datasets),
+        ),
     output:
         weights="results/instrument/{split}/ensemble/instrument.safetensors",
         card="results/instrument/{split}/ensemble/instrument.json",
@@ -77,9 +85,14 @@ rule instrument_ensemble:
         config=CONFIG_FILE,
         members=lambda wildcards, input: [os.path.dirname(name) for name in input.members],
         folder=subpath(output.weights, parent=True),
+        further=[
+            word
+            for folder in CONFIG.instrument.calibration_datasets
+            for word in ("--calibration-datasets", folder)
+        ],
     message:
         "Average the instruments of split {wildcards.split}"
     shell:
         "slipstitch instrument --config {params.config} --dataset results/sample"
-        " --split {wildcards.split} --members {params.members} --threads {threads}"
+        " --split {wildcards.split} --members {params.members} {params.further:q} --threads {threads}"
         " --out-dir {params.folder} > {log} 2>&1"

@@ -21,7 +21,8 @@ SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml
 
 def below(scale: str) -> list[Path]:
     """The files that a scale is merged over."""
-    others = {"config/instrument.yaml": ["config/paper.yaml"]}
+    instrument = ["config/paper.yaml", "config/instrument.yaml"]
+    others = {"config/instrument.yaml": instrument[:1], "config/error_bars.yaml": instrument}
     return [ROOT / name for name in ("config.yaml", *others.get(scale, ()))]
 
 
@@ -60,8 +61,9 @@ def test_paper_scale_perturbs_nothing():
 @pytest.mark.parametrize("scale", SCALES)
 def test_scales_hold_only_what_differs_from_the_default(scale):
     default = load_config(*below(scale)).model_dump(mode="json")
-    for section, keys in read_mapping(ROOT / scale).items():
-        for key, value in keys.items():
+    for section, values in read_mapping(ROOT / scale).items():
+        assert values != default[section], f"{section} is the default's"
+        for key, value in values.items() if isinstance(values, dict) else ():
             assert value != default[section][key], f"{section}.{key} is the default's"
 
 

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from slipstitch.instrument.alarm import SCORES, calibrated_alarm, describe, thumbnails
+from slipstitch.instrument.alarm import (
+    SCORES,
+    calibrated_alarm,
+    describe,
+    not_calibrated,
+    thumbnails,
+)
 
 SIDE, FRAMES = 36, 10
 
@@ -28,9 +34,8 @@ def alarm():
     embedding = random.normal(size=(120, 4))
     parts = describe(training, embedding)
     groups = [f"simulation {number // 2}" for number in range(80)]
-    return calibrated_alarm(
-        parts, held, random.normal(size=(80, 4)), random.normal(size=80), groups, 0.05
-    )
+    raw = not_calibrated(parts).raw(held, random.normal(size=(80, 4)), random.normal(size=80))
+    return calibrated_alarm(parts, raw, groups, 0.05)
 
 
 def share(alarm, videos, embedding=None, order=None):
@@ -91,7 +96,8 @@ def test_with_few_simulations_the_limit_is_their_strangest_video():
     random = np.random.default_rng(3)
     parts = describe(bars(random, 40), random.normal(size=(40, 4)))
     held, embedding, order = bars(random, 6), random.normal(size=(6, 4)), random.normal(size=6)
-    few = calibrated_alarm(parts, held, embedding, order, list("abcdef"), 0.05)
-    scores = few.scaled(few.raw(held, embedding, order))
+    raw = not_calibrated(parts).raw(held, embedding, order)
+    few = calibrated_alarm(parts, raw, list("abcdef"), 0.05)
+    scores = few.scaled(raw)
     assert scores.shape == (6, len(SCORES))
     assert few.threshold == scores.max()

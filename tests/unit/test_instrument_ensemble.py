@@ -16,9 +16,10 @@ from slipstitch.errors import BadInput
 from slipstitch.evaluate.instruments import find_instruments
 from slipstitch.instrument import load_instrument
 from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.conformal import grouped_quantile
+from slipstitch.instrument.calibration_answers import FILE, read_answers
+from slipstitch.instrument.conformal import covered, grouped_quantile
 from slipstitch.instrument.distribution import quantiles, spread
-from slipstitch.instrument.ensemble import CALIBRATION, combine_instruments
+from slipstitch.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.instrument.measuring import CARD, WEIGHTS, stretch_scores
 from slipstitch.instrument.training import train_instrument
 from slipstitch.provenance import file_digest, read_metadata, read_sidecar
@@ -143,7 +144,7 @@ def test_its_card_and_its_records_name_its_members(members, average, folder):
     inputs = read_sidecar(folder / "by_simulation/ensemble" / WEIGHTS)["inputs"]
     assert {inputs[name] for name in inputs if name.endswith(WEIGHTS)} == {*card["members_sha256"]}
     assert len(inputs) == 3 + 1  # the manifest has the digests of all pixels
-    kept = read_metadata(folder / "by_simulation/ensemble" / CALIBRATION)["provenance"]
+    kept = read_metadata(folder / "by_simulation/ensemble" / FILE)["provenance"]
     assert kept["inputs"] == inputs
 
 
@@ -155,18 +156,101 @@ def test_the_same_members_give_the_same_bits(dataset, members, folder, tmp_path)
 
 
 def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
-    table = pq.read_table(folder / "by_simulation/ensemble" / CALIBRATION)
-    rows = table.to_pylist()
-    assert len({row["simulation"] for row in rows}) == 12
-    shares = np.array([row["probabilities"] for row in rows], np.float64)
-    truth = np.array([row["friction"] for row in rows])
-    wide = spread(shares, average.grid, average.error_bars.spread)
+    kept = read_answers(folder / "by_simulation/ensemble" / FILE, "")
+    assert len({*kept.groups}) == 12
+    truth = np.array([row["friction"] for row in kept.rows])
+    wide = spread(kept.probabilities, average.grid, average.error_bars.spread)
     scores = stretch_scores(wide, average.grid, 0.9, truth)
-    factor = grouped_quantile(scores, [row["simulation"] for row in rows], 0.9)
-    assert factor == pytest.approx(average.error_bars.factor, rel=1e-4)
+    assert grouped_quantile(scores, kept.groups, 0.9) == average.error_bars.factor
 
 
-def test_members_that_nothing_calibrates_give_an_average_without_error_bars(tmp_path):
+@pytest.fixture(scope="module")
+def other_bench(tmp_path_factory):
+    """Other simulations, between the coefficients that train; their pictures are noisier."""
+    folder = tmp_path_factory.mktemp("other_bench")
+    config = synthetic_videos.config(
+        seed=5,
+        grid={"frictions": [0.3, 0.4, 0.7], "replicates": 4},
+        render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+        sample={"frames": 6},
+    )
+    shards = synthetic_videos.write_shards(config, folder / "render", marked=True)
+    write_dataset(config, shards, folder / "sample")
+    return folder / "sample"
+
+
+@pytest.fixture(scope="module")
+def recalibrated(folder, other_bench, tmp_path_factory):
+    out = tmp_path_factory.mktemp("recalibrated")
+    with contextlib.chdir(folder):
+        recalibrate_instrument("by_simulation/ensemble", [other_bench], out)
+    return out
+
+
+def test_further_datasets_calibrate_it_with_or_without_its_members(
+    recalibrated, dataset, members, other_bench, folder, tmp_path
+):
+    """To the same bits: what it says of its own videos is kept."""
+    with contextlib.chdir(folder):
+        inside = [member.relative_to(folder) for member in members]
+        combine_instruments(inside, dataset, "by_simulation", tmp_path, [other_bench])
+    for name in (WEIGHTS, CARD):
+        assert (recalibrated / name).read_bytes() == (tmp_path / name).read_bytes(), name
+    tables = [pq.read_table(one / FILE) for one in (recalibrated, tmp_path)]
+    assert tables[0].equals(tables[1])
+    inputs = [read_sidecar(one / WEIGHTS)["inputs"].values() for one in (recalibrated, tmp_path)]
+    assert {*inputs[0]} == {*inputs[1]}
+    assert file_digest(other_bench / "manifest.parquet") in inputs[0]
+
+
+def test_every_simulation_of_a_further_dataset_calibrates(recalibrated, average, other_bench):
+    videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
+    (noted,) = load_instrument(recalibrated).card["calibration_datasets"]
+    simulations = len({row["simulation"] for row in videos.rows})
+    assert noted == {"digest": videos.digest, "videos": len(videos), "simulations": simulations}
+    kept = read_answers(recalibrated / FILE, "")
+    assert len({*kept.groups}) == average.card["calibration_simulations"] + simulations
+    again = load_instrument(recalibrated)
+    assert again.card["calibration_simulations"] == len({*kept.groups})
+    # Its promise holds for all of them together, every simulation counting once.
+    told = again.intervals(spread(kept.probabilities, again.grid, again.error_bars.spread))
+    truth = np.array([row["friction"] for row in kept.rows])
+    share, _ = covered(told[:, 1], told[:, 2], truth, kept.groups)
+    assert 0.9 <= share < 1
+    assert again.error_bars.factor != average.error_bars.factor
+    # How sure it may be of a fabric is told by its own videos alone.
+    assert again.error_bars.material_temperature == average.error_bars.material_temperature
+
+
+def test_what_cannot_calibrate_is_refused(
+    folder, members, dataset, other_bench, recalibrated, tmp_path, capsys
+):
+    whole, out = folder / "by_simulation/ensemble", tmp_path / "out"
+    with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+        recalibrate_instrument(whole, [dataset], out)
+    with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+        recalibrate_instrument(recalibrated, [other_bench], out)
+    with pytest.raises(BadInput, match="is a single training; averages alone keep"):
+        recalibrate_instrument(members[0], [other_bench], out)
+    config = synthetic_videos.config(
+        grid={"frictions": [0.3, 1.75]}, render={"pixels": 24}, sample={"frames": 6}
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    with pytest.raises(BadInput, match=r"has a coefficient of 1\.75; the instrument"):
+        recalibrate_instrument(whole, [tmp_path / "sample"], out)
+    words = ["instrument", "--recalibrate", str(whole), "--out-dir", str(out)]
+    assert main(words) == 2
+    assert "--recalibrate requires --calibration-datasets" in capsys.readouterr().err
+    words += ["--calibration-datasets", str(other_bench)]
+    assert main([*words, "--dataset", str(dataset)]) == 2
+    assert "--dataset cannot be combined with --recalibrate" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(words) == 0
+    assert "average of seeds 0, 1, 2; calibrated on 36 simulations" in capsys.readouterr().out
+
+
+def test_members_that_nothing_calibrates_give_an_average_without_error_bars(other_bench, tmp_path):
     config = synthetic_videos.config(
         grid={"replicates": 1}, sample={"frames": 6, "validation_fraction": 0.0}
     )
@@ -176,9 +260,11 @@ def test_members_that_nothing_calibrates_give_an_average_without_error_bars(tmp_
     assert all(load_instrument(member).error_bars is None for member in members)
     card = combine(members, tmp_path / "sample", tmp_path / "out")
     assert card["error_bars"] is None
+    with pytest.raises(BadInput, match="has no alarm, as nothing has calibrated it"):
+        recalibrate_instrument(tmp_path / "out", [other_bench], tmp_path / "again")
     average = load_instrument(tmp_path / "out")
     assert "not calibrated" in average.measure(np.zeros((6, 16, 16, 3), np.uint8)).alarm_reason
-    assert pq.read_table(tmp_path / "out" / CALIBRATION).num_rows == 0
+    assert pq.read_table(tmp_path / "out" / FILE).num_rows == 0
 
 
 def test_what_does_not_belong_together_is_refused(dataset, members, folder, tmp_path):
@@ -228,7 +314,9 @@ def test_the_command_averages_and_says_so(dataset, members, tmp_path, capsys):
     assert main(["instrument", *words, "--members", *map(str, members), "--seed", "0"]) == 2
     assert "not allowed with argument --members" in capsys.readouterr().err
     assert main(["instrument", *words]) == 2
-    assert "one of the arguments --seed --members is required" in capsys.readouterr().err
+    assert (
+        "one of the arguments --seed --members --recalibrate is required" in capsys.readouterr().err
+    )
     missing = tmp_path / "missing"
     assert main(["instrument", *words, "--members", str(members[0]), str(missing)]) == 2
     said = capsys.readouterr().err

@@ -81,6 +81,18 @@ def test_several_trainings_of_the_instrument_are_averaged(workflow):
     assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2 * 2, 2)
 
 
+def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
+    overrides = ("--config", f"instrument={{seeds: [0, 1], calibration_datasets: [{tmp_path}]}}")
+    words = ("-n", "--quiet", "rules", *overrides, "--", "instrument")
+    answer = workflow.snakemake(*words)
+    assert answer.returncode == 2
+    assert f"instrument.calibration_datasets: {tmp_path}: no manifest.parquet" in answer.stderr
+    (tmp_path / "manifest.parquet").touch()
+    answer = workflow.snakemake(*words)
+    assert answer.returncode == 0, answer.stderr
+    assert job_counts(answer.stdout)["instrument_ensemble"] == 2
+
+
 def test_simulations_in_batches_are_a_job_a_batch(workflow):
     overrides = ("--config", "compute={batch: 10}")
     answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")

@@ -1,11 +1,11 @@
-"""slipstitch instrument: train and calibrate the measuring instrument, or average trainings."""
+"""slipstitch instrument: train, average and calibrate the measuring instrument."""
 
 import argparse
 from typing import Any
 
-from slipstitch.cli.options import add_training, check_at_least
+from slipstitch.cli.options import add_training, check_at_least, refuse, require
 
-SUMMARY = "train the measuring instrument for friction; calibrate its error bars and its alarm"
+SUMMARY = "train, average and calibrate the measuring instrument for friction and its alarm"
 EXAMPLE = (
     "slipstitch instrument --config results/config.json --dataset results/sample "
     "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0"
@@ -22,27 +22,56 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="average these instruments, trained with other seeds, and calibrate the average",
     )
+    what.add_argument(
+        "--recalibrate", metavar="DIR", help="calibrate this average on --calibration-datasets too"
+    )
+    parser.add_argument(
+        "--calibration-datasets",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="DIR",
+        help="with --members or --recalibrate: datasets of which all videos calibrate too",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Train or average, calibrate, write, print a summary."""
+    """Train, average or recalibrate, write, print a summary."""
+    check_at_least(arguments, threads=1, seed=0)
+    if arguments.recalibrate:
+        refuse(arguments, ("config", "dataset", "split"), "--recalibrate")
+        require(arguments, ("calibration_datasets",), "--recalibrate")
+        from slipstitch.instrument.ensemble import recalibrate_instrument
+
+        _print_average(
+            recalibrate_instrument(
+                arguments.recalibrate,
+                arguments.calibration_datasets,
+                arguments.out_dir,
+                threads=arguments.threads,
+            )
+        )
+        return
+    mode = "--members" if arguments.members else "--seed"
+    require(arguments, ("config", "dataset", "split"), mode)
     from slipstitch.config import load_config
 
-    check_at_least(arguments, threads=1, seed=0)
     config = load_config(*arguments.config)
     if arguments.members:
         from slipstitch.instrument.ensemble import combine_instruments
 
-        card = combine_instruments(
-            arguments.members,
-            arguments.dataset,
-            arguments.split,
-            arguments.out_dir,
-            threads=arguments.threads,
+        _print_average(
+            combine_instruments(
+                arguments.members,
+                arguments.dataset,
+                arguments.split,
+                arguments.out_dir,
+                arguments.calibration_datasets,
+                threads=arguments.threads,
+            )
         )
-        seeds = ", ".join(map(str, card["seeds"]))
-        print(f"instrument {card['split']}, average of seeds {seeds}; {_error_bars(card)}")
         return
+    refuse(arguments, ("calibration_datasets",), mode)
     from slipstitch.instrument.training import train_instrument
 
     card = train_instrument(
@@ -60,6 +89,11 @@ def run(arguments: argparse.Namespace) -> None:
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
         f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {_error_bars(card)}"
     )
+
+
+def _print_average(card: dict[str, Any]) -> None:
+    seeds = ", ".join(map(str, card["seeds"]))
+    print(f"instrument {card['split']}, average of seeds {seeds}; {_error_bars(card)}")
 
 
 def _error_bars(card: dict[str, Any]) -> str:

@@ -174,13 +174,15 @@ def add_training(
     Parameters
     ----------
     seed : group of `parser`, optional
-        Gets ``--seed``, of which that group says whether it is required.
+        Gets ``--seed``, of which that group says whether it is required. What else a training
+        requires is then optional too.
     """
     from slipstitch.config.train import TRAINED_ON
 
-    add_config(parser)
-    parser.add_argument("--dataset", required=True, help="folder written by `slipstitch sample`")
-    parser.add_argument("--split", required=True, choices=TRAINED_ON)
+    alone = seed is None
+    add_config(parser, required=alone)
+    parser.add_argument("--dataset", required=alone, help="folder written by `slipstitch sample`")
+    parser.add_argument("--split", required=alone, choices=TRAINED_ON)
     if seed is None:
         parser.add_argument("--seed", required=True, type=int)
     else:

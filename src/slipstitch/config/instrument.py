@@ -11,6 +11,11 @@ class InstrumentSettings(Section):
     """The measuring network, its training and its error bars."""
 
     seeds: Seeds = Field([0], description="one instrument per seed")
+    calibration_datasets: list[str] = Field(
+        [],
+        description="datasets of other runs (their results/sample), of which all videos calibrate "
+        "the average of several seeds too; none of their simulations may have trained it",
+    )
     viewpoints: list[str] | None = Field(
         None,
         min_length=1,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slipstitch.config.train import BY_SIMULATION
@@ -46,6 +47,22 @@ def check_instrument_can_train(config: Config) -> None:
             raise BadInput(
                 f"grid.{key}: {largest:g} is above what the instrument can say, "
                 f"{config.instrument.friction_max:g} (instrument.friction_max)"
+            )
+
+
+def check_calibration_datasets(config: Config) -> None:
+    """Refuse datasets of other runs that are not there: they are to be made before.
+
+    Raises
+    ------
+    BadInput
+        Names the first.
+    """
+    for folder in config.instrument.calibration_datasets:
+        if not Path(folder, "manifest.parquet").is_file():
+            raise BadInput(
+                f"instrument.calibration_datasets: {folder}: no manifest.parquet there; make that "
+                "run's dataset first (target sample)"
             )
 
 

@@ -84,6 +84,17 @@ class Alarm:
     scale: np.ndarray
     threshold: float
 
+    @property
+    def statistics(self) -> tuple[np.ndarray, ...]:
+        """What `describe` gave: the first five."""
+        return (
+            self.mean,
+            self.components,
+            self.variances,
+            self.embedding_mean,
+            self.embedding_whitening,
+        )
+
     def raw(self, videos: np.ndarray, embedding: np.ndarray, order: np.ndarray) -> np.ndarray:
         """The four scores of videos, float64 of shape (n, 4).
 
@@ -144,22 +155,31 @@ def describe(
 
 
 def calibrated_alarm(
-    parts: tuple[np.ndarray, ...],
-    videos: np.ndarray,
-    embedding: np.ndarray,
-    order: np.ndarray,
-    simulations: Sequence[str],
-    false_alarms: float,
+    parts: tuple[np.ndarray, ...], raw: np.ndarray, groups: Sequence[str], false_alarms: float
 ) -> Alarm:
-    """An alarm from what `describe` gave and held-out videos of simulations.
+    """An alarm from what `describe` gave and the scores of held-out videos.
 
-    With too few simulations to promise the rate, the threshold is their largest score.
+    With too few groups to promise the rate, the threshold is their largest score.
+
+    Parameters
+    ----------
+    parts : tuple of ndarray
+    raw : ndarray, shape (n, 4)
+        As `Alarm.raw` gives them, of an alarm that is `not_calibrated`.
+    groups : sequence of str, length n
+        The videos' simulations.
+    false_alarms : float
+        Share of such videos.
     """
-    raw = Alarm(*(*parts, np.zeros(4), np.ones(4), 0.0)).raw(videos, embedding, order)
     centre = np.median(raw, axis=0)
     scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)
     largest = ((raw - centre) / scale).max(1)
-    threshold = grouped_quantile(largest, simulations, 1.0 - false_alarms)
+    threshold = grouped_quantile(largest, groups, 1.0 - false_alarms)
     if not math.isfinite(threshold):
         threshold = float(largest.max())
     return Alarm(*(*parts, centre, scale, threshold))
+
+
+def not_calibrated(parts: tuple[np.ndarray, ...]) -> Alarm:
+    """An alarm that scores videos but knows no threshold yet."""
+    return Alarm(*(*parts, np.zeros(len(SCORES)), np.ones(len(SCORES)), 0.0))

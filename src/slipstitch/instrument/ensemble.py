@@ -4,25 +4,30 @@ Its networks differ only in their seed. What they say is averaged (`measuring.In
 error bars and the alarm are calibrated for the average, on the videos that calibrated each of them.
 """
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import torch
 
 from slipstitch.config.train import split_of
 from slipstitch.errors import BadInput
-from slipstitch.instrument.alarm import SCORES, Alarm
-from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.error_bars import with_error_bars
+from slipstitch.instrument.alarm import Alarm
+from slipstitch.instrument.calibration_answers import (
+    FILE,
+    CalibrationAnswers,
+    joined,
+    read_answers,
+    write_answers,
+)
+from slipstitch.instrument.error_bars import answers_on, with_error_bars
 from slipstitch.instrument.measuring import (
     CARD,
     NETWORKS_MAX,
     WEIGHTS,
-    Answers,
     Instrument,
     halved,
     load_instrument,
@@ -30,19 +35,17 @@ from slipstitch.instrument.measuring import (
     save_instrument,
 )
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     file_digest,
     provenance_record,
+    read_provenance,
     start_clock,
-    write_parquet,
     write_sidecar,
 )
 from slipstitch.sample.manifest import MANIFEST
 from slipstitch.sample.videos import Videos, read_videos, takes_part
 from slipstitch.train.torch_setup import set_up_torch
 
-CALIBRATION = "calibration.parquet"
 # What is the same for all members; the rest of a card is of one training.
 _COMMON = (
     "materials",
@@ -63,17 +66,6 @@ _COMMON = (
     "chance_loss",
     "use",
 )
-_SCHEMA = pa.schema(
-    [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("material", pa.string()),
-        ("friction", pa.float64()),
-        ("probabilities", pa.list_(pa.float32())),  # on the grid of mu, before any calibration
-        ("material_logits", pa.list_(pa.float32())),
-        *((name, pa.float64()) for name in SCORES),  # of the alarm, before they are scaled
-    ]
-)
 
 
 def combine_instruments(
@@ -81,6 +73,7 @@ def combine_instruments(
     dataset: str | os.PathLike,
     split: str,
     out_dir: str | os.PathLike,
+    further: Sequence[str | os.PathLike] = (),
     threads: int = 1,
 ) -> dict[str, Any]:
     """Average trained instruments, calibrate the error bars and the alarm of the average, write it.
@@ -97,18 +90,22 @@ def combine_instruments(
         Gets ``instrument.safetensors``, ``instrument.json`` and ``calibration.parquet``, what the
         average says of the videos that calibrate it, from which any other error bar can be fitted.
         Members that no video calibrated give an average without error bars.
+    further : sequence of path
+        Datasets of which all videos calibrate too.
     threads : int
 
     Returns
     -------
     dict
         The card: as the members' cards where they agree, and ``networks``, their number, and
-        ``seeds``, ``members_sha256``, ``train_loss``, one a member.
+        ``seeds``, ``members_sha256``, ``train_loss``, one a member; ``calibration_datasets``, a
+        row for each of `further`.
 
     Raises
     ------
     BadInput
-        If the members are fewer than two or do not belong together, or the dataset is another one.
+        If the members are fewer than two or do not belong together, the dataset is another one, or
+        a further one is of no use to calibrate.
     """
     started = start_clock()
     set_up_torch(threads)
@@ -130,27 +127,155 @@ def combine_instruments(
         ),
     }
     combined = Instrument(networks, card, None)
-    rows: list[dict[str, Any]] = []
     alarms = [one.error_bars.alarm for one in trained if one.error_bars]
+    held = None
     if alarms:
+        statistics = _statistics(alarms)
         videos = _held_out(trained[0], dataset, split)
-        frames = phased(videos.pixels, card["frames"], None)
-        answers = combined.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
-        combined = with_error_bars(combined, _statistics(alarms), frames, answers, videos.rows)
-        rows = _calibration_rows(combined, videos, frames, answers)
-    out = Path(out_dir)
-    written = save_instrument(combined, out)
+        own = answers_on(combined, statistics, videos, np.random.default_rng(0))
+        combined, held = _with_further(combined, statistics, own, further)
+    elif further:
+        raise BadInput(
+            f"{members[0]}: has no alarm, as none of its videos calibrated it; further datasets "
+            "cannot calibrate it alone"
+        )
+    # The manifest has the digest of every video's pixels, with which they are compared.
+    manifests = [Path(folder) / MANIFEST for folder in (dataset, *further)]
     record = provenance_record(
         "instrument",
-        # The manifest has the digest of every video's pixels, with which they are compared.
-        inputs=[*weights, Path(dataset) / MANIFEST],
+        inputs=[*weights, *manifests],
         config={"instrument": combined.settings},
         started=started,
     )
     record["threads"] = threads
+    return _write(combined, held, out_dir, record)
+
+
+def recalibrate_instrument(
+    folder: str | os.PathLike,
+    further: Sequence[str | os.PathLike],
+    out_dir: str | os.PathLike,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Calibrate the error bars and the alarm of an average on further datasets too, write it.
+
+    The same as `combine_instruments` gives with these datasets, without its members and the images
+    that calibrated it: what it says of these is in its ``calibration.parquet``.
+
+    Parameters
+    ----------
+    folder : path
+        That `combine_instruments` wrote.
+    further : sequence of path
+        Datasets of which all videos calibrate.
+    out_dir : path
+        Gets the same files.
+    threads : int
+
+    Returns
+    -------
+    dict
+        The card.
+
+    Raises
+    ------
+    BadInput
+        If the instrument is no average or nothing has calibrated it, a file is damaged, or a
+        dataset calibrates it already or is of no use to calibrate it.
+    """
+    started = start_clock()
+    set_up_torch(threads)
+    before = load_instrument(folder)
+    path = Path(folder) / FILE
+    if len(before.networks) == 1:
+        raise BadInput(f"{folder}: is a single training; averages alone keep what calibrated them")
+    if before.error_bars is None:
+        raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
+    own = read_answers(path, before.card["dataset_digest"])
+    statistics = before.error_bars.alarm.statistics
+    # A card names the weights beside it, which are others now.
+    card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
+    before = dataclasses.replace(before, card=card)
+    combined, held = _with_further(before, statistics, own, further)
+    record = provenance_record(
+        "instrument",
+        inputs=[Path(one) / MANIFEST for one in further],
+        config={"instrument": combined.settings},
+        started=started,
+    )
+    record["inputs"] = read_provenance(Path(folder) / WEIGHTS)["inputs"] | record["inputs"]
+    record["threads"] = threads
+    return _write(combined, held, out_dir, record)
+
+
+def _with_further(
+    combined: Instrument,
+    statistics: tuple[np.ndarray, ...],
+    own: CalibrationAnswers,
+    further: Sequence[str | os.PathLike],
+) -> tuple[Instrument, CalibrationAnswers]:
+    """Calibrated on what it says of its own videos and of those of further datasets; all of it."""
+    noted = list(combined.card.get("calibration_datasets", []))
+    parts = [own]
+    for folder in further:
+        videos = read_videos(
+            folder,
+            lambda row: row["viewpoint"] in combined.card["viewpoints"],
+            combined.settings.pixels,
+        )
+        _check_further(combined, parts, videos, folder)
+        parts.append(answers_on(combined, statistics, videos, np.random.default_rng(0)))
+        noted.append(
+            {
+                "digest": videos.digest,
+                "videos": len(videos),
+                "simulations": len({row["simulation"] for row in videos.rows}),
+            }
+        )
+    held = joined(parts)
+    card = combined.card | {"calibration_simulations": len(set(held.groups))}
+    if noted:
+        card["calibration_datasets"] = noted
+    combined = dataclasses.replace(combined, card=card)
+    return with_error_bars(combined, statistics, held), held
+
+
+def _check_further(
+    combined: Instrument,
+    parts: Sequence[CalibrationAnswers],
+    videos: Videos,
+    folder: str | os.PathLike,
+) -> None:
+    """BadInput if the videos of a dataset are of no use to calibrate."""
+    known = {
+        combined.card["dataset_digest"],
+        *(row["dataset"] for one in parts for row in one.rows),
+    }
+    if videos.digest in known:
+        raise BadInput(f"{folder}: trained or calibrates the instrument already")
+    frames, wanted = videos.pixels.shape[1], combined.card["frames"]
+    if frames < wanted:
+        raise BadInput(f"{folder}: videos of {frames} frames; the instrument requires {wanted}")
+    largest = max(row["friction"] for row in videos.rows)
+    if largest > combined.settings.friction_max:
+        raise BadInput(
+            f"{folder}: has a coefficient of {largest:g}; the instrument can say at most "
+            f"{combined.settings.friction_max:g}"
+        )
+
+
+def _write(
+    combined: Instrument,
+    held: CalibrationAnswers | None,
+    out_dir: str | os.PathLike,
+    record: dict[str, Any],
+) -> dict[str, Any]:
+    """Write the three files; the card."""
+    out = Path(out_dir)
+    written = save_instrument(combined, out)
     for name in (WEIGHTS, CARD):
         write_sidecar(out / name, record)
-    write_parquet(pa.Table.from_pylist(rows, schema=_SCHEMA), out / CALIBRATION, {}, record)
+    write_answers(held, out / FILE, record)
     return written
 
 
@@ -201,26 +326,8 @@ def _statistics(alarms: Sequence[Alarm]) -> tuple[np.ndarray, ...]:
     """Those of the training videos for an alarm over all networks, rounded as they are stored."""
     # The first three are of the videos alone, and so the same for all.
     parts = (
-        alarms[0].mean,
-        alarms[0].components,
-        alarms[0].variances,
+        *alarms[0].statistics[:3],
         np.concatenate([alarm.embedding_mean for alarm in alarms]),
         np.concatenate([alarm.embedding_whitening for alarm in alarms]),
     )
     return tuple(restored(halved(torch.from_numpy(part))).numpy() for part in parts)
-
-
-def _calibration_rows(
-    combined: Instrument, videos: Videos, frames: np.ndarray, answers: Answers
-) -> list[dict[str, Any]]:
-    """A row of ``calibration.parquet`` a video."""
-    assert combined.error_bars is not None
-    strange = combined.error_bars.alarm.raw(frames, answers.embedding, answers.order)
-    return [
-        {name: row[name] for name in ("video", "simulation", "material", "friction")}
-        | {"probabilities": shares.tolist(), "material_logits": logits.tolist()}
-        | dict(zip(SCORES, map(float, scores), strict=True))
-        for row, shares, logits, scores in zip(
-            videos.rows, answers.probabilities, answers.material_logits, strange, strict=True
-        )
-    ]

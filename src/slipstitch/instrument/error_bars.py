@@ -5,19 +5,19 @@ step is tested with it fitted on the same groups (tests/unit).
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
-from slipstitch.instrument.alarm import calibrated_alarm, describe
+from slipstitch.instrument.alarm import calibrated_alarm, describe, not_calibrated
 from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.calibration_answers import CalibrationAnswers
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import ranked_probability_score, spread
-from slipstitch.instrument.measuring import Answers, ErrorBars, Instrument, stretch_scores
+from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
 from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
@@ -89,62 +89,82 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     answers = instrument.answers(trained, generator, poses_of(videos.rows)[training])
     statistics = describe(trained, answers.embedding)
     del trained  # as large as all videos that train
-    held = videos.chosen(~training)
-    frames = _frames(instrument, videos, ~training)
-    answers = instrument.answers(frames, generator, poses_of(held.rows))
-    return with_error_bars(instrument, statistics, frames, answers, held.rows)
+    held = answers_on(instrument, statistics, videos.chosen(~training), generator)
+    return with_error_bars(instrument, statistics, held)
 
 
-def with_error_bars(
+def answers_on(
     instrument: Instrument,
     statistics: tuple[np.ndarray, ...],
-    frames: np.ndarray,
-    answers: Answers,
-    rows: Sequence[Mapping[str, Any]],
-) -> Instrument:
-    """The instrument with error bars from its answers on held-out videos.
+    videos: Videos,
+    generator: np.random.Generator,
+) -> CalibrationAnswers:
+    """What an instrument says of videos that are to calibrate it.
 
     Parameters
     ----------
     instrument : Instrument
     statistics : tuple of ndarray
         Of the training videos, as `slipstitch.instrument.alarm.describe` gives them.
-    frames : ndarray of uint8, shape (n, frames, side, side, 3)
-        Of the held-out videos.
-    answers : Answers
-        On them.
-    rows : sequence of mapping, length n
-        Of the manifest.
+    videos : Videos
+    generator : numpy Generator
+        Of the augmentations.
     """
-    groups = [row["simulation"] for row in rows]
-    friction = np.array([row["friction"] for row in rows])
-    names = instrument.card["materials"]
-    fabrics = [row["material"] for row in rows]
-    known = [k for k, fabric in enumerate(fabrics) if fabric in names]
+    frames = _frames(instrument, videos, np.ones(len(videos), bool))
+    answers = instrument.answers(frames, generator, poses_of(videos.rows))
+    return CalibrationAnswers(
+        rows=[
+            {"dataset": videos.digest}
+            | {name: row[name] for name in ("video", "simulation", "material", "friction")}
+            for row in videos.rows
+        ],
+        probabilities=answers.probabilities,
+        material_logits=answers.material_logits,
+        strangeness=not_calibrated(statistics).raw(frames, answers.embedding, answers.order),
+    )
 
-    width = fitted_spread(answers.probabilities, instrument.grid, friction, groups)
+
+def with_error_bars(
+    instrument: Instrument, statistics: tuple[np.ndarray, ...], held: CalibrationAnswers
+) -> Instrument:
+    """The instrument with error bars from its answers on videos that did not train it.
+
+    Videos of other datasets than the one that trained have no part in how sure it may be of a
+    fabric: their fabrics may bear the names of others.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    statistics : tuple of ndarray
+        Of the training videos, as `slipstitch.instrument.alarm.describe` gives them.
+    held : CalibrationAnswers
+    """
+    groups = held.groups
+    friction = np.array([row["friction"] for row in held.rows])
+    names = instrument.card["materials"]
+    known = [
+        k
+        for k, row in enumerate(held.rows)
+        if row["material"] in names and row["dataset"] == instrument.card["dataset_digest"]
+    ]
+    width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
     scores = stretch_scores(
-        spread(answers.probabilities, instrument.grid, width), instrument.grid, coverage, friction
+        spread(held.probabilities, instrument.grid, width), instrument.grid, coverage, friction
     )
     bars = ErrorBars(
         spread=width,
         # Without a fabric that trains, nothing tells how sure the network may be of one.
         material_temperature=fitted_material_temperature(
-            answers.material_logits[known],
-            np.array([names.index(fabrics[k]) for k in known]),
+            held.material_logits[known],
+            np.array([names.index(held.rows[k]["material"]) for k in known]),
             [groups[k] for k in known],
         )
         if known
         else 1.0,
         factor=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(
-            statistics,
-            frames,
-            answers.embedding,
-            answers.order,
-            groups,
-            instrument.settings.false_alarms,
+            statistics, held.strangeness, groups, instrument.settings.false_alarms
         ),
     )
     return dataclasses.replace(instrument, error_bars=bars)
