@@ -50,6 +50,24 @@ def test_needed_frames_are_those_of_the_whole_video(tmp_path, options, suffix):
             np.testing.assert_array_equal(moment.image(), image)
 
 
+def test_a_cover_picture_is_not_the_film(tmp_path):
+    with av.open(str(tmp_path / "a.mkv"), "w") as file:
+        cover = file.add_stream("mjpeg", rate=1)
+        film = file.add_stream("libx264", rate=25)
+        for stream, size in ((cover, 32), (film, 64)):
+            stream.width = stream.height = size
+            stream.pix_fmt = "yuvj420p" if stream is cover else "yuv420p"
+        for stream, count in ((cover, 1), (film, 20)):
+            for number in range(count):
+                frame = av.VideoFrame(stream.width, stream.height, stream.pix_fmt)
+                frame.pts = number
+                file.mux(stream.encode(frame))
+            file.mux(stream.encode(None))
+    recording = Recording(tmp_path / "a.mkv")
+    assert recording.size_px == (64, 64)
+    assert len(list(recording.moments())) == len(recording.index.time_s) == 20
+
+
 def test_between_two_entries_nothing_is_decoded_that_is_not_needed(tmp_path):
     recording = Recording(written(tmp_path / "a.mp4", **CLOSED, sc_threshold="0"))
     assert list(np.flatnonzero(recording.index.is_entry)) == list(range(0, 60, 10))

@@ -121,10 +121,10 @@ class Recording:
             video = av.open(name, options=only_files, metadata_errors="ignore")
         except (av.FFmpegError, ValueError):
             raise self._unreadable() from None
-        if not video.streams.video:
+        if video.streams.best("video") is None:
             video.close()
             raise self._unreadable()
-        video.streams.video[0].thread_type = "AUTO"
+        _stream(video).thread_type = "AUTO"
         return video
 
     @functools.cached_property
@@ -137,7 +137,7 @@ class Recording:
                     return None
                 timestamps.append(packet.pts)
                 keys.append(packet.is_keyframe)
-            unit_s = _unit_s(video.streams.video[0])
+            unit_s = _unit_s(_stream(video))
         stamp = np.array(timestamps, np.int64)
         order = np.argsort(stamp)
         if not len(stamp) or not unit_s or (np.diff(stamp[order]) == 0).any():
@@ -179,7 +179,7 @@ class Recording:
 
     def _all_moments(self, video: av.container.InputContainer) -> Iterator[Moment]:
         first, last = None, -math.inf
-        unit_s = _unit_s(video.streams.video[0])
+        unit_s = _unit_s(_stream(video))
         for number, frame in enumerate(_all_frames(video)):
             stamp = frame.dts if frame.pts is None else frame.pts
             time_s = (stamp or 0) * unit_s
@@ -236,7 +236,7 @@ def _packets_to_decode(index: FrameIndex, wanted: np.ndarray) -> np.ndarray:
 
 def _fed_frames(video: av.container.InputContainer, fed: np.ndarray) -> Iterator[av.VideoFrame]:
     """Frames of the packets for which `fed` (n,) is true."""
-    decoder = video.streams.video[0].codec_context
+    decoder = _stream(video).codec_context
     waiting = False
     for packet, feed in zip(_packets(video), fed, strict=False):
         if feed:
@@ -250,7 +250,7 @@ def _fed_frames(video: av.container.InputContainer, fed: np.ndarray) -> Iterator
 
 
 def _all_frames(video: av.container.InputContainer) -> Iterator[av.VideoFrame]:
-    decoder = video.streams.video[0].codec_context
+    decoder = _stream(video).codec_context
     for packet in _packets(video):
         yield from _frames(decoder, packet)
     yield from _frames(decoder, None)
@@ -259,7 +259,7 @@ def _all_frames(video: av.container.InputContainer) -> Iterator[av.VideoFrame]:
 def _packets(video: av.container.InputContainer) -> Iterator[av.Packet]:
     """Those of the video stream, up to the file's end or to where it can no longer be read."""
     try:
-        for packet in video.demux(video.streams.video[0]):
+        for packet in video.demux(_stream(video)):
             if packet.size:  # the last one, which PyAV adds, is empty
                 yield packet
     except av.FFmpegError:
@@ -276,13 +276,20 @@ def _frames(
         return []
 
 
+def _stream(video: av.container.InputContainer) -> av.video.stream.VideoStream:
+    """The one that FFmpeg takes for the film: others may be a cover picture or a thumbnail."""
+    stream = video.streams.best("video")
+    assert isinstance(stream, av.video.stream.VideoStream)
+    return stream
+
+
 def _unit_s(stream: av.video.stream.VideoStream) -> float:
     """What one unit of the stream's timestamps is in seconds; 0 where the file does not say."""
     return float(stream.time_base or 0)
 
 
 def _frames_claimed(video: av.container.InputContainer) -> int:
-    stream = video.streams.video[0]
+    stream = _stream(video)
     if stream.frames:
         return stream.frames
     length_s = (stream.duration or 0) * _unit_s(stream) or (video.duration or 0) / av.time_base
