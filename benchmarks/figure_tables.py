@@ -261,6 +261,25 @@ def reach(root):
     return _table([*head.split("|"), "alarms"], rows)
 
 
+def angles(root):
+    """The instrument that ships on the same held-out simulations from every side."""
+    found = _read(root, "camera/angles.json")
+    rows = [
+        [
+            f"{angle}°",
+            f"{part['videos']} of {part['simulations']}",
+            *_scores(part),
+            f"{part['alarms']:.0%}",
+            f"{found['trainings'][angle]['within_0_1']:.0%}",
+        ]
+        for angle, part in found["angles"].items()
+    ]
+    head = "camera turned by|videos of simulations|mean error of μ|within 0.1|in the 90 % interval"
+    return _table(
+        [*head.split("|"), "its mean width", "alarms", "within 0.1, single trainings"], rows
+    )
+
+
 def surrogates(root):
     """The instrument that ships on surrogate videos, each from a camera of its own."""
     found = _read(root, "camera/surrogates.json")
@@ -647,6 +666,7 @@ TABLES = {
     "interpolation": interpolation,
     "places": places,
     "reach": reach,
+    "angles": angles,
     "surrogates": surrogates,
     "sides": sides,
     "paper_sides": paper_sides,

@@ -44,6 +44,7 @@ class FilmedSet:
     model: dict | None = None  # of simulation.model
     simulated_as: str = ""  # the set whose simulations these are, filmed by other cameras
     yaw_deg: tuple = (0.0, 180.0)  # only cameras turned by so much, either way
+    only: dict = field(default_factory=dict)  # simulations, and the numbers of their cameras
     cameras: int = len(VIEWPOINTS)
     textures: tuple = ()  # others than `TEXTURES` and `UNSEEN_TEXTURE`
 
@@ -75,18 +76,27 @@ def film(sets, folder, processes):
         configs[one.name] = load_config(*files)
         config = configs[one.name]
         for each in simulations(config):
-            turns = [
-                abs(draw_bench_camera(config.render, config.seed, each.id, name).yaw_deg)
-                for name in VIEWPOINTS[: one.cameras]
-            ]
             low, high = one.yaw_deg
-            views = [f"v{k:02d}" for k, turn in enumerate(turns) if low <= turn <= high]
-            if views:
+            numbers = [
+                k
+                for k, turn in enumerate(turns_deg(config, each.id)[: one.cameras])
+                if low <= abs(turn) <= high and (not one.only or k in one.only.get(each.id, ()))
+            ]
+            if numbers:
+                views = [f"v{k:02d}" for k in numbers]
                 jobs.append((place, simulated, files, each.id, views))
     with ThreadPoolExecutor(processes) as pool:
         for number, _ in enumerate(pool.map(lambda job: _film_one(*job), jobs), 1):
             print(f"{number} of {len(jobs)} simulations filmed", file=sys.stderr)
     return configs
+
+
+def turns_deg(config, simulation):
+    """By how much each of the `VIEWPOINTS` is turned about the vertical for a simulation."""
+    return [
+        draw_bench_camera(config.render, config.seed, simulation, name).yaw_deg
+        for name in VIEWPOINTS
+    ]
 
 
 def _film_one(place, simulated, files, simulation, views):
