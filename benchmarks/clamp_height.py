@@ -1,0 +1,94 @@
+"""What clamps that hang a little too high or low do to the published instruments' reading.
+
+    python benchmarks/clamp_height.py --folder FOLDER [--processes 2]
+
+Coefficients and fabrics that trained, clamps straight, the fabric as measured: nothing but their
+height differs from one bench to the next, and the side to which the cloth sags. In the training of
+config/instrument.yaml all benches of one's own sag to one side, and all ideal ones to the other.
+Goes to results/published/camera/clamp_height.json.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from filmed import SHIPPED, FilmedSet, answering, film, models, publish, readings
+from instrument_reach import MATERIALS
+from scipy.stats import linregress
+
+from slipstitch.config.grid import simulations
+from slipstitch.simulate.drop_and_drag import draw_perturbation
+
+SET = FilmedSet(
+    "clamp_height",
+    {
+        "seed": 181,
+        "grid": {
+            "materials": MATERIALS,
+            "frictions": [0.5, 0.8, 1.0, 1.25],
+            "replicates": 2,
+            "own_benches": True,
+        },
+        "simulation": {
+            "ideal_replicates": 0,
+            "curl_side": "alternating",
+            "yaw_sd_deg": 0.0,
+            "height_sd_m": 0.001,
+            "fabric_sd_rel": 0.0,
+        },
+    },
+    cameras=1,
+    textures=("cloth_1", "cloth_2", "cloth_3", "cloth_4"),
+)
+
+
+def slope(rows):
+    """Relative error of the reading a millimetre of height, each simulation counting once."""
+    of_each = {}
+    for row in rows:
+        of_each.setdefault(row["simulation"], []).append(row)
+    height_mm = [each[0]["height_mm"] for each in of_each.values()]
+    error = [
+        np.mean([row["reading"] / row["friction"] - 1 for row in each]) for each in of_each.values()
+    ]
+    found = linregress(height_mm, error)
+    return {
+        "simulations": len(of_each),
+        "videos": len(rows),
+        "height_sd_mm": float(np.std(height_mm)),
+        "error_per_mm": float(found.slope),
+        "error_per_mm_sd": float(found.stderr),
+        "at_true_height": float(found.intercept),
+        "rms_error": float(np.sqrt(np.mean(np.square(error)))),
+        "mean_absolute_error": float(np.mean([abs(r["reading"] - r["friction"]) for r in rows])),
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, required=True, help="for simulations and videos")
+    parser.add_argument("--run", default=SHIPPED, help="folder of results/published")
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    configs = film([SET], arguments.folder, arguments.processes)
+    config = configs[SET.name]
+    benches = {
+        f"{SET.name} {one.id}": draw_perturbation(config.simulation, one.seed, one.replicate)
+        for one in simulations(config)
+    }
+    every = readings(configs, arguments.folder, models(arguments.run))
+    for row in every:
+        bench = benches[row["simulation"]]
+        row["height_mm"] = 1e3 * bench.height_m
+        row["side"] = "ideal" if bench.natural_curl_per_m > 0 else "own"
+    rows = answering(every)
+    result = {
+        side: slope([row for row in rows if row["side"] == side]) for side in ("own", "ideal")
+    }
+    publish("clamp_height", result, [SET], every, arguments.run)
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()

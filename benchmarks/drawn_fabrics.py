@@ -1,0 +1,72 @@
+"""The instrument that ships on fabrics, coefficients and cloths beside those that train.
+
+    python benchmarks/drawn_fabrics.py --dataset ../error_bars/results/sample
+
+The dataset is that of config/error_bars.yaml. Goes to results/published/camera/drawn_fabrics.json.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from filmed import ROOT, SHIPPED, FilmedSet, models, publish
+from instrument_reach import scores
+
+from slipstitch.config.load import read_mapping
+from slipstitch.evaluate.instruments import measured
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.measuring import load_instrument
+from slipstitch.sample.videos import read_videos
+
+CONFIG = "config/error_bars.yaml"
+
+
+def common(rows):
+    """Root mean square of the errors that all videos of a simulation share, and of the rest."""
+    of_each = {}
+    for row in rows:
+        of_each.setdefault(row["simulation"], []).append(row["reading"] - row["friction"])
+    errors = [np.array(each) for each in of_each.values()]
+    return {
+        "rms_common": float(np.sqrt(np.mean([each.mean() ** 2 for each in errors]))),
+        "rms_other": float(np.sqrt(np.mean([each.var() for each in errors]))),
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dataset", type=Path, required=True, help="results/sample")
+    parser.add_argument("--run", default=SHIPPED, help="folder of results/published")
+    arguments = parser.parse_args()
+    instrument = load_instrument(models(arguments.run)[-1])
+    videos = read_videos(arguments.dataset, pixels=instrument.settings.pixels)
+    frames = phased(videos.pixels, instrument.card["frames"], None)
+    rows = []
+    for row, told in zip(videos.rows, measured(instrument, frames, videos.rows), strict=True):
+        low, high = told.interval_90
+        rows.append(
+            {
+                "simulation": row["simulation"],
+                "material": row["material"],
+                "friction": row["friction"],
+                "texture": row["texture"],
+                "reading": told.friction_coefficient,
+                "low": float(low),
+                "high": float(high),
+                "alarm": told.alarm,
+            }
+        )
+    parts = {"all": rows} | {
+        f"{friction:g}": [row for row in rows if row["friction"] == friction]
+        for friction in sorted({row["friction"] for row in rows})
+    }
+    result = {name: scores(part) | common(part) for name, part in parts.items()}
+    result["dataset"] = videos.digest
+    changes = read_mapping(ROOT / CONFIG)
+    publish("drawn_fabrics", result, [FilmedSet("drawn_fabrics", changes)], rows, arguments.run)
+    print(json.dumps({name: result[name] for name in parts}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
