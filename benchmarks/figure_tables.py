@@ -280,6 +280,54 @@ def angles(root):
     )
 
 
+def clamp_height(root):
+    """What clamps at another height do to the reading of the instrument that ships."""
+    found = _read(root, "camera/clamp_height.json")
+    names = {
+        "all": "to either side",
+        "first": "to the side to which only cloths of ideal benches sag in training",
+        "second": "to the other",
+    }
+    rows = []
+    for side, words in names.items():
+        part = found[side]
+        rows.append(
+            [
+                words,
+                str(part["simulations"]),
+                f"{part['height_sd_mm']:.1f} mm",
+                f"{part['error_per_mm']:+.1%} ± {part['error_per_mm_sd']:.1%}",
+                f"{part['rms_error']:.1%}",
+                f"{part['mean_absolute_error']:.3f}",
+            ]
+        )
+    head = "the cloth sags|simulations|height of the clamps, standard deviation"
+    head += "|error of μ a millimetre higher|error of μ, r.m.s. over simulations|mean error of μ"
+    return _table(head.split("|"), rows)
+
+
+def drawn_fabrics(root):
+    """The instrument that ships on fabrics, coefficients and cloths beside those that train."""
+    found = _read(root, "camera/drawn_fabrics.json")
+    rows = []
+    for name, part in found.items():
+        if not isinstance(part, dict):
+            continue
+        rows.append(
+            [
+                name if name == "all" else f"μ = {name}",
+                f"{part['videos']} of {part['simulations']}",
+                *_scores(part),
+                f"{part['rms_common']:.3f}",
+                f"{part['rms_other']:.3f}",
+                f"{part['alarms']:.0%}",
+            ]
+        )
+    head = "|videos of simulations|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    head += "|error common to a simulation's videos, r.m.s.|differing between them, r.m.s.|alarms"
+    return _table(head.split("|"), rows)
+
+
 def surrogates(root):
     """The instrument that ships on surrogate videos, each from a camera of its own."""
     found = _read(root, "camera/surrogates.json")
@@ -667,6 +715,8 @@ TABLES = {
     "places": places,
     "reach": reach,
     "angles": angles,
+    "clamp_height": clamp_height,
+    "drawn_fabrics": drawn_fabrics,
     "surrogates": surrogates,
     "sides": sides,
     "paper_sides": paper_sides,

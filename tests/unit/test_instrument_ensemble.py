@@ -232,6 +232,13 @@ def test_what_cannot_calibrate_is_refused(
         recalibrate_instrument(recalibrated, [other_bench], out)
     with pytest.raises(BadInput, match="is a single training; averages alone keep"):
         recalibrate_instrument(members[0], [other_bench], out)
+    unknown = shutil.copytree(whole, tmp_path / "unknown")
+    (unknown / f"{WEIGHTS}.provenance.json").unlink()
+    with pytest.raises(BadInput, match="has no record of what trained it"):
+        recalibrate_instrument(unknown, [other_bench], out)
+    (unknown / FILE).unlink()
+    with pytest.raises(BadInput, match=r"calibration\.parquet: no such file"):
+        recalibrate_instrument(unknown, [other_bench], out)
     config = synthetic_videos.config(
         grid={"frictions": [0.3, 1.75]}, render={"pixels": 24}, sample={"frames": 6}
     )

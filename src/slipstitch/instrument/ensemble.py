@@ -192,6 +192,10 @@ def recalibrate_instrument(
     if before.error_bars is None:
         raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
     own = read_answers(path, before.card["dataset_digest"])
+    try:
+        inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
+    except FileNotFoundError:
+        raise BadInput(f"{Path(folder) / WEIGHTS}: has no record of what trained it") from None
     statistics = before.error_bars.alarm.statistics
     # A card names the weights beside it, which are others now.
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
@@ -203,7 +207,7 @@ def recalibrate_instrument(
         config={"instrument": combined.settings},
         started=started,
     )
-    record["inputs"] = read_provenance(Path(folder) / WEIGHTS)["inputs"] | record["inputs"]
+    record["inputs"] = inputs | record["inputs"]
     record["threads"] = threads
     return _write(combined, held, out_dir, record)
 
