@@ -47,7 +47,8 @@ def page(root, whole, parts, beyond, surrogates):
         "Use": _use(card),
         "Data": _data(card, config, pandas.read_parquet(run / "dataset/manifest.parquet")),
         "Accuracy and coverage": _accuracy(card, found, whole, parts, beyond, surrogates),
-        "Limits": _limits(card, config, found, (run / "captures/metrics.json").is_file()),
+        "Limits": _limits(card, config, found, (run / "captures/metrics.json").is_file())
+        + _limits_of_bench(root),
         "Licence": _licence(root),
         "Provenance": _provenance(root, card, read["dataset/digests.json"]),
     }
@@ -182,6 +183,22 @@ def _limits(card, config, found, real):
     if untested:
         lines.append(f"- Not tested: {', '.join(untested)}.")
     return lines
+
+
+def _limits_of_bench(root):
+    """What other fabrics and clamps a little high or low do to it."""
+    drawn, clamps = (
+        json.loads((root / "results/published/camera" / f"{name}.json").read_text(encoding="utf-8"))
+        for name in ("drawn_fabrics", "clamp_height")
+    )
+    part = drawn["all"]
+    return [
+        f"- Fabrics that differ by a quarter from those above, coefficients and cloths between and "
+        f"beside them: mean error {part['mean_absolute_error']:.3f}, "
+        f"{part['coverage_90']:.0%} of the intervals hold.",
+        "- Clamps that hang a millimetre higher than they should are read as "
+        f"{-clamps['all']['error_per_mm']:.0%} less μ.",
+    ]
 
 
 def _licence(root):
