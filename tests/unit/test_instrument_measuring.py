@@ -248,11 +248,17 @@ def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
 
 def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
     instrument = untrained_instrument(SETTINGS, FABRICS, 32, frames=6)
+    instrument = dataclasses.replace(instrument, card=instrument.card | {"dataset_digest": "own"})
     rows = [
-        {"simulation": f"s{k}", "friction": 0.1 * k, "material": "gray-interlock" if k < 4 else "x"}
+        {
+            "video": f"v{k}",
+            "simulation": f"s{k}",
+            "friction": 0.1 * k,
+            "material": "gray-interlock" if k < 4 else "x",
+        }
         for k in range(1, 16)
     ]
-    videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "digest")
+    videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "own")
     bars = calibrated(instrument, videos, np.arange(15) < 3).error_bars
     assert bars.material_temperature == 1.0
     assert math.isfinite(bars.factor)
