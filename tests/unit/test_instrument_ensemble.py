@@ -198,9 +198,10 @@ def test_further_datasets_calibrate_it_with_or_without_its_members(
         assert (recalibrated / name).read_bytes() == (tmp_path / name).read_bytes(), name
     tables = [pq.read_table(one / FILE) for one in (recalibrated, tmp_path)]
     assert tables[0].equals(tables[1])
-    inputs = [read_sidecar(one / WEIGHTS)["inputs"].values() for one in (recalibrated, tmp_path)]
-    assert {*inputs[0]} == {*inputs[1]}
-    assert file_digest(other_bench / "manifest.parquet") in inputs[0]
+    inputs = [read_sidecar(one / WEIGHTS)["inputs"] for one in (recalibrated, tmp_path)]
+    assert inputs[0] == inputs[1]
+    manifest = file_digest(other_bench / "manifest.parquet")
+    assert inputs[0]["calibration_datasets/0/manifest.parquet"] == manifest
 
 
 def test_every_simulation_of_a_further_dataset_calibrates(recalibrated, average, other_bench):

@@ -139,14 +139,14 @@ def combine_instruments(
             f"{members[0]}: has no alarm, as none of its videos calibrated it; further datasets "
             "cannot calibrate it alone"
         )
-    # The manifest has the digest of every video's pixels, with which they are compared.
-    manifests = [Path(folder) / MANIFEST for folder in (dataset, *further)]
     record = provenance_record(
         "instrument",
-        inputs=[*weights, *manifests],
+        # The manifest has the digest of every video's pixels, with which they are compared.
+        inputs=[*weights, Path(dataset) / MANIFEST],
         config={"instrument": combined.settings},
         started=started,
     )
+    record["inputs"] |= _manifests(further, 0)
     record["threads"] = threads
     return _write(combined, held, out_dir, record)
 
@@ -202,14 +202,19 @@ def recalibrate_instrument(
     before = dataclasses.replace(before, card=card)
     combined, held = _with_further(before, statistics, own, further)
     record = provenance_record(
-        "instrument",
-        inputs=[Path(one) / MANIFEST for one in further],
-        config={"instrument": combined.settings},
-        started=started,
+        "instrument", config={"instrument": combined.settings}, started=started
     )
-    record["inputs"] = inputs | record["inputs"]
+    record["inputs"] = inputs | _manifests(further, len(card.get("calibration_datasets", [])))
     record["threads"] = threads
     return _write(combined, held, out_dir, record)
+
+
+def _manifests(further: Sequence[str | os.PathLike], first: int) -> dict[str, str]:
+    """Digests of the manifests of further datasets, by names that tell them apart."""
+    return {
+        f"calibration_datasets/{number}/{MANIFEST}": file_digest(Path(folder) / MANIFEST)
+        for number, folder in enumerate(further, first)
+    }
 
 
 def _with_further(
