@@ -85,7 +85,7 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     if training.all():
         return instrument
     generator = np.random.default_rng(0)
-    trained = _frames(instrument, videos, training)
+    trained = phased(videos.pixels[training], instrument.card["frames"], None)
     answers = instrument.answers(trained, generator, poses_of(videos.rows)[training])
     statistics = describe(trained, answers.embedding)
     del trained  # as large as all videos that train
@@ -110,7 +110,7 @@ def answers_on(
     generator : numpy Generator
         Of the augmentations.
     """
-    frames = _frames(instrument, videos, np.ones(len(videos), bool))
+    frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
     return CalibrationAnswers(
         rows=[
@@ -168,8 +168,3 @@ def with_error_bars(
         ),
     )
     return dataclasses.replace(instrument, error_bars=bars)
-
-
-def _frames(instrument: Instrument, videos: Videos, chosen: np.ndarray) -> np.ndarray:
-    """The frames that the instrument sees of some of the videos."""
-    return phased(videos.pixels[chosen], instrument.card["frames"], None)
