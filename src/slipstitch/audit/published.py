@@ -233,7 +233,9 @@ class _Published:
             self.find(Kind.BROKEN, weights, "has no record of what it was trained on")
         trained_on: dict[str, str] = {}
         others = []
-        besides = {place for place, digest in self.further().items() if digest in inputs.values()}
+        besides = {
+            place: digest for place, digest in self.further().items() if digest in inputs.values()
+        }
         for path, digest in sorted(inputs.items()):
             name = Path(path).name
             if _AVERAGED in path:  # one of the instruments of which this one is the average
@@ -248,7 +250,7 @@ class _Published:
                 }
             elif _TRAINED in path:  # the network that tells this one the fabric
                 known = self.digests.get(f"models/{path.rpartition(_TRAINED)[2]}")
-            elif name == MANIFEST and digest in self.further().values():
+            elif name == MANIFEST and digest in besides.values():
                 known = digest
             elif name == MANIFEST:
                 known = self.digests.get(f"{_DATASET}/{name}")
