@@ -13,14 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas
-from filmed import CONFIGS, PUBLISHED, ROOT, SHIPPED, FilmedSet, models, publish, videos
+from filmed import CONFIGS, PUBLISHED, ROOT, SHIPPED, FilmedSet, models, publish, reading, videos
 
 from slipstitch.bench.frames import sampled_frames
 from slipstitch.config import load_config
 from slipstitch.evaluate.instruments import AVERAGE
-from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import load_instrument
-from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.images import pixels_digest
 from slipstitch.sample.manifest import read_manifest
 
@@ -41,17 +39,12 @@ def main():
         for texture, images in videos(path, frames, config.render.pixels):
             simulation, _, view = path.stem.rpartition("_")
             name = f"{simulation}_{texture}_{view}"
-            seen = phased(images[None], instrument.card["frames"], None)
-            (told,) = [
-                instrument.measure(one, pose=pose)
-                for one, pose in zip(seen, poses_of([known[name]]), strict=True)
-            ]
             rows.append(
                 {
                     "video": name,
                     "friction": known[name]["friction"],
                     "published": float(before[name]),
-                    "reading": told.friction_coefficient,
+                    "reading": reading(instrument, images, known[name])["reading"],
                     "same_pixels": pixels_digest(images) == known[name]["pixels_sha256"],
                 }
             )

@@ -14,7 +14,16 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import SHIPPED, FilmedSet, answering, film, models, publish, readings
+from filmed import (
+    SHIPPED,
+    FilmedSet,
+    answering,
+    film,
+    models,
+    of_each_simulation,
+    publish,
+    readings,
+)
 from instrument_reach import MATERIALS
 from scipy.stats import linregress
 
@@ -60,13 +69,9 @@ def theory(friction):
 
 def slope(rows):
     """Relative error of the reading a millimetre of height, each simulation counting once."""
-    of_each = {}
-    for row in rows:
-        of_each.setdefault(row["simulation"], []).append(row)
-    height_mm = [each[0]["height_mm"] for each in of_each.values()]
-    error = [
-        np.mean([row["reading"] / row["friction"] - 1 for row in each]) for each in of_each.values()
-    ]
+    of_each = of_each_simulation(rows)
+    height_mm = [each[0]["height_mm"] for each in of_each]
+    error = [np.mean([row["reading"] / row["friction"] - 1 for row in each]) for each in of_each]
     found = linregress(height_mm, error)
     return {
         "simulations": len(of_each),

@@ -10,12 +10,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import ROOT, SHIPPED, FilmedSet, models, publish
+from filmed import ROOT, SHIPPED, FilmedSet, models, of_each_simulation, publish, reading
 from instrument_reach import scores
 
 from slipstitch.config.load import read_mapping
-from slipstitch.evaluate.instruments import measured
-from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.measuring import load_instrument
 from slipstitch.sample.videos import read_videos
 
@@ -24,10 +22,10 @@ CONFIG = "config/error_bars.yaml"
 
 def common(rows):
     """Root mean square of the errors that all videos of a simulation share, and of the rest."""
-    of_each = {}
-    for row in rows:
-        of_each.setdefault(row["simulation"], []).append(row["reading"] - row["friction"])
-    errors = [np.array(each) for each in of_each.values()]
+    errors = [
+        np.array([row["reading"] - row["friction"] for row in each])
+        for each in of_each_simulation(rows)
+    ]
     return {
         "rms_common": float(np.sqrt(np.mean([each.mean() ** 2 for each in errors]))),
         "rms_other": float(np.sqrt(np.mean([each.var() for each in errors]))),
@@ -41,22 +39,11 @@ def main():
     arguments = parser.parse_args()
     instrument = load_instrument(models(arguments.run)[-1])
     videos = read_videos(arguments.dataset, pixels=instrument.settings.pixels)
-    frames = phased(videos.pixels, instrument.card["frames"], None)
-    rows = []
-    for row, told in zip(videos.rows, measured(instrument, frames, videos.rows), strict=True):
-        low, high = told.interval_90
-        rows.append(
-            {
-                "simulation": row["simulation"],
-                "material": row["material"],
-                "friction": row["friction"],
-                "texture": row["texture"],
-                "reading": told.friction_coefficient,
-                "low": float(low),
-                "high": float(high),
-                "alarm": told.alarm,
-            }
-        )
+    rows = [
+        {name: row[name] for name in ("simulation", "material", "friction", "texture")}
+        | reading(instrument, video, row)
+        for row, video in zip(videos.rows, videos.pixels, strict=True)
+    ]
     parts = {"all": rows} | {
         f"{friction:g}": [row for row in rows if row["friction"] == friction]
         for friction in sorted({row["friction"] for row in rows})

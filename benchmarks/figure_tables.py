@@ -17,6 +17,9 @@ from slipstitch.evaluate import paper as printed
 from slipstitch.sample.probes import SIGNIFICANCE, chance_of, is_probed
 from slipstitch.theory import flexible_strip_drag
 
+# Head of what `_scores` gives.
+SCORES = "mean error of μ|within 0.1|in the 90 % interval|its mean width"
+
 
 def _read(root, name):
     return json.loads((root / "results" / "published" / name).read_text(encoding="utf-8"))
@@ -141,7 +144,7 @@ def instrument(root):
                 f"{mean['alarm_rate']:.0%}",
             ]
         )
-    head = "|videos of simulations|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    head = f"|videos of simulations|{SCORES}"
     return _table([*head.split("|"), "fabric right", "alarms"], rows)
 
 
@@ -257,7 +260,7 @@ def reach(root):
                 f"{part['alarms']:.0%}",
             ]
         )
-    head = "|videos of simulations|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    head = f"|videos of simulations|{SCORES}"
     return _table([*head.split("|"), "alarms"], rows)
 
 
@@ -274,10 +277,8 @@ def angles(root):
         ]
         for angle, part in found["angles"].items()
     ]
-    head = "camera turned by|videos of simulations|mean error of μ|within 0.1|in the 90 % interval"
-    return _table(
-        [*head.split("|"), "its mean width", "alarms", "within 0.1, single trainings"], rows
-    )
+    head = f"camera turned by|videos of simulations|{SCORES}|alarms|within 0.1, single trainings"
+    return _table(head.split("|"), rows)
 
 
 def clamp_height(root):
@@ -323,7 +324,7 @@ def drawn_fabrics(root):
                 f"{part['alarms']:.0%}",
             ]
         )
-    head = "|videos of simulations|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    head = f"|videos of simulations|{SCORES}"
     head += "|error common to a simulation's videos, r.m.s.|differing between them, r.m.s.|alarms"
     return _table(head.split("|"), rows)
 
@@ -349,7 +350,7 @@ def surrogates(root):
                 f"{part['alarms']:.0%}",
             ]
         )
-    head = "surrogate videos|number|mean error of μ|within 0.1|in the 90 % interval|its mean width"
+    head = f"surrogate videos|number|{SCORES}"
     return _table([*head.split("|"), "fabric right", "alarms"], rows)
 
 

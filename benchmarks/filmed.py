@@ -196,7 +196,7 @@ def readings(configs, folder, measuring):
                     rows += [
                         row
                         | {"texture": names[texture], "seed": one.card.get("seed")}
-                        | _reading(one, video, row)
+                        | reading(one, video, row)
                         for one in measuring
                     ]
     return rows
@@ -208,7 +208,16 @@ def videos(path, frames, pixels):
         yield texture, np.stack([decode(image.png, str(path), pixels) for image in images])
 
 
-def _reading(instrument, video, row):
+def of_each_simulation(rows):
+    """The rows of each simulation, in the order of their first."""
+    found = {}
+    for row in rows:
+        found.setdefault(row["simulation"], []).append(row)
+    return list(found.values())
+
+
+def reading(instrument, video, row):
+    """What an instrument says of a video, whose row of the manifest tells its pose."""
     frames = phased(video[None], instrument.card["frames"], None)
     (measurement,) = measured(instrument, frames, [row])
     low, high = measurement.interval_90

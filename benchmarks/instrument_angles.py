@@ -67,6 +67,14 @@ def sets():
     return found
 
 
+def of_angles(rows):
+    """Scores at every angle."""
+    return {
+        f"{angle:+d}": scores([row for row in rows if row["angle_deg"] == angle])
+        for angle in ANGLES_DEG
+    }
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for videos")
@@ -85,17 +93,10 @@ def main():
         # One simulation, whichever camera films it.
         row["simulation"] = row["simulation"].partition(" ")[2]
     rows = answering(every)
-    alone = [row for row in every if row["seed"] is not None]
     result = {
         "all": scores(rows),
-        "angles": {
-            f"{angle:+d}": scores([row for row in rows if row["angle_deg"] == angle])
-            for angle in ANGLES_DEG
-        },
-        "trainings": {
-            f"{angle:+d}": scores([row for row in alone if row["angle_deg"] == angle])
-            for angle in ANGLES_DEG
-        },
+        "angles": of_angles(rows),
+        "trainings": of_angles([row for row in every if row["seed"] is not None]),
     }
     publish("angles", result, sets(), every, arguments.run)
     print(json.dumps({name: result[name] for name in ("all", "angles")}, indent=1))
