@@ -15,7 +15,12 @@ rule instrument:
         expand(
             "results/instrument/{split}/ensemble/{file}",
             split=CONFIG.train.splits if len(CONFIG.instrument.seeds) > 1 else [],
-            file=["instrument.safetensors", "instrument.json", "calibration.parquet"],
+            file=[
+                "instrument.safetensors",
+                "instrument.json",
+                "calibration.parquet",
+                "readings.parquet",
+            ],
         ),
 
 
@@ -72,6 +77,7 @@ rule instrument_ensemble:
         weights="results/instrument/{split}/ensemble/instrument.safetensors",
         card="results/instrument/{split}/ensemble/instrument.json",
         calibration="results/instrument/{split}/ensemble/calibration.parquet",
+        readings="results/instrument/{split}/ensemble/readings.parquet",
     log:
         "results/logs/instrument/{split}_ensemble.log",
     benchmark:

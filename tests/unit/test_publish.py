@@ -374,6 +374,11 @@ def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, t
     assert file_digest(place / "manifest.parquet") == file_digest(run / "sample/manifest.parquet")
     lineage = json.loads((place / "lineage.json").read_text())
     assert {f"{run.name}/sample/{name}" for name in own["files"]} <= set(lineage)
+    # The scores are of the run's own dataset alone: here it has the same manifest, so another one.
+    table = pq.read_table(place / "manifest.parquet")
+    pq.write_table(table, place / "manifest.parquet", compression="none")
+    assert not [one for one in audit_published(out).findings if one.where in SCORES]
+    shutil.copy(run / "sample" / "manifest.parquet", place)
     shutil.rmtree(tmp_path / "bench")
     with contextlib.chdir(tmp_path):
         assert not publish(config, run.name, out, update=True)["partial"]

@@ -9,18 +9,18 @@ from typing import Any
 from slipstitch.audit.admission import check_entries, limited_memory
 from slipstitch.audit.audit_page import printable
 from slipstitch.audit.findings import Finding, Kind, sorted_findings
-from slipstitch.audit.scored import SCORES, SCORES_OF, and_more, compare
+from slipstitch.audit.scored import FURTHER, SCORES, SCORES_OF, and_more, compare
 from slipstitch.audit.staleness import other_code
 from slipstitch.errors import BadInput, first_line
 from slipstitch.measure import SHIPPED
-from slipstitch.provenance import file_digest, read_json, read_metadata
+from slipstitch.provenance import file_digest, read_json, read_metadata, read_parquet
 from slipstitch.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.release.records import Artefact
 from slipstitch.sample.manifest import MANIFEST, read_manifest
 
 #: Of a folder that `slipstitch publish` wrote.
 INDEX = "published.json"
-_DATASET, _FURTHER = "dataset", "calibration_datasets"
+_DATASET, _READINGS = "dataset", "calibration_readings/"
 _DIGESTS, _LINEAGE = f"{_DATASET}/digests.json", f"{_DATASET}/lineage.json"
 _SIMULATED, _TRAINED, _AVERAGED = "/simulate/", "/train/", "/instrument/"
 
@@ -213,12 +213,22 @@ class _Published:
         noted = self.json(f"{place}/lineage.json")
         return {name: _mapping(inputs) for name, inputs in noted.items()}
 
+    def sources(self, name: str) -> set[Any]:
+        """What the published readings that calibrate a model are from."""
+        if name not in self.digests:
+            return set()
+        try:
+            return {*read_parquet(self.folder / name, ["source"])["source"].to_pylist()}
+        except (BadInput, ValueError) as problem:
+            self.find(Kind.BROKEN, name, first_line(problem))
+            return set()
+
     def further(self) -> dict[str, str]:
         """Where datasets that calibrate besides are published -> digest of their manifest."""
         return {
             name.removesuffix(f"/{MANIFEST}"): digest
             for name, digest in self.digests.items()
-            if name.startswith(f"{_FURTHER}/") and name.endswith(f"/{MANIFEST}")
+            if name.startswith(FURTHER) and name.endswith(f"/{MANIFEST}")
         }
 
     def chain(
@@ -250,7 +260,7 @@ class _Published:
                 }
             elif _TRAINED in path:  # the network that tells this one the fabric
                 known = self.digests.get(f"models/{path.rpartition(_TRAINED)[2]}")
-            elif name == MANIFEST and digest in besides.values():
+            elif path.startswith(_READINGS) or (name == MANIFEST and digest in besides.values()):
                 known = digest
             elif name == MANIFEST:
                 known = self.digests.get(f"{_DATASET}/{name}")
@@ -264,12 +274,16 @@ class _Published:
         if card.get("dataset_digest") != self.json(_DIGESTS).get("digest"):
             self.find(Kind.BROKEN, weights, "trained on another dataset than the published one")
         behind = self.behind(set(trained_on), lineage, _LINEAGE) if lineage else {}
-        noted = card.get("calibration_datasets", [])
+        noted = card.get("calibration_readings", [])
         calibrated_on = {
             _mapping(one).get("digest") for one in (noted if isinstance(noted, list) else [{}])
         }
-        if calibrated_on != {self.json(f"{place}/digests.json").get("digest") for place in besides}:
-            self.find(Kind.BROKEN, weights, "calibrated on another dataset than the published one")
+        files = {digest for path, digest in inputs.items() if path.startswith(_READINGS)}
+        datasets = {self.json(f"{place}/digests.json").get("digest") for place in besides}
+        if calibrated_on != files | datasets:
+            self.find(Kind.BROKEN, weights, "calibrated on other readings than its record names")
+        if calibrated_on != self.sources(f"{weights.rpartition('/')[0]}/readings.parquet"):
+            self.find(Kind.BROKEN, weights, "calibrated on other readings than the published ones")
         for place in sorted(besides):
             shards = self.check_dataset(place)
             trained_on |= {f"{place}/{name}": digest for name, digest in shards.items()}

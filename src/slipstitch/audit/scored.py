@@ -9,6 +9,8 @@ from slipstitch.sample.manifest import MANIFEST
 SCORES = ("metrics.json", "details.json", "predictions.parquet")
 #: Before a model without scores, in the list of what a published run lacks.
 SCORES_OF = "scores of "
+#: Where datasets of other benches, which calibrate an average, are published.
+FURTHER = "calibration_datasets/"
 
 
 def compare(record: Any, digests: Mapping[str, str]) -> tuple[list[str], list[str]]:
@@ -32,7 +34,12 @@ def compare(record: Any, digests: Mapping[str, str]) -> tuple[list[str], list[st
     evaluated = _counting(inputs if isinstance(inputs, Mapping) else {})
     there = _counting(digests)
     others = [name for name, digest in evaluated.items() if digest not in there.values()]
-    unscored = [name for name, digest in there.items() if digest not in evaluated.values()]
+    # Datasets of other benches calibrate; the scores are of the run's own.
+    unscored = [
+        name
+        for name, digest in there.items()
+        if not name.startswith(FURTHER) and digest not in evaluated.values()
+    ]
     return sorted(others), sorted(unscored)
 
 

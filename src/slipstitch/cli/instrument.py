@@ -23,7 +23,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="average these instruments, trained with other seeds, and calibrate the average",
     )
     what.add_argument(
-        "--recalibrate", metavar="DIR", help="calibrate this average on --calibration-datasets too"
+        "--recalibrate",
+        metavar="DIR",
+        help="stretch the intervals of this average by --calibration-datasets or --readings too",
     )
     parser.add_argument(
         "--calibration-datasets",
@@ -33,6 +35,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="with --members or --recalibrate: datasets of which all videos calibrate too",
     )
+    parser.add_argument(
+        "--readings",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="with --recalibrate: JSON files of its readings of videos of known friction",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -40,19 +50,23 @@ def run(arguments: argparse.Namespace) -> None:
     check_at_least(arguments, threads=1, seed=0)
     if arguments.recalibrate:
         refuse(arguments, ("config", "dataset", "split"), "--recalibrate")
-        require(arguments, ("calibration_datasets",), "--recalibrate")
+        from slipstitch.errors import BadInput
         from slipstitch.instrument.ensemble import recalibrate_instrument
 
+        if not (arguments.calibration_datasets or arguments.readings):
+            raise BadInput("--recalibrate requires --calibration-datasets, --readings or both")
         _print_average(
             recalibrate_instrument(
                 arguments.recalibrate,
-                arguments.calibration_datasets,
                 arguments.out_dir,
+                arguments.calibration_datasets,
+                arguments.readings,
                 threads=arguments.threads,
             )
         )
         return
     mode = "--members" if arguments.members else "--seed"
+    refuse(arguments, ("readings",), mode)
     require(arguments, ("config", "dataset", "split"), mode)
     from slipstitch.config import load_config
 

@@ -1,7 +1,6 @@
 """What an instrument says of the videos that calibrate it, and the file that keeps it."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,6 @@ from slipstitch.provenance import read_parquet, write_parquet
 FILE = "calibration.parquet"
 SCHEMA = pa.schema(
     [
-        ("dataset", pa.string()),  # its digest
         ("video", pa.string()),
         ("simulation", pa.string()),
         ("material", pa.string()),
@@ -25,7 +23,7 @@ SCHEMA = pa.schema(
         *((name, pa.float64()) for name in SCORES),  # of the alarm, before they are scaled
     ]
 )
-_NAMES = ("dataset", "video", "simulation", "material", "friction")
+_NAMES = ("video", "simulation", "material", "friction")
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class CalibrationAnswers:
     Attributes
     ----------
     rows : list of dict
-        ``dataset`` (its digest), ``video, simulation, material, friction`` of each.
+        ``video, simulation, material, friction`` of each.
     probabilities : ndarray, shape (n, G)
         On the grid of mu.
     material_logits : ndarray, shape (n, M)
@@ -50,8 +48,13 @@ class CalibrationAnswers:
 
     @property
     def groups(self) -> list[str]:
-        """The simulation of each, told apart from those of other datasets."""
-        return [f"{row['dataset']} {row['simulation']}" for row in self.rows]
+        """The simulation of each."""
+        return [row["simulation"] for row in self.rows]
+
+    @property
+    def friction(self) -> np.ndarray:
+        """The coefficient of each, shape (n,)."""
+        return np.array([row["friction"] for row in self.rows])
 
     def table(self) -> pa.Table:
         """As `FILE` keeps them: the answers of the networks in float32."""
@@ -83,19 +86,8 @@ def from_table(table: pa.Table) -> CalibrationAnswers:
     )
 
 
-def joined(parts: Sequence[CalibrationAnswers]) -> CalibrationAnswers:
-    """All of them, one after another; rounded to what is kept."""
-    return from_table(pa.concat_tables(part.table() for part in parts))
-
-
-def read_answers(path: str | os.PathLike, dataset: str) -> CalibrationAnswers:
+def read_answers(path: str | os.PathLike) -> CalibrationAnswers:
     """Read `FILE`.
-
-    Parameters
-    ----------
-    path : path
-    dataset : str
-        Digest of the dataset that trained: files that name none are of it.
 
     Raises
     ------
@@ -103,8 +95,6 @@ def read_answers(path: str | os.PathLike, dataset: str) -> CalibrationAnswers:
         If the file is missing, damaged or another one.
     """
     table = read_parquet(path)
-    if "dataset" not in table.column_names:
-        table = table.append_column("dataset", pa.array([dataset] * table.num_rows))
     if missing := sorted(set(SCHEMA.names) - set(table.column_names)):
         raise Damaged(path, f"has no column {missing[0]}")
     return from_table(table)

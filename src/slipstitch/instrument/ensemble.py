@@ -2,6 +2,7 @@
 
 Its networks differ only in their seed. What they say is averaged (`measuring.Instrument`), and the
 error bars and the alarm are calibrated for the average, on the videos that calibrated each of them.
+Its intervals may be stretched further by what it reads on other benches.
 """
 
 import dataclasses
@@ -16,14 +17,23 @@ import torch
 from slipstitch.config.train import split_of
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
+from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.calibration_answers import (
     FILE,
     CalibrationAnswers,
-    joined,
+    from_table,
     read_answers,
     write_answers,
 )
-from slipstitch.instrument.error_bars import answers_on, with_error_bars
+from slipstitch.instrument.calibration_readings import FILE as READINGS
+from slipstitch.instrument.calibration_readings import (
+    CalibrationReadings,
+    kept_readings,
+    read_readings,
+    readings_on,
+    write_readings,
+)
+from slipstitch.instrument.error_bars import answers_on, stretched_by, with_error_bars
 from slipstitch.instrument.measuring import (
     CARD,
     NETWORKS_MAX,
@@ -35,6 +45,7 @@ from slipstitch.instrument.measuring import (
     save_instrument,
 )
 from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     file_digest,
     provenance_record,
@@ -87,18 +98,19 @@ def combine_instruments(
     split : {"by_video", "by_simulation", "by_video_reflective"}
         On which they were trained; its validation videos calibrate.
     out_dir : path
-        Gets ``instrument.safetensors``, ``instrument.json`` and ``calibration.parquet``, what the
-        average says of the videos that calibrate it, from which any other error bar can be fitted.
-        Members that no video calibrated give an average without error bars.
+        Gets ``instrument.safetensors``, ``instrument.json``, ``calibration.parquet``, what the
+        average says of the videos that calibrate it, from which any other error bar can be fitted,
+        and ``readings.parquet``, what it reads of other benches. Members that no video calibrated
+        give an average without error bars.
     further : sequence of path
-        Datasets of which all videos calibrate too.
+        Datasets of other benches, of which all videos calibrate the intervals too.
     threads : int
 
     Returns
     -------
     dict
         The card: as the members' cards where they agree, and ``networks``, their number, and
-        ``seeds``, ``members_sha256``, ``train_loss``, one a member; ``calibration_datasets``, a
+        ``seeds``, ``members_sha256``, ``train_loss``, one a member; ``calibration_readings``, a
         row for each of `further`.
 
     Raises
@@ -128,12 +140,15 @@ def combine_instruments(
     }
     combined = Instrument(networks, card, None)
     alarms = [one.error_bars.alarm for one in trained if one.error_bars]
-    held = None
+    held, readings = None, CalibrationReadings([])
     if alarms:
         statistics = _statistics(alarms)
         videos = _held_out(trained[0], dataset, split)
-        own = answers_on(combined, statistics, videos, np.random.default_rng(0))
-        combined, held = _with_further(combined, statistics, own, further)
+        answers = answers_on(combined, statistics, videos, np.random.default_rng(0))
+        held = from_table(answers.table())  # rounded as it is kept
+        combined = with_error_bars(combined, statistics, held)
+        readings = _on_datasets(combined, readings, further)
+        combined = _stretched(combined, held, readings)
     elif further:
         raise BadInput(
             f"{members[0]}: has no alarm, as none of its videos calibrated it; further datasets "
@@ -146,122 +161,135 @@ def combine_instruments(
         config={"instrument": combined.settings},
         started=started,
     )
-    record["inputs"] |= _manifests(further, 0)
+    record["inputs"] |= _inputs(further, (), 0)
     record["threads"] = threads
-    return _write(combined, held, out_dir, record)
+    return _write(combined, held, readings, out_dir, record)
 
 
 def recalibrate_instrument(
     folder: str | os.PathLike,
-    further: Sequence[str | os.PathLike],
     out_dir: str | os.PathLike,
+    further: Sequence[str | os.PathLike] = (),
+    files: Sequence[str | os.PathLike] = (),
     threads: int = 1,
 ) -> dict[str, Any]:
-    """Calibrate the error bars and the alarm of an average on further datasets too, write it.
+    """Stretch the intervals of an average by what it reads of other benches too, write it.
 
-    The same as `combine_instruments` gives with these datasets, without its members and the images
-    that calibrated it: what it says of these is in its ``calibration.parquet``.
+    All else stays as it is: medians, spread, fabrics and alarm. With datasets alone the intervals
+    are those that `combine_instruments` gives with these, without its members and images.
 
     Parameters
     ----------
     folder : path
         That `combine_instruments` wrote.
-    further : sequence of path
-        Datasets of which all videos calibrate.
     out_dir : path
         Gets the same files.
+    further : sequence of path
+        Datasets of which all videos calibrate.
+    files : sequence of path
+        Readings by this average (`slipstitch.instrument.calibration_readings.read_readings`).
     threads : int
 
     Returns
     -------
     dict
-        The card.
+        The card; ``recalibrated_from`` has the ``weights_sha256`` and the ``factor`` of before.
 
     Raises
     ------
     BadInput
         If the instrument is no average or nothing has calibrated it, a file is damaged, or a
-        dataset calibrates it already or is of no use to calibrate it.
+        source calibrates it already or is of no use to calibrate it.
     """
     started = start_clock()
     set_up_torch(threads)
     before = load_instrument(folder)
-    path = Path(folder) / FILE
     if len(before.networks) == 1:
         raise BadInput(f"{folder}: is a single training; averages alone keep what calibrated them")
     if before.error_bars is None:
         raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
-    own = read_answers(path, before.card["dataset_digest"])
+    held = read_answers(Path(folder) / FILE)
+    readings = kept_readings(folder)
     try:
         inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
     except FileNotFoundError:
         raise BadInput(f"{Path(folder) / WEIGHTS}: has no record of what trained it") from None
-    statistics = before.error_bars.alarm.statistics
+    first = len(readings.noted)
+    readings = _on_datasets(before, readings, further)
+    for file in files:
+        found = read_readings(file, before)
+        _check_new(before, readings, found.rows[0]["source"], file)
+        readings = CalibrationReadings(readings.rows + found.rows)
     # A card names the weights beside it, which are others now.
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
-    before = dataclasses.replace(before, card=card)
-    combined, held = _with_further(before, statistics, own, further)
+    card["recalibrated_from"] = {
+        "weights_sha256": before.card["weights_sha256"],
+        "factor": before.factor,
+    }
+    combined = _stretched(dataclasses.replace(before, card=card), held, readings)
     record = provenance_record(
         "instrument", config={"instrument": combined.settings}, started=started
     )
-    record["inputs"] = inputs | _manifests(further, len(card.get("calibration_datasets", [])))
+    record["inputs"] = inputs | _inputs(further, files, first)
     record["threads"] = threads
-    return _write(combined, held, out_dir, record)
+    return _write(combined, held, readings, out_dir, record)
 
 
-def _manifests(further: Sequence[str | os.PathLike], first: int) -> dict[str, str]:
-    """Digests of the manifests of further datasets, by names that tell them apart."""
+def _inputs(
+    further: Sequence[str | os.PathLike], files: Sequence[str | os.PathLike], first: int
+) -> dict[str, str]:
+    """Digests of what other benches are known from, by names that tell them apart."""
+    paths = [
+        *(("calibration_datasets", Path(folder) / MANIFEST) for folder in further),
+        *(("calibration_readings", Path(file)) for file in files),
+    ]
     return {
-        f"calibration_datasets/{number}/{MANIFEST}": file_digest(Path(folder) / MANIFEST)
-        for number, folder in enumerate(further, first)
+        f"{kind}/{number}/{path.name}": file_digest(path)
+        for number, (kind, path) in enumerate(paths, first)
     }
 
 
-def _with_further(
-    combined: Instrument,
-    statistics: tuple[np.ndarray, ...],
-    own: CalibrationAnswers,
-    further: Sequence[str | os.PathLike],
-) -> tuple[Instrument, CalibrationAnswers]:
-    """Calibrated on what it says of its own videos and of those of further datasets; all of it."""
-    noted = list(combined.card.get("calibration_datasets", []))
-    parts = [own]
+def _on_datasets(
+    combined: Instrument, readings: CalibrationReadings, further: Sequence[str | os.PathLike]
+) -> CalibrationReadings:
+    """The readings, and those of all videos of further datasets."""
     for folder in further:
         videos = read_videos(
             folder,
             lambda row: row["viewpoint"] in combined.card["viewpoints"],
             combined.settings.pixels,
         )
-        _check_further(combined, parts, videos, folder)
-        parts.append(answers_on(combined, statistics, videos, np.random.default_rng(0)))
-        noted.append(
-            {
-                "digest": videos.digest,
-                "videos": len(videos),
-                "simulations": len({row["simulation"] for row in videos.rows}),
-            }
-        )
-    held = joined(parts)
-    card = combined.card | {"calibration_simulations": len(set(held.groups))}
-    if noted:
-        card["calibration_datasets"] = noted
-    combined = dataclasses.replace(combined, card=card)
-    return with_error_bars(combined, statistics, held), held
+        _check_new(combined, readings, videos.digest, folder)
+        _check_further(combined, videos, folder)
+        frames = phased(videos.pixels, combined.card["frames"], None)
+        answers = combined.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
+        found = readings_on(combined, answers.probabilities, videos.rows, videos.digest)
+        readings = CalibrationReadings(readings.rows + found.rows)
+    return readings
 
 
-def _check_further(
-    combined: Instrument,
-    parts: Sequence[CalibrationAnswers],
-    videos: Videos,
-    folder: str | os.PathLike,
+def _stretched(
+    combined: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
+) -> Instrument:
+    """By the readings too, with a card that says so."""
+    simulations = len({*held.groups}) + len({*readings.groups})
+    card = combined.card | {"calibration_simulations": simulations}
+    if not readings.rows:
+        return dataclasses.replace(combined, card=card)
+    card["calibration_readings"] = readings.noted
+    return stretched_by(dataclasses.replace(combined, card=card), held, readings)
+
+
+def _check_new(
+    combined: Instrument, readings: CalibrationReadings, source: str, path: str | os.PathLike
 ) -> None:
+    """BadInput if videos from a source calibrate already."""
+    if source in (combined.card["dataset_digest"], *(row["source"] for row in readings.rows)):
+        raise BadInput(f"{path}: trained or calibrates the instrument already")
+
+
+def _check_further(combined: Instrument, videos: Videos, folder: str | os.PathLike) -> None:
     """BadInput if the videos of a dataset are of no use to calibrate."""
-    known = {
-        combined.card["dataset_digest"],
-        *(row["dataset"] for one in parts for row in one.rows),
-    }
-    if videos.digest in known:
-        raise BadInput(f"{folder}: trained or calibrates the instrument already")
     frames, wanted = videos.pixels.shape[1], combined.card["frames"]
     if frames < wanted:
         raise BadInput(f"{folder}: videos of {frames} frames; the instrument requires {wanted}")
@@ -276,15 +304,17 @@ def _check_further(
 def _write(
     combined: Instrument,
     held: CalibrationAnswers | None,
+    readings: CalibrationReadings,
     out_dir: str | os.PathLike,
     record: dict[str, Any],
 ) -> dict[str, Any]:
-    """Write the three files; the card."""
+    """Write the four files; the card."""
     out = Path(out_dir)
     written = save_instrument(combined, out)
     for name in (WEIGHTS, CARD):
         write_sidecar(out / name, record)
     write_answers(held, out / FILE, record)
+    write_readings(readings, out / READINGS, record)
     return written
 
 

@@ -15,6 +15,7 @@ from scipy.special import log_softmax
 from slipstitch.instrument.alarm import calibrated_alarm, describe, not_calibrated
 from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.calibration_answers import CalibrationAnswers
+from slipstitch.instrument.calibration_readings import CalibrationReadings
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import ranked_probability_score, spread
 from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
@@ -114,8 +115,7 @@ def answers_on(
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
     return CalibrationAnswers(
         rows=[
-            {"dataset": videos.digest}
-            | {name: row[name] for name in ("video", "simulation", "material", "friction")}
+            {name: row[name] for name in ("video", "simulation", "material", "friction")}
             for row in videos.rows
         ],
         probabilities=answers.probabilities,
@@ -129,9 +129,6 @@ def with_error_bars(
 ) -> Instrument:
     """The instrument with error bars from its answers on videos that did not train it.
 
-    Videos of other datasets than the one that trained have no part in how sure it may be of a
-    fabric: their fabrics may bear the names of others.
-
     Parameters
     ----------
     instrument : Instrument
@@ -139,14 +136,9 @@ def with_error_bars(
         Of the training videos, as `slipstitch.instrument.alarm.describe` gives them.
     held : CalibrationAnswers
     """
-    groups = held.groups
-    friction = np.array([row["friction"] for row in held.rows])
+    groups, friction = held.groups, held.friction
     names = instrument.card["materials"]
-    known = [
-        k
-        for k, row in enumerate(held.rows)
-        if row["material"] in names and row["dataset"] == instrument.card["dataset_digest"]
-    ]
+    known = [k for k, row in enumerate(held.rows) if row["material"] in names]
     width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
     scores = stretch_scores(
@@ -168,3 +160,38 @@ def with_error_bars(
         ),
     )
     return dataclasses.replace(instrument, error_bars=bars)
+
+
+def stretched_by(
+    instrument: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
+) -> Instrument:
+    """The instrument with intervals that hold on other benches too; all else stays as it is.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        With error bars.
+    held : CalibrationAnswers
+        On its own videos that calibrate it.
+    readings : CalibrationReadings
+        On videos of other benches.
+
+    Returns
+    -------
+    Instrument
+        Its factor is the conformal quantile over all of these simulations, each counting once.
+    """
+    own = stretch_scores(
+        instrument.spread_out(held.probabilities),
+        instrument.grid,
+        instrument.settings.coverage,
+        held.friction,
+    )
+    factor = grouped_quantile(
+        np.concatenate([own, [row["stretch"] for row in readings.rows]]),
+        [*(f"own {group}" for group in held.groups), *readings.groups],
+        instrument.settings.coverage,
+    )
+    bars = instrument.error_bars
+    stretched = bars and dataclasses.replace(bars, factor=factor)
+    return dataclasses.replace(instrument, error_bars=stretched)

@@ -181,13 +181,21 @@ class Instrument:
 
     def distributions(self, answers: Answers) -> np.ndarray:
         """Calibrated distributions on the grid, shape (n, G)."""
+        return self.spread_out(answers.probabilities)
+
+    def spread_out(self, probabilities: np.ndarray) -> np.ndarray:
+        """Calibrated distributions on the grid, from those of uncalibrated answers, (n, G)."""
         bars = self.error_bars
-        return spread(answers.probabilities, self.grid, bars.spread if bars else 1.0)
+        return spread(probabilities, self.grid, bars.spread if bars else 1.0)
 
     def intervals(self, distributions: np.ndarray) -> np.ndarray:
         """Median, lower and upper end of the intervals, shape (n, 3)."""
-        factor = self.error_bars.factor if self.error_bars else math.inf
-        return stretched(distributions, self.grid, self.settings.coverage, factor)
+        return stretched(distributions, self.grid, self.settings.coverage, self.factor)
+
+    @property
+    def factor(self) -> float:
+        """By which the distribution's own half-intervals are stretched; infinite without bars."""
+        return self.error_bars.factor if self.error_bars else math.inf
 
     @property
     def without_error_bar(self) -> str:
@@ -307,7 +315,12 @@ def stretch_scores(
     distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
 ) -> np.ndarray:
     """Factor by which each interval would have to be stretched to reach its truth, shape (n,)."""
-    median, low, high = stretched(distributions, grid, coverage, 1.0).T
+    return stretch_scores_of_intervals(stretched(distributions, grid, coverage, 1.0), truth)
+
+
+def stretch_scores_of_intervals(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
+    median, low, high = intervals.T
     half = np.where(truth < median, median - low, high - median)
     # A half that the grid's end cut off is never too short.
     return np.abs(truth - median) / np.maximum(half, 1e-9)

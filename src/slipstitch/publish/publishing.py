@@ -74,7 +74,12 @@ def finished_files(config: Config) -> dict[str, str]:
             to = f"models/{split}/instrument/ensemble"
             files |= {
                 f"instrument/{split}/ensemble/{file}": f"{to}/{file}"
-                for file in ("instrument.safetensors", "instrument.json", "calibration.parquet")
+                for file in (
+                    "instrument.safetensors",
+                    "instrument.json",
+                    "calibration.parquet",
+                    "readings.parquet",
+                )
             }
     return files
 
