@@ -20,9 +20,9 @@ from slipstitch.evaluate.evaluation import find_models, write_evaluation
 from slipstitch.evaluate.metrics import FIELDS
 from slipstitch.evaluate.probes import PREFIX
 from slipstitch.evaluate.wrong_inputs import wrong_inputs
-from slipstitch.instrument.ensemble import combine_instruments
+from slipstitch.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.instrument.training import train_instrument
-from slipstitch.provenance import read_provenance
+from slipstitch.provenance import file_digest, read_provenance
 from slipstitch.sample.dataset import write_dataset
 from slipstitch.train.training import train_network
 
@@ -379,6 +379,7 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
             tmp_path / "instrument/by_simulation/ensemble",
         )
     tested = {f"{row['simulation']}.parquet" for row in rows}
+    images = shutil.copytree(tmp_path / "sample", tmp_path / "images")
     for shard in (tmp_path / "sample").glob("m0*.parquet"):
         if shard.name not in tested:
             shard.unlink()
@@ -400,6 +401,31 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     assert {Path(name).parent.name for name in inputs} == {"sample", "seed0", "seed1", "ensemble"}
     evaluated([0, 1], update=True)  # nothing to do
     assert content(names[0])["by_simulation"]["instrument_ensemble"] == average["metrics"]
+
+    # Stretched by what it reads of other benches, when all images are gone.
+    ensemble = tmp_path / "instrument/by_simulation/ensemble"
+    scored = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    bench = synthetic_videos.config(seed=5, grid={"frictions": [0.3, 0.4, 0.7], "replicates": 4})
+    shards = synthetic_videos.write_shards(bench, tmp_path / "bench/render")
+    write_dataset(bench, shards, tmp_path / "bench/sample")
+    with contextlib.chdir(tmp_path):
+        recalibrate_instrument(ensemble, tmp_path / "again", ["bench/sample"])
+    shutil.copytree(tmp_path / "again", ensemble, dirs_exist_ok=True)
+    shutil.copytree(images, tmp_path / "sample", dirs_exist_ok=True)
+    evaluated([0, 1])
+    with_images = [content(name)["by_simulation"] for name in (names[0], names[2])]
+    whole = pq.read_table(names[1]).to_pylist()
+    for path, held in scored.items():
+        path.write_bytes(held)
+    for shard in (tmp_path / "sample").glob("m0*.parquet"):
+        shard.unlink()
+    evaluated([0, 1], update=True)
+    for one, other in zip((names[0], names[2]), with_images, strict=True):
+        assert content(one)["by_simulation"] == other
+    assert with_images[0]["instrument_ensemble"] != average["metrics"]
+    assert pq.read_table(names[1]).to_pylist() == whole
+    inputs = read_provenance(names[0])["inputs"]
+    assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
 
 
 def test_scores_of_another_dataset_or_other_settings_are_not_updated(

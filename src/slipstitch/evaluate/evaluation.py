@@ -25,6 +25,7 @@ from slipstitch.evaluate.instruments import (
     find_instruments,
     instrument_weights,
     prediction_of,
+    stretched_again,
 )
 from slipstitch.evaluate.metrics import (
     chance,
@@ -39,6 +40,7 @@ from slipstitch.evaluate.metrics import (
 )
 from slipstitch.evaluate.probes import entries as probe_entries
 from slipstitch.evaluate.probes import probes
+from slipstitch.instrument.measuring import Instrument, load_instrument
 from slipstitch.provenance import (
     file_digest,
     provenance_record,
@@ -479,6 +481,38 @@ def _updated(kept: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return kept | {name: kept.get(name, {}) | models for name, models in new.items()}
 
 
+def _stretch(
+    settings: EvaluateSettings,
+    metrics: dict[str, Any],
+    details: dict[str, Any],
+    predictions: list[dict[str, Any]],
+    rows: dict[str, dict[str, Any]],
+    instrument: Instrument,
+) -> None:
+    """Put the intervals that an average gives now in the place of those that it gave before."""
+    for test, models in details.items():
+        found = models.get(AVERAGE)
+        if found is None or found["trained_on"] != instrument.card["split"]:
+            continue
+        mine = [
+            k
+            for k, row in enumerate(predictions)
+            if (row["split"], row["network"]) == (test, AVERAGE)
+        ]
+        models[AVERAGE], now = stretched_again(
+            found,
+            [predictions[k] for k in mine],
+            [rows[predictions[k]["video"]] for k in mine],
+            instrument,
+            settings.friction_step,
+        )
+        for k, row in zip(mine, now, strict=True):
+            predictions[k] = row
+        metrics[test][AVERAGE] = entry(
+            found["n"], instrument.card["seeds"], models[AVERAGE]["mean"]
+        )
+
+
 def write_evaluation(
     settings: EvaluateSettings,
     dataset: str | os.PathLike,
@@ -497,7 +531,8 @@ def write_evaluation(
 
     With `update`, what these files say of models that are unchanged stays, as of the dataset's
     probes, and only kinds of models (networks, instruments, their averages) of which one is new or
-    changed are evaluated.
+    changed are evaluated. Of averages that differ in the stretch of their intervals alone
+    (`slipstitch.instrument.ensemble.recalibrate_instrument`) no image is needed.
 
     Raises
     ------
@@ -521,6 +556,16 @@ def write_evaluation(
         for kind, paths in kinds.items()
         if before and all(file_digest(path) in before.values() for path in paths)
     }
+    stretched = [
+        instrument
+        for path in ([] if AVERAGE in scored else kinds[AVERAGE])
+        for instrument in [load_instrument(path)]
+        if instrument.card.get("recalibrated_from", {}).get("weights_sha256") in before.values()
+    ]
+    if before and len(stretched) == len(kinds[AVERAGE]):
+        scored.add(AVERAGE)
+    else:
+        stretched = []
     metrics, details, predictions = evaluate(
         settings,
         dataset,
@@ -537,6 +582,10 @@ def write_evaluation(
         details = _updated(read_json(details_out), details)
         kept = read_parquet(predictions_out).to_pylist()
         predictions = [row for row in kept if row["network"] not in again] + predictions
+    if stretched:
+        rows = {row["video"]: row for row in read_manifest(dataset)[0]}
+        for instrument in stretched:
+            _stretch(settings, metrics, details, predictions, rows, instrument)
     record = provenance_record(
         "evaluate",
         inputs=[manifest, *(path for paths in kinds.values() for path in paths)],

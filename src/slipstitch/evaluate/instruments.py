@@ -125,9 +125,7 @@ def scores(
         **scores_of(answers, "interval", table=TEST_SETS),
         "alarm_rate": BY_NAME["alarms"].compute(answers),
     }
-    _, error = answers.coverage
-    if np.isfinite(error):  # more than one simulation
-        result["coverage_90_error"] = error
+    result |= _coverage_error(answers)
     if all(row["material"] in names for row in rows):
         probabilities = np.array(
             [list(measurement.material_probabilities.values()) for measurement in measurements]
@@ -268,6 +266,63 @@ def evaluate_instruments(
         "seeds": each,
         "by": breakdown(everything, rows * len(each), settings.friction_step),
     }, predictions
+
+
+def stretched_again(
+    found: Row, predictions: Sequence[Row], rows: Sequence[Row], instrument: Instrument, step: float
+) -> tuple[Row, list[Row]]:
+    """Scores and predictions of an average after its intervals alone were stretched otherwise.
+
+    Parameters
+    ----------
+    found : dict
+        What `evaluate_instruments` said of it before.
+    predictions : sequence of dict
+        Its rows of predictions.parquet of then, with the distributions of which the intervals are.
+    rows : sequence of dict
+        Of the manifest, one a prediction.
+    instrument : Instrument
+        As it is now.
+    step : float
+        Of the grid of mu, for the scores.
+
+    Returns
+    -------
+    dict, list of dict
+        The same, but for ends and widths of intervals and the shares that hold.
+    """
+    distributions = np.array([row["probabilities"] for row in predictions])
+    intervals = instrument.intervals(distributions)
+    now = [
+        row | {"low": float(low), "high": float(high)}
+        for row, (_, low, high) in zip(predictions, intervals, strict=True)
+    ]
+    measurements = [
+        Measurement(
+            friction_coefficient=row["predicted_value"],
+            distribution=(instrument.grid, np.array(row["probabilities"])),
+            interval_90=(row["low"], row["high"]),
+            material_probabilities={row["likeliest_material"]: 1.0},
+            alarm=bool(row["alarm"]),
+            alarm_reason=row["alarm"],
+            attention_weights=np.zeros(0),
+        )
+        for row in now
+    ]
+    answers = _answers(measurements, list(rows), step)
+    new = {**scores_of(answers, "interval", table=TEST_SETS), **_coverage_error(answers)}
+    by = breakdown(measurements, list(rows), step)
+    return found | {
+        "mean": found["mean"] | new,
+        "seeds": {name: one | new for name, one in found["seeds"].items()},
+        "by": by,
+    }, now
+
+
+def _coverage_error(answers: PredictionsAndTruth) -> dict[str, float]:
+    """Its standard error, of more than one simulation."""
+    _, error = answers.coverage
+    return {"coverage_90_error": error} if np.isfinite(error) else {}
 
 
 def alarm_rates(
