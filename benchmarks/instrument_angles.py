@@ -75,6 +75,16 @@ def of_angles(rows):
     }
 
 
+def result_of(every):
+    """Scores of the average, and of the trainings, together and at every angle."""
+    rows = answering(every)
+    return {
+        "all": scores(rows),
+        "angles": of_angles(rows),
+        "trainings": of_angles([row for row in every if row["seed"] is not None]),
+    }
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for videos")
@@ -92,12 +102,7 @@ def main():
         row["angle_deg"] = 5 * round(row["pose_yaw_deg"] / 5)
         # One simulation, whichever camera films it.
         row["simulation"] = row["simulation"].partition(" ")[2]
-    rows = answering(every)
-    result = {
-        "all": scores(rows),
-        "angles": of_angles(rows),
-        "trainings": of_angles([row for row in every if row["seed"] is not None]),
-    }
+    result = result_of(every)
     publish("angles", result, sets(), every, arguments.run)
     print(json.dumps({name: result[name] for name in ("all", "angles")}, indent=1))
 

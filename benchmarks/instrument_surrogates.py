@@ -84,6 +84,25 @@ def readings(wanted, folder, run):
     return rows, refused
 
 
+def result_of(every):
+    """Scores of the average on all, and part by part, and of the trainings."""
+    rows = answering(every)
+    parts = {
+        "all": rows,
+        "matte": [row for row in rows if not FLOORS[row["floor"]].reflects_plainly],
+        "reflective": [row for row in rows if FLOORS[row["floor"]].reflects_plainly],
+        "trainings": [row for row in every if row["seed"] is not None],
+    }
+    parts |= {
+        name: [row for row in rows if row["material"] == name]
+        for name in sorted({row["material"] for row in rows})
+    }
+    return {
+        name: scores(part) | {"fabric_right": sum(row["fabric_right"] for row in part) / len(part)}
+        for name, part in parts.items()
+    }
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="for cameras and videos")
@@ -103,24 +122,10 @@ def main():
     write_bench(config, folder)
     wanted = made(config, folder, files, arguments.processes)
     every, refused = readings(wanted, folder, arguments.run)
-    rows = answering(every)
-    parts = {
-        "all": rows,
-        "matte": [row for row in rows if not FLOORS[row["floor"]].reflects_plainly],
-        "reflective": [row for row in rows if FLOORS[row["floor"]].reflects_plainly],
-        "trainings": [row for row in every if row["seed"] is not None],
-    }
-    parts |= {
-        name: [row for row in rows if row["material"] == name]
-        for name in sorted({row["material"] for row in rows})
-    }
-    result = {
-        name: scores(part) | {"fabric_right": sum(row["fabric_right"] for row in part) / len(part)}
-        for name, part in parts.items()
-    }
+    result = result_of(every)
     result["refused"] = refused
     publish("surrogates", result, [FilmedSet("surrogates", changes)], every, arguments.run)
-    print(json.dumps({name: result[name] for name in parts} | {"refused": refused}, indent=1))
+    print(json.dumps(result, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,90 @@
+"""Published readings with the intervals of an average whose intervals were stretched otherwise.
+
+    python benchmarks/stretched_again.py
+
+`slipstitch instrument --recalibrate` leaves medians and alarms as they are, and stretches both
+halves of every interval by one factor: what was read before need not be read again. Writes
+reach.json, angles.json and surrogates.json in results/published/camera anew, if they are of the
+average from which the published one was recalibrated.
+"""
+
+import argparse
+import json
+
+import instrument_angles
+import instrument_reach
+import instrument_surrogates
+from filmed import PUBLISHED, FilmedSet, models, publish
+
+from slipstitch.instrument.measuring import load_instrument
+from slipstitch.provenance import file_digest, read_sidecar
+
+MADE_BY = {
+    "reach": instrument_reach,
+    "angles": instrument_angles,
+    "surrogates": instrument_surrogates,
+}
+# Readings are published rounded, so that other scores would be a little off.
+OF_INTERVALS = ("coverage_90", "coverage_90_error", "interval_width")
+
+
+def stretched(row, ratio, largest):
+    """A reading with halves of its interval so many times as long; cut where the grid ends.
+
+    A half that is cut already stays so: `ratio` is at least 1.
+    """
+    reading, low, high = row["reading"], row["low"], row["high"]
+    ends = {
+        "low": max(0.0, reading - ratio * (reading - low)) if low > 0 else 0.0,
+        "high": min(largest, reading + ratio * (high - reading)) if high < largest else largest,
+    }
+    return row | ends
+
+
+def renewed(old, new):
+    """Scores of before, those of intervals in the place of what they were."""
+    return {
+        name: entry
+        if name == "trainings"
+        else renewed(entry, new[name])
+        if isinstance(entry, dict)
+        else new[name]
+        if name in OF_INTERVALS
+        else entry
+        for name, entry in old.items()
+        if name != "readings"
+    }
+
+
+def main():
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    average = load_instrument(models()[-1])
+    before = average.card.get("recalibrated_from")
+    if before is None:
+        raise SystemExit("the published average was not recalibrated")
+    ratio = average.factor / before["factor"]
+    if ratio < 1:
+        raise SystemExit(
+            f"intervals were cut before they got shorter by {ratio:g}: read them again"
+        )
+    for name, benchmark in MADE_BY.items():
+        path = PUBLISHED / "camera" / f"{name}.json"
+        if before["weights_sha256"] not in read_sidecar(path)["inputs"].values():
+            print(f"{path.name}: not of the average from which the published one was recalibrated")
+            continue
+        old = json.loads(path.read_text(encoding="utf-8"))
+        every = [
+            stretched(row, ratio, average.settings.friction_max) if row["seed"] is None else row
+            for row in old["readings"]
+        ]
+        sets = [
+            FilmedSet(of, changes, changes.pop("model", None))
+            for of, changes in read_sidecar(path)["config"].items()
+        ]
+        read = {"readings_sha256": file_digest(path), "factor": before["factor"]}
+        result = renewed(old, benchmark.result_of(every))
+        publish(name, result | {"stretched_from": read}, sets, every)
+
+
+if __name__ == "__main__":
+    main()
