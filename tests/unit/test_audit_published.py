@@ -4,15 +4,18 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from slipstitch.audit.published import audit_published
 from slipstitch.cli.main import main
-from slipstitch.provenance import file_digest, read_metadata, write_json
+from slipstitch.provenance import file_digest, read_metadata, write_json, write_parquet
 from slipstitch.publish.publishing import INDEX
 
 PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
 MODELS = "models/by_simulation/instrument"
+AVERAGE = f"{MODELS}/ensemble/instrument.safetensors"
 LINEAGE = "dataset/lineage.json"
 
 
@@ -66,6 +69,7 @@ def test_a_model_is_followed_to_the_digests_of_its_simulations(folder, capsys):
     assert f"from the digests of {len(trained_on)} simulations" in said
     assert "the instrument that ships" in said
     assert "they were compared with each other, not with files" in said
+    assert "what stretches the intervals was read of videos that are not published" in said
 
 
 @pytest.mark.parametrize("name", ["instrument", "paper"])
@@ -101,7 +105,7 @@ def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeyp
     """Of published files, and of those that only origin.json tells of."""
     (said,) = notes_of(folder, "made by the code of commit")
     assert "1f0c485aa741 (calibrate.calibration, simulate), " in said
-    assert "552a3b4306f3 (evaluate, instrument, publish), " in said
+    assert "133479eedcfc (evaluate, instrument, publish), " in said
     assert "e13b32064db0 (instrument, render, sample)" in said
 
     def recorded(stage, *_):
@@ -210,6 +214,21 @@ def _two_simulations(folder):
     with_lineage(folder, change)
 
 
+def _other_readings(folder):
+    path = folder / MODELS / "ensemble/readings.parquet"
+    rows = pq.read_table(path)
+    rows = rows.set_column(0, "source", pa.array(["a" * 64] * rows.num_rows))
+    write_parquet(rows, path, {}, {"stage": "instrument"})
+    listed(folder)
+
+
+def _readings_of_no_record(folder):
+    def change(inputs):
+        del inputs["calibration_readings/0/drawn_fabrics.json"]
+
+    _recorded(folder, f"{MODELS}/ensemble/instrument.safetensors", change)
+
+
 def _no_simulation(folder):
     with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/render/" in n)))
 
@@ -245,6 +264,8 @@ def _shard_without_origin(folder):
         (_no_training_record, "broken chain", "seed0/instrument.safetensors", "has no record"),
         (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
         (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
+        (_other_readings, "broken chain", AVERAGE, "calibrated on other readings than the publish"),
+        (_readings_of_no_record, "broken chain", AVERAGE, "other readings than its record names"),
         (_two_simulations, "broken chain", LINEAGE, "has two digests of results/simulate/"),
         (_no_simulation, "broken chain", LINEAGE, "does not lead from results/sample/"),
         (_shard_without_origin, "broken chain", LINEAGE, "does not say what"),

@@ -21,6 +21,7 @@ from slipstitch.sample.manifest import MANIFEST, read_manifest
 #: Of a folder that `slipstitch publish` wrote.
 INDEX = "published.json"
 _DATASET, _READINGS = "dataset", "calibration_readings/"
+_READ_ELSEWHERE = "/readings.parquet"
 _DIGESTS, _LINEAGE = f"{_DATASET}/digests.json", f"{_DATASET}/lineage.json"
 _SIMULATED, _TRAINED, _AVERAGED = "/simulate/", "/train/", "/instrument/"
 
@@ -282,7 +283,7 @@ class _Published:
         datasets = {self.json(f"{place}/digests.json").get("digest") for place in besides}
         if calibrated_on != files | datasets:
             self.find(Kind.BROKEN, weights, "calibrated on other readings than its record names")
-        if calibrated_on != self.sources(f"{weights.rpartition('/')[0]}/readings.parquet"):
+        if calibrated_on != self.sources(weights.rpartition("/")[0] + _READ_ELSEWHERE):
             self.find(Kind.BROKEN, weights, "calibrated on other readings than the published ones")
         for place in sorted(besides):
             shards = self.check_dataset(place)
@@ -324,6 +325,12 @@ class _Published:
             "only the digests of images, renders and simulations are published: they were compared "
             "with each other, not with files"
         )
+        datasets = {self.json(f"{place}/digests.json").get("digest") for place in self.further()}
+        notes += [
+            f"{name}: what stretches the intervals was read of videos that are not published"
+            for name in self.digests
+            if name.endswith(_READ_ELSEWHERE) and self.sources(name) - datasets
+        ]
         if not followed:
             notes.append(
                 f"{_LINEAGE} is not published, so that the digests of the simulations are not: the "

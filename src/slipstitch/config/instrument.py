@@ -13,8 +13,8 @@ class InstrumentSettings(Section):
     seeds: Seeds = Field([0], description="one instrument per seed")
     calibration_datasets: list[str] = Field(
         [],
-        description="datasets of other runs (their results/sample), of which all videos stretch the "
-        "intervals of the average of several seeds too; nothing of them may have trained it",
+        description="datasets of other runs (their results/sample), of which all videos stretch "
+        "the intervals of the average of several seeds too; nothing of them may have trained it",
     )
     viewpoints: list[str] | None = Field(
         None,
