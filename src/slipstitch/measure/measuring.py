@@ -1,5 +1,6 @@
 """Measurement of videos: results of the instrument and its input frames."""
 
+import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +41,7 @@ class MeasuredVideo:
     video : StageVideo
     measurement : Measurement
     uncertainty : float
-        Half the width of the middle 68 % of the distribution.
+        Half the width of the middle 68 % of the distribution, stretched as its interval is.
     instrument : str
         What identifies the instrument: the digest of its weights, if its card has one.
     stage_path : StagePath
@@ -204,11 +205,12 @@ class MeasuringBench:
         pose = np.array([video.pose[name] for name in POSE])
         measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
         grid, probability = map(np.asarray, measured.distribution)
+        factor = self.instrument.factor
         return MeasuredVideo(
             Path(path).name,
             video,
             measured,
-            _half_width(grid, probability),
+            _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0),
             str(self.instrument.card.get("weights_sha256") or "unknown"),
             self.schedule.path,
             self.instrument.without_error_bar,
