@@ -83,8 +83,14 @@ def _data(card, config, rows):
     frictions, ideal = card["frictions"], simulation["ideal_replicates"]
     return [
         f"- {len(rows)} simulated videos of {len(simulations)} simulations; {parts['train']} "
-        f"trained the networks, {card['calibration_simulations']} calibrate the intervals and the "
+        f"trained the networks, {parts['validation']} calibrate the intervals and the "
         f"alarm, {parts['test']} test. The networks saw {card['training_videos']} of the videos.",
+        *(
+            f"- {one['simulations']} simulations of other benches, fabrics, coefficients and "
+            f"cloths calibrate the intervals too: {one['videos']} videos, read in "
+            f"`{one['digest']}`."
+            for one in card.get("calibration_readings", ())
+        ),
         f"- Fabrics: {', '.join(card['materials'])}.",
         *(
             f"- For error bars alone: {fabric}."
@@ -194,8 +200,7 @@ def _limits_of_bench(root):
     part = drawn["all"]
     return [
         f"- Fabrics that differ by a quarter from those above, coefficients and cloths between and "
-        f"beside them: mean error {part['mean_absolute_error']:.3f}, "
-        f"{part['coverage_90']:.0%} of the intervals hold.",
+        f"beside them: mean error {part['mean_absolute_error']:.3f}.",
         "- Clamps that hang a millimetre higher than they should are read as "
         f"{-clamps['all']['error_per_mm']:.0%} less μ.",
     ]
@@ -241,7 +246,6 @@ def _provenance(root, card, dataset):
         f"| code that averaged and calibrated | `{record['code_digest']}` |",
         "",
         f"Trained with the first code{changed}, seeds {seeds}, on {len(trained['inputs']) - 1} of "
-        f"the {len(dataset['files'])} files of images; averaged and calibrated with the second on "
-        f"{card['calibration_simulations']} of these. "
+        f"the {len(dataset['files'])} files of images; averaged and calibrated with the second. "
         f"`slipstitch audit {RUN}` follows the weights to the digests of their {reached}.",
     ]

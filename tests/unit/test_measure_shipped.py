@@ -72,7 +72,11 @@ def test_it_is_what_its_configuration_trains():
     # The largest only trains, so that it is for coefficients up to 1.5.
     assert (min(card["frictions"]), max(card["frictions"])) == (0.0, 1.75)
     assert now.sample.train_only_frictions == [1.75]
-    assert card["calibration_simulations"] == 50
+    # Its own pairs that do not train, and other benches by what it read of them before.
+    assert card["calibration_simulations"] == 100
+    read = ROOT / "results/published/camera/drawn_fabrics.json"
+    (elsewhere,) = card["calibration_readings"]
+    assert elsewhere == {"digest": file_digest(read), "videos": 1200, "simulations": 50}
     assert card["split"] == "by_simulation"
     low, high = card["pose_range"]["yaw_deg"]
     assert low < -10 < 10 < high
@@ -88,6 +92,8 @@ def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, c
     told = json.loads((tmp_path / "numbers.json").read_text())
     low, high = told["interval_90"]
     assert low <= known["friction"] <= high
+    # ± and interval are stretched alike: of a normal distribution they would be as 1 to 1.64.
+    assert 1.2 < (high - low) / 2 / told["uncertainty"] < 2.1
     assert not told["alarm"]
     # The page says what this instrument knows: seven floors that reflect are among its floors.
     page = (tmp_path / "page.html").read_text()
