@@ -222,6 +222,12 @@ def _other_readings(folder):
     listed(folder)
 
 
+def _fewer_readings(folder):
+    path = folder / MODELS / "ensemble/readings.parquet"
+    write_parquet(pq.read_table(path).slice(1), path, {}, {"stage": "instrument"})
+    listed(folder)
+
+
 def _readings_of_no_record(folder):
     def change(inputs):
         del inputs["calibration_readings/0/drawn_fabrics.json"]
@@ -265,6 +271,7 @@ def _shard_without_origin(folder):
         (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
         (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
         (_other_readings, "broken chain", AVERAGE, "calibrated on other readings than the publish"),
+        (_fewer_readings, "broken chain", AVERAGE, "calibrated on other readings than the publish"),
         (_readings_of_no_record, "broken chain", AVERAGE, "other readings than its record names"),
         (_two_simulations, "broken chain", LINEAGE, "has two digests of results/simulate/"),
         (_no_simulation, "broken chain", LINEAGE, "does not lead from results/sample/"),

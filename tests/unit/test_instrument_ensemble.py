@@ -267,7 +267,7 @@ def test_readings_calibrate_it_as_their_videos_do(
     recalibrated, average, other_bench, folder, tmp_path
 ):
     videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
-    file = readings_file(average, videos, tmp_path / "readings.json")
+    file = readings_file(average, videos, tmp_path / "readings.json", dataset=videos.digest)
     words = ["instrument", "--recalibrate", str(folder / "by_simulation/ensemble")]
     words += ["--out-dir", str(tmp_path / "out")]
     assert main([*words, "--readings", str(file)]) == 0
@@ -279,10 +279,14 @@ def test_readings_calibrate_it_as_their_videos_do(
     assert noted["videos"] == len(videos)  # not what the training read
     inputs = read_sidecar(tmp_path / "out" / WEIGHTS)["inputs"]
     assert inputs["calibration_readings/0/readings.json"] == file_digest(file)
+    # The same videos do not count twice, as a dataset or in another file.
+    some = videos.chosen(np.arange(len(videos)) % 2 == 0)
+    again = readings_file(found, some, tmp_path / "b.json", dataset=videos.digest)
+    for further in ({"further": [other_bench]}, {"files": [again]}):
+        with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+            recalibrate_instrument(tmp_path / "out", tmp_path / "twice", **further)
     # Once more on others: those of before stay.
-    again = readings_file(
-        found, videos.chosen(np.arange(len(videos)) % 2 == 0), tmp_path / "b.json"
-    )
+    again = readings_file(found, some, tmp_path / "b.json")
     recalibrate_instrument(tmp_path / "out", tmp_path / "twice", files=[again])
     twice = load_instrument(tmp_path / "twice")
     assert [one["digest"] for one in twice.card["calibration_readings"]] == [
@@ -318,7 +322,11 @@ def test_a_file_without_readings_of_it_is_refused(
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"low": 0.9, "reading": 0.5, "high": 0.6}, "0 <= low <= reading <= high is required"),
+        ({"low": 0.9, "reading": 0.5, "high": 0.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"low": 0.5, "reading": 0.5, "high": 0.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"low": 0.4, "reading": 0.5, "high": 1.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"high": 10**400}, "must be numbers"),
+        ({"high": True}, "must be numbers"),
         ({"friction": 9.0}, "friction is 9; the instrument can say 0 to 1.5"),
         ({"friction": float("nan")}, "must be numbers"),
         ({"simulation": 3}, "simulation must be a text"),

@@ -214,15 +214,19 @@ class _Published:
         noted = self.json(f"{place}/lineage.json")
         return {name: _mapping(inputs) for name, inputs in noted.items()}
 
-    def sources(self, name: str) -> set[Any]:
-        """What the published readings that calibrate a model are from."""
+    def sources(self, name: str) -> dict[str, tuple[int, int]]:
+        """What the published readings that calibrate a model are from: videos, simulations."""
         if name not in self.digests:
-            return set()
+            return {}
         try:
-            return {*read_parquet(self.folder / name, ["source"])["source"].to_pylist()}
+            table = read_parquet(self.folder / name, ["source", "simulation"])
         except (BadInput, ValueError) as problem:
             self.find(Kind.BROKEN, name, first_line(problem))
-            return set()
+            return {}
+        read = defaultdict(list)
+        for row in table.to_pylist():
+            read[str(row["source"])].append(row["simulation"])
+        return {source: (len(of), len({*of})) for source, of in read.items()}
 
     def further(self) -> dict[str, str]:
         """Where datasets that calibrate besides are published -> digest of their manifest."""
@@ -277,11 +281,12 @@ class _Published:
         behind = self.behind(set(trained_on), lineage, _LINEAGE) if lineage else {}
         noted = card.get("calibration_readings", [])
         calibrated_on = {
-            _mapping(one).get("digest") for one in (noted if isinstance(noted, list) else [{}])
+            str(one.get("digest")): (one.get("videos"), one.get("simulations"))
+            for one in map(_mapping, noted if isinstance(noted, list) else [{}])
         }
-        files = {digest for path, digest in inputs.items() if path.startswith(_READINGS)}
+        files = {str(digest) for path, digest in inputs.items() if path.startswith(_READINGS)}
         datasets = {self.json(f"{place}/digests.json").get("digest") for place in besides}
-        if calibrated_on != files | datasets:
+        if set(calibrated_on) != files | datasets:
             self.find(Kind.BROKEN, weights, "calibrated on other readings than its record names")
         if calibrated_on != self.sources(weights.rpartition("/")[0] + _READ_ELSEWHERE):
             self.find(Kind.BROKEN, weights, "calibrated on other readings than the published ones")
@@ -329,7 +334,7 @@ class _Published:
         notes += [
             f"{name}: what stretches the intervals was read of videos that are not published"
             for name in self.digests
-            if name.endswith(_READ_ELSEWHERE) and self.sources(name) - datasets
+            if name.endswith(_READ_ELSEWHERE) and self.sources(name).keys() - datasets
         ]
         if not followed:
             notes.append(

@@ -25,6 +25,7 @@ COLUMNS = ("simulation", "friction", "reading", "low", "high")
 SCHEMA = pa.schema(
     [
         ("source", pa.string()),  # digest of the dataset, SHA-256 of the file
+        ("dataset", pa.string()),  # its digest, if it is known
         ("simulation", pa.string()),  # videos of one are right or wrong together
         ("friction", pa.float64()),
         ("reading", pa.float64()),
@@ -65,6 +66,11 @@ class CalibrationReadings:
             for own in [[row for row in self.rows if row["source"] == source]]
         ]
 
+    @property
+    def known(self) -> set[str]:
+        """Digests by which their sources, and the datasets that these are of, are known."""
+        return {row[name] for row in self.rows for name in ("source", "dataset") if row[name]}
+
     def table(self) -> pa.Table:
         """As `FILE` keeps them."""
         return pa.Table.from_pylist(self.rows, schema=SCHEMA)
@@ -92,6 +98,7 @@ def readings_on(
         [
             {
                 "source": source,
+                "dataset": source,
                 "simulation": row["simulation"],
                 "friction": row["friction"],
                 "reading": float(reading),
@@ -114,7 +121,8 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     path : path
         A mapping with ``readings``: a list of mappings with at least the `COLUMNS`. Where one has
         a ``seed`` that is not null, a single training made it, and it is left out. The file's
-        record, or its entry ``weights_sha256``, names the weights of the instrument.
+        record, or its entry ``weights_sha256``, names the weights of the instrument; its entry
+        ``dataset``, if there is one, is the digest of the dataset that was read.
     instrument : Instrument
 
     Raises
@@ -131,30 +139,34 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     _check_of(path, content, instrument)
     if not math.isfinite(instrument.factor):
         raise BadInput(f"{path}: of an instrument whose intervals are the whole grid")
-    source = file_digest(path)
+    source, dataset = file_digest(path), content.get("dataset")
     found = []
     for number, row in enumerate(rows):
         if row.get("seed") is not None:
             continue
         where = f"{path}: reading {number}"
         simulation, *values = (row.get(name) for name in COLUMNS)
-        if not isinstance(simulation, str) or not all(
-            isinstance(value, int | float) and math.isfinite(value) for value in values
-        ):
+        if not isinstance(simulation, str) or not all(map(_is_number, values)):
             raise BadInput(
                 f"{where}: simulation must be a text, {', '.join(COLUMNS[1:])} must be numbers"
             )
         friction, reading, low, high = map(float, values)
-        if not 0 <= low <= reading <= high:
-            raise BadInput(f"{where}: 0 <= low <= reading <= high is required")
-        if not 0 <= friction <= instrument.settings.friction_max:
+        largest = instrument.settings.friction_max
+        # Only where the grid ends has an interval no length to one side.
+        if not (
+            0 <= low <= reading <= high <= largest
+            and (low < reading or low == 0)
+            and (reading < high or high == largest)
+        ):
+            raise BadInput(f"{where}: 0 <= low < reading < high <= {largest:g} is required")
+        if not 0 <= friction <= largest:
             raise BadInput(
-                f"{where}: friction is {friction:g}; the instrument can say 0 to "
-                f"{instrument.settings.friction_max:g}"
+                f"{where}: friction is {friction:g}; the instrument can say 0 to {largest:g}"
             )
         found.append(
             {
                 "source": source,
+                "dataset": dataset if isinstance(dataset, str) else None,
                 "simulation": simulation,
                 "friction": friction,
                 "reading": reading,
@@ -174,15 +186,22 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     )
 
 
+def _is_number(value: Any) -> bool:
+    try:
+        return type(value) in (int, float) and math.isfinite(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return False
+
+
 def _check_of(path: str | os.PathLike, content: dict[str, Any], instrument: Instrument) -> None:
     """BadInput unless the readings are of the instrument, with the error bars that it has."""
     weights = instrument.card["weights_sha256"]
     named = content.get("weights_sha256")
     try:
-        inputs = read_sidecar(path)["inputs"]
+        inputs = read_sidecar(path).get("inputs")
     except FileNotFoundError:
-        inputs = {}
-    if weights not in (named, *inputs.values()):
+        inputs = None
+    if weights != named and weights not in (inputs if isinstance(inputs, dict) else {}).values():
         raise BadInput(
             f"{path}: names no readings of this instrument: its record, or weights_sha256 in it, "
             f"must name the weights {weights}"

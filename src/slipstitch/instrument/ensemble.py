@@ -6,6 +6,7 @@ Its intervals may be stretched further by what it reads on other benches.
 """
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -218,13 +219,12 @@ def recalibrate_instrument(
     readings = _on_datasets(before, readings, further)
     for file in files:
         found = read_readings(file, before)
-        _check_new(before, readings, found.rows[0]["source"], file)
-        readings = CalibrationReadings(readings.rows + found.rows)
+        readings = _with(before, readings, found, file)
     # A card names the weights beside it, which are others now.
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
     card["recalibrated_from"] = {
         "weights_sha256": before.card["weights_sha256"],
-        "factor": before.factor,
+        "factor": before.factor if math.isfinite(before.factor) else None,
     }
     combined = _stretched(dataclasses.replace(before, card=card), held, readings)
     record = provenance_record(
@@ -259,12 +259,11 @@ def _on_datasets(
             lambda row: row["viewpoint"] in combined.card["viewpoints"],
             combined.settings.pixels,
         )
-        _check_new(combined, readings, videos.digest, folder)
         _check_further(combined, videos, folder)
         frames = phased(videos.pixels, combined.card["frames"], None)
         answers = combined.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
         found = readings_on(combined, answers.probabilities, videos.rows, videos.digest)
-        readings = CalibrationReadings(readings.rows + found.rows)
+        readings = _with(combined, readings, found, folder)
     return readings
 
 
@@ -280,12 +279,16 @@ def _stretched(
     return stretched_by(dataclasses.replace(combined, card=card), held, readings)
 
 
-def _check_new(
-    combined: Instrument, readings: CalibrationReadings, source: str, path: str | os.PathLike
-) -> None:
-    """BadInput if videos from a source calibrate already."""
-    if source in (combined.card["dataset_digest"], *(row["source"] for row in readings.rows)):
+def _with(
+    combined: Instrument,
+    readings: CalibrationReadings,
+    found: CalibrationReadings,
+    path: str | os.PathLike,
+) -> CalibrationReadings:
+    """Readings and more; BadInput if these are of videos that trained, or calibrate already."""
+    if found.known & {combined.card["dataset_digest"], *readings.known}:
         raise BadInput(f"{path}: trained or calibrates the instrument already")
+    return CalibrationReadings(readings.rows + found.rows)
 
 
 def _check_further(combined: Instrument, videos: Videos, folder: str | os.PathLike) -> None:
