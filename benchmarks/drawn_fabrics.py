@@ -10,11 +10,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-from filmed import ROOT, SHIPPED, FilmedSet, models, of_each_simulation, publish, reading
+from filmed import PUBLISHED, ROOT, SHIPPED, FilmedSet, models, of_each_simulation, publish, reading
 from instrument_reach import scores
 
 from slipstitch.config.load import read_mapping
 from slipstitch.instrument.measuring import load_instrument
+from slipstitch.provenance import file_digest
 from slipstitch.sample.videos import read_videos
 
 CONFIG = "config/error_bars.yaml"
@@ -38,6 +39,10 @@ def main():
     parser.add_argument("--run", default=SHIPPED, help="folder of results/published")
     arguments = parser.parse_args()
     instrument = load_instrument(models(arguments.run)[-1])
+    place = PUBLISHED / "camera" / "drawn_fabrics.json"
+    used = [one["digest"] for one in instrument.card.get("calibration_readings", ())]
+    if place.is_file() and file_digest(place) in used:
+        raise SystemExit(f"{place.name} stretches the intervals of this instrument: kept")
     videos = read_videos(arguments.dataset, pixels=instrument.settings.pixels)
     rows = [
         {name: row[name] for name in ("simulation", "material", "friction", "texture")}

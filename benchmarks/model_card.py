@@ -28,7 +28,7 @@ INPUTS = {
 }
 
 
-def page(root, whole, parts, beyond, surrogates):
+def page(root, whole, calibration, parts, beyond, surrogates):
     """The card, with the tables of all trainings as they are in the docs."""
     run = root / RUN
     read = {
@@ -45,8 +45,10 @@ def page(root, whole, parts, beyond, surrogates):
     sections = {
         "": _what(card),
         "Use": _use(card),
-        "Data": _data(card, config, pandas.read_parquet(run / "dataset/manifest.parquet")),
-        "Accuracy and coverage": _accuracy(card, found, whole, parts, beyond, surrogates),
+        "Data": _data(root, card, config, pandas.read_parquet(run / "dataset/manifest.parquet")),
+        "Accuracy and coverage": _accuracy(
+            card, found, whole, calibration, parts, beyond, surrogates
+        ),
         "Limits": _limits(card, config, found, (run / "captures/metrics.json").is_file())
         + _limits_of_bench(root),
         "Licence": _licence(root),
@@ -76,7 +78,7 @@ def _use(card):
     ]
 
 
-def _data(card, config, rows):
+def _data(root, card, config, rows):
     simulations = rows.drop_duplicates("simulation")
     parts = simulations["split_by_simulation"].value_counts()
     simulation = config["simulation"]
@@ -87,8 +89,7 @@ def _data(card, config, rows):
         f"alarm, {parts['test']} test. The networks saw {card['training_videos']} of the videos.",
         *(
             f"- {one['simulations']} simulations of other benches, fabrics, coefficients and "
-            f"cloths calibrate the intervals too: {one['videos']} videos, read in "
-            f"`{one['digest']}`."
+            f"cloths stretch the intervals: {one['videos']} videos{_known_as(root, one['digest'])}."
             for one in card.get("calibration_readings", ())
         ),
         f"- Fabrics: {', '.join(card['materials'])}.",
@@ -122,7 +123,17 @@ def _data(card, config, rows):
     ]
 
 
-def _accuracy(card, found, whole, parts, beyond, surrogates):
+def _known_as(root, digest):
+    """The published file of readings with this digest, in words."""
+    found = [
+        path.relative_to(root)
+        for path in (root / "results/published/camera").glob("*.json")
+        if file_digest(path) == digest
+    ]
+    return "".join(f", read in `{path}`" for path in found)
+
+
+def _accuracy(card, found, whole, calibration, parts, beyond, surrogates):
     own, alarms = found["mean"], found["alarms"]["ensemble"]
     detected = [f"{words} {alarms[name]:.0%}" for name, words in INPUTS.items() if name in alarms]
     return [
@@ -135,6 +146,12 @@ def _accuracy(card, found, whole, parts, beyond, surrogates):
         "Beside the trainings of which it is the average, each with error bars of its own:",
         "",
         whole,
+        "",
+        "Of the intervals on what calibrates these weights:",
+        "",
+        calibration,
+        "",
+        "These weights part by part, on the simulations held out:",
         "",
         parts,
         "",
@@ -174,8 +191,9 @@ def _limits(card, config, found, real):
     if not real:
         untested.append("a real bench")
     lines = [
-        f"- The intervals promise {promised:.0%} on average over videos like these, not for each "
-        "fabric, μ or camera.",
+        f"- The intervals promise {promised:.0%} on average over all simulations that calibrate "
+        "them, half of which are like those that train and half of other benches: not for each "
+        "half, fabric, μ or camera, nor for a bench that differs more.",
         "- `measure` refuses a camera beyond the poses above by more than "
         f"{TOLERANCE['yaw_deg']:g}° about the vertical, {TOLERANCE['pitch_deg']:g}° in elevation, "
         f"{TOLERANCE['roll_deg']:g}° of roll or {TOLERANCE['log_distance']:.0%} of the distance "

@@ -52,7 +52,7 @@ def renewed(old, new):
         if name in OF_INTERVALS
         else entry
         for name, entry in old.items()
-        if name != "readings"
+        if name not in ("readings", "stretched_from")
     }
 
 
@@ -60,8 +60,8 @@ def main():
     argparse.ArgumentParser(description=__doc__).parse_args()
     average = load_instrument(models()[-1])
     before = average.card.get("recalibrated_from")
-    if before is None:
-        raise SystemExit("the published average was not recalibrated")
+    if before is None or before["factor"] is None:
+        raise SystemExit("the published average was not recalibrated from one with intervals")
     ratio = average.factor / before["factor"]
     if ratio < 1:
         raise SystemExit(
