@@ -147,7 +147,7 @@ def _accuracy(card, found, whole, calibration, parts, beyond, surrogates):
         "",
         whole,
         "",
-        "Of the intervals on what calibrates these weights:",
+        "How many intervals hold on the simulations that calibrate these weights:",
         "",
         calibration,
         "",

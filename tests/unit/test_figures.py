@@ -5,8 +5,11 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas
 import pytest
+
+from slipstitch.instrument.measuring import stretched
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,6 +91,30 @@ def test_an_interval_of_few_videos_is_wilsons(figures):
         line for line in tables.paper_unseen(ROOT).splitlines() if "all three" in line
     )
     assert "..." not in three_views  # of one motion each, so not independent
+
+
+def test_published_readings_are_stretched_as_the_instrument_would(monkeypatch):
+    """Medians stay, halves get longer; scores that are not of intervals stay to the last digit."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    again = importlib.import_module("stretched_again")
+    grid = np.linspace(0, 1.5, 151)
+    shares = np.exp(-0.5 * ((grid - np.array([[0.04], [0.7], [1.46]])) / 0.03) ** 2)
+    shares /= shares.sum(1, keepdims=True)
+    first, second = (stretched(shares, grid, 0.9, factor) for factor in (1.1, 1.9))
+    for before, after in zip(first, second, strict=True):
+        row = dict(zip(("reading", "low", "high"), before, strict=True))
+        found = again.stretched(row, 1.9 / 1.1, 1.5)
+        assert [found[name] for name in row] == pytest.approx(list(after))
+    old = {
+        "all": {"videos": 3, "coverage_90": 0.5},
+        "trainings": {"coverage_90": 0.6},
+        "readings": [],
+    }
+    new = {"all": {"videos": 3.01, "coverage_90": 0.9}, "trainings": {"coverage_90": 0.7}}
+    assert again.renewed(old, new) == {
+        "all": {"videos": 3, "coverage_90": 0.9},
+        "trainings": {"coverage_90": 0.6},
+    }
 
 
 @pytest.mark.parametrize(
