@@ -54,8 +54,8 @@ def test_repeats_are_combined_with_their_scatter_an_outlier_and_a_refused_film_n
         film.parent.mkdir()
     for film, quality in zip(films, (16, 20, 24), strict=False):
         stage.write_video(film, images, times_s, preset="ultrafast", crf=str(quality))
-    # As if the camera had been pushed by four pixels.
-    moved = (np.roll(image, -4, axis=1) for image in images)
+    # As if the camera had been pushed down by four pixels.
+    moved = (np.roll(image, -4, axis=0) for image in images)
     stage.write_video(films[3], moved, times_s, preset="ultrafast")
     films[4].write_text("no video")
     out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
