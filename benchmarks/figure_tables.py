@@ -17,7 +17,7 @@ from slipstitch.evaluate import paper as printed
 from slipstitch.instrument.calibration_answers import FILE, read_answers
 from slipstitch.instrument.calibration_readings import kept_readings
 from slipstitch.instrument.conformal import covered, grouped_quantile
-from slipstitch.instrument.measuring import load_instrument, stretch_scores
+from slipstitch.instrument.measuring import load_instrument
 from slipstitch.sample.probes import SIGNIFICANCE, chance_of, is_probed
 from slipstitch.theory import flexible_strip_drag
 
@@ -192,9 +192,7 @@ def calibration(root):
     shipped = load_instrument(folder)
     coverage = shipped.settings.coverage
     held, elsewhere = read_answers(folder / FILE), kept_readings(folder)
-    own = stretch_scores(
-        shipped.spread_out(held.probabilities), shipped.grid, coverage, held.friction
-    )
+    own = shipped.needed_stretch(shipped.spread_out(held.probabilities), held.friction)
     fabrics = _read(root, "instrument/config.json")["sample"]["validation_materials"]
     unseen = np.array([row["material"] in fabrics for row in held.rows])
     groups = np.array(held.groups)

@@ -215,7 +215,7 @@ def test_further_datasets_calibrate_it_with_or_without_its_members(
 
 
 def test_intervals_alone_change_and_hold_on_all_simulations_together(
-    recalibrated, average, other_bench, folder, dataset
+    recalibrated, average, other_bench, folder
 ):
     videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
     again = load_instrument(recalibrated)

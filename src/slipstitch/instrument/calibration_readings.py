@@ -7,7 +7,6 @@ that the conformal step needs to allow for them (`slipstitch.instrument.conforma
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.errors import BadInput, Damaged
-from slipstitch.instrument.measuring import Instrument, stretch_scores, stretch_scores_of_intervals
+from slipstitch.errors import BadInput
+from slipstitch.instrument.augmentation import phased
+from slipstitch.instrument.measuring import Instrument, stretch_scores_of_intervals
+from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import file_digest, read_json, read_parquet, read_sidecar, write_parquet
+from slipstitch.sample.videos import Videos
 
 FILE = "readings.parquet"
 #: Columns of a reading, in `FILE` and in the files that `read_readings` reads.
@@ -76,29 +78,18 @@ class CalibrationReadings:
         return pa.Table.from_pylist(self.rows, schema=SCHEMA)
 
 
-def readings_on(
-    instrument: Instrument, probabilities: np.ndarray, rows: Sequence[dict[str, Any]], source: str
-) -> CalibrationReadings:
-    """What a calibrated instrument reads of videos, from its answers on them.
-
-    Parameters
-    ----------
-    instrument : Instrument
-    probabilities : ndarray, shape (n, G)
-        On the grid of mu, before any calibration.
-    rows : sequence of mapping
-        Of the manifest, one a video.
-    source : str
-        Digest of their dataset.
-    """
-    distributions = instrument.spread_out(probabilities)
-    friction = np.array([row["friction"] for row in rows])
-    scores = stretch_scores(distributions, instrument.grid, instrument.settings.coverage, friction)
+def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
+    """What a calibrated instrument reads of the videos of a dataset."""
+    frames = phased(videos.pixels, instrument.card["frames"], None)
+    answers = instrument.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
+    distributions = instrument.distributions(answers)
+    friction = np.array([row["friction"] for row in videos.rows])
+    scores = instrument.needed_stretch(distributions, friction)
     return CalibrationReadings(
         [
             {
-                "source": source,
-                "dataset": source,
+                "source": videos.digest,
+                "dataset": videos.digest,
                 "simulation": row["simulation"],
                 "friction": row["friction"],
                 "reading": float(reading),
@@ -107,7 +98,7 @@ def readings_on(
                 "stretch": float(score),
             }
             for row, (reading, low, high), score in zip(
-                rows, instrument.intervals(distributions), scores, strict=True
+                videos.rows, instrument.intervals(distributions), scores, strict=True
             )
         ]
     )
@@ -139,51 +130,52 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     _check_of(path, content, instrument)
     if not math.isfinite(instrument.factor):
         raise BadInput(f"{path}: of an instrument whose intervals are the whole grid")
-    source, dataset = file_digest(path), content.get("dataset")
-    found = []
-    for number, row in enumerate(rows):
-        if row.get("seed") is not None:
-            continue
-        where = f"{path}: reading {number}"
-        simulation, *values = (row.get(name) for name in COLUMNS)
-        if not isinstance(simulation, str) or not all(map(_is_number, values)):
-            raise BadInput(
-                f"{where}: simulation must be a text, {', '.join(COLUMNS[1:])} must be numbers"
-            )
-        friction, reading, low, high = map(float, values)
-        largest = instrument.settings.friction_max
-        # Only where the grid ends has an interval no length to one side.
-        if not (
-            0 <= low <= reading <= high <= largest
-            and (low < reading or low == 0)
-            and (reading < high or high == largest)
-        ):
-            raise BadInput(f"{where}: 0 <= low < reading < high <= {largest:g} is required")
-        if not 0 <= friction <= largest:
-            raise BadInput(
-                f"{where}: friction is {friction:g}; the instrument can say 0 to {largest:g}"
-            )
-        found.append(
-            {
-                "source": source,
-                "dataset": dataset if isinstance(dataset, str) else None,
-                "simulation": simulation,
-                "friction": friction,
-                "reading": reading,
-                "low": low,
-                "high": high,
-            }
-        )
+    largest = instrument.settings.friction_max
+    found = [
+        _checked(row, f"{path}: reading {number}", largest)
+        for number, row in enumerate(rows)
+        if row.get("seed") is None
+    ]
     if not found:
         raise BadInput(f"{path}: has no reading of the instrument")
     truth = np.array([row["friction"] for row in found])
     intervals = np.array([[row["reading"], row["low"], row["high"]] for row in found])
     scores = stretch_scores_of_intervals(intervals, truth)
+    dataset = content.get("dataset")
+    of_file = {
+        "source": file_digest(path),
+        "dataset": dataset if isinstance(dataset, str) else None,
+    }
     # The intervals were stretched already.
     factor = instrument.factor
     return CalibrationReadings(
-        [row | {"stretch": float(score * factor)} for row, score in zip(found, scores, strict=True)]
+        [
+            of_file | row | {"stretch": float(score * factor)}
+            for row, score in zip(found, scores, strict=True)
+        ]
     )
+
+
+def _checked(row: dict[str, Any], where: str, largest: float) -> dict[str, Any]:
+    """The `COLUMNS` of a reading; BadInput if it cannot be one, on a grid that ends at largest."""
+    simulation, *values = (row.get(name) for name in COLUMNS)
+    if not isinstance(simulation, str) or not all(map(_is_number, values)):
+        raise BadInput(
+            f"{where}: simulation must be a text, {', '.join(COLUMNS[1:])} must be numbers"
+        )
+    friction, reading, low, high = map(float, values)
+    # Only where the grid ends has an interval no length to one side.
+    if not (
+        0 <= low <= reading <= high <= largest
+        and (low < reading or low == 0)
+        and (reading < high or high == largest)
+    ):
+        raise BadInput(f"{where}: 0 <= low < reading < high <= {largest:g} is required")
+    if not 0 <= friction <= largest:
+        raise BadInput(
+            f"{where}: friction is {friction:g}; the instrument can say 0 to {largest:g}"
+        )
+    return dict(zip(COLUMNS, (simulation, friction, reading, low, high), strict=True))
 
 
 def _is_number(value: Any) -> bool:
@@ -219,10 +211,7 @@ def kept_readings(folder: str | os.PathLike) -> CalibrationReadings:
     path = Path(folder) / FILE
     if not path.is_file():
         return CalibrationReadings([])
-    table = read_parquet(path)
-    if missing := sorted(set(SCHEMA.names) - set(table.column_names)):
-        raise Damaged(path, f"has no column {missing[0]}")
-    return CalibrationReadings(table.select(SCHEMA.names).to_pylist())
+    return CalibrationReadings(read_parquet(path, SCHEMA.names).to_pylist())
 
 
 def write_readings(

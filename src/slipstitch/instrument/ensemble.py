@@ -18,7 +18,6 @@ import torch
 from slipstitch.config.train import split_of
 from slipstitch.errors import BadInput
 from slipstitch.instrument.alarm import Alarm
-from slipstitch.instrument.augmentation import phased
 from slipstitch.instrument.calibration_answers import (
     FILE,
     CalibrationAnswers,
@@ -46,7 +45,6 @@ from slipstitch.instrument.measuring import (
     save_instrument,
 )
 from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.poses import poses_of
 from slipstitch.provenance import (
     file_digest,
     provenance_record,
@@ -218,8 +216,7 @@ def recalibrate_instrument(
     first = len(readings.noted)
     readings = _on_datasets(before, readings, further)
     for file in files:
-        found = read_readings(file, before)
-        readings = _with(before, readings, found, file)
+        readings = _with(before, readings, read_readings(file, before), file)
     # A card names the weights beside it, which are others now.
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
     card["recalibrated_from"] = {
@@ -260,10 +257,7 @@ def _on_datasets(
             combined.settings.pixels,
         )
         _check_further(combined, videos, folder)
-        frames = phased(videos.pixels, combined.card["frames"], None)
-        answers = combined.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
-        found = readings_on(combined, answers.probabilities, videos.rows, videos.digest)
-        readings = _with(combined, readings, found, folder)
+        readings = _with(combined, readings, readings_on(combined, videos), folder)
     return readings
 
 

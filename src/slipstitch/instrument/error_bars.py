@@ -18,7 +18,7 @@ from slipstitch.instrument.calibration_answers import CalibrationAnswers
 from slipstitch.instrument.calibration_readings import CalibrationReadings
 from slipstitch.instrument.conformal import grouped_quantile
 from slipstitch.instrument.distribution import ranked_probability_score, spread
-from slipstitch.instrument.measuring import ErrorBars, Instrument, stretch_scores
+from slipstitch.instrument.measuring import ErrorBars, Instrument
 from slipstitch.instrument.poses import poses_of
 from slipstitch.sample.videos import Videos
 
@@ -141,9 +141,7 @@ def with_error_bars(
     known = [k for k, row in enumerate(held.rows) if row["material"] in names]
     width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
-    scores = stretch_scores(
-        spread(held.probabilities, instrument.grid, width), instrument.grid, coverage, friction
-    )
+    scores = instrument.needed_stretch(spread(held.probabilities, instrument.grid, width), friction)
     bars = ErrorBars(
         spread=width,
         # Without a fabric that trains, nothing tells how sure the network may be of one.
@@ -181,12 +179,7 @@ def stretched_by(
     Instrument
         Its factor is the conformal quantile over all of these simulations, each counting once.
     """
-    own = stretch_scores(
-        instrument.spread_out(held.probabilities),
-        instrument.grid,
-        instrument.settings.coverage,
-        held.friction,
-    )
+    own = instrument.needed_stretch(instrument.spread_out(held.probabilities), held.friction)
     factor = grouped_quantile(
         np.concatenate([own, [row["stretch"] for row in readings.rows]]),
         [*(f"own {group}" for group in held.groups), *readings.groups],

@@ -192,6 +192,10 @@ class Instrument:
         """Median, lower and upper end of the intervals, shape (n, 3)."""
         return stretched(distributions, self.grid, self.settings.coverage, self.factor)
 
+    def needed_stretch(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
+        """Factor at which the interval of each distribution would just hold its truth, (n,)."""
+        return stretch_scores(distributions, self.grid, self.settings.coverage, friction)
+
     @property
     def factor(self) -> float:
         """By which the distribution's own half-intervals are stretched; infinite without bars."""
