@@ -3,7 +3,7 @@
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import compress
@@ -481,6 +481,15 @@ def _updated(kept: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     return kept | {name: kept.get(name, {}) | models for name, models in new.items()}
 
 
+def _stretched_since(averages: Sequence[Path], before: Mapping[str, str]) -> list[Instrument]:
+    """The averages, if all are those scored before but for the stretch of their intervals."""
+    if not before:
+        return []
+    now = [load_instrument(path) for path in averages]
+    known = {one.card.get("recalibrated_from", {}).get("weights_sha256") for one in now}
+    return now if known <= {*before.values()} else []
+
+
 def _stretch(
     settings: EvaluateSettings,
     metrics: dict[str, Any],
@@ -556,16 +565,9 @@ def write_evaluation(
         for kind, paths in kinds.items()
         if before and all(file_digest(path) in before.values() for path in paths)
     }
-    stretched = [
-        instrument
-        for path in ([] if AVERAGE in scored else kinds[AVERAGE])
-        for instrument in [load_instrument(path)]
-        if instrument.card.get("recalibrated_from", {}).get("weights_sha256") in before.values()
-    ]
-    if before and len(stretched) == len(kinds[AVERAGE]):
+    stretched = [] if AVERAGE in scored else _stretched_since(kinds[AVERAGE], before)
+    if stretched:
         scored.add(AVERAGE)
-    else:
-        stretched = []
     metrics, details, predictions = evaluate(
         settings,
         dataset,
