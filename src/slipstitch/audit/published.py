@@ -122,6 +122,9 @@ class _Published:
         self.digests = {name: file_digest(folder / name) for name in names if name not in own}
         self.findings: list[Finding] = []
         self.contents: dict[str, dict[str, Any]] = {}
+        self.read_elsewhere = {
+            name: self.sources(name) for name in self.digests if name.endswith(_READ_ELSEWHERE)
+        }
 
     def audit(self) -> PublishedAudit:
         self.check_files()
@@ -216,8 +219,6 @@ class _Published:
 
     def sources(self, name: str) -> dict[str, tuple[int, int]]:
         """What the published readings that calibrate a model are from: videos, simulations."""
-        if name not in self.digests:
-            return {}
         try:
             table = read_parquet(self.folder / name, ["source", "simulation"])
         except (BadInput, ValueError) as problem:
@@ -288,7 +289,8 @@ class _Published:
         datasets = {self.json(f"{place}/digests.json").get("digest") for place in besides}
         if set(calibrated_on) != files | datasets:
             self.find(Kind.BROKEN, weights, "calibrated on other readings than its record names")
-        if calibrated_on != self.sources(weights.rpartition("/")[0] + _READ_ELSEWHERE):
+        read = weights.rpartition("/")[0] + _READ_ELSEWHERE
+        if calibrated_on != self.read_elsewhere.get(read, {}):
             self.find(Kind.BROKEN, weights, "calibrated on other readings than the published ones")
         for place in sorted(besides):
             shards = self.check_dataset(place)
@@ -333,8 +335,8 @@ class _Published:
         datasets = {self.json(f"{place}/digests.json").get("digest") for place in self.further()}
         notes += [
             f"{name}: what stretches the intervals was read of videos that are not published"
-            for name in self.digests
-            if name.endswith(_READ_ELSEWHERE) and self.sources(name).keys() - datasets
+            for name, sources in self.read_elsewhere.items()
+            if sources.keys() - datasets
         ]
         if not followed:
             notes.append(
