@@ -37,6 +37,7 @@ FABRICS = {
     "royal-target": (-0.4, -0.6),
     "ivory-rib-knit": (0.3, 1.5),
 }
+PARTS = ("off_grid", "unseen_fabric", "unseen_texture", "far")
 FAR_DEG = (22.5, 30.0)  # aside, where the training ends at 15
 # Clamps, curl and fabric vary from one simulation to the next, as on a bench.
 BENCHES = {
@@ -108,7 +109,7 @@ def result_of(every, run=SHIPPED):
     """Scores of all parts, from the readings by the average and by the trainings."""
     rows = answering(every)
     tested = load_instrument(trainings(run)[0]).card["pose_range"]
-    parts = {"off_grid": [], "unseen_fabric": [], "unseen_texture": [], "far": []}
+    parts = {name: [] for name in PARTS}
     refused = []
     for row in rows:
         pose = {name: row[f"pose_{name}"] for name in tested}
@@ -150,9 +151,7 @@ def main():
     every = readings(configs, arguments.folder, models(arguments.run))
     result = result_of(every, arguments.run)
     publish("reach", result, sets(), every, arguments.run)
-    print(
-        json.dumps({name: result[name] for name in ("off_grid", "unseen_fabric", "far")}, indent=1)
-    )
+    print(json.dumps({name: result[name] for name in PARTS}, indent=1))
 
 
 if __name__ == "__main__":

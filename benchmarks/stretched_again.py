@@ -43,17 +43,13 @@ def stretched(row, ratio, largest):
 
 def renewed(old, new):
     """Scores of before, those of intervals in the place of what they were."""
-    return {
-        name: entry
-        if name == "trainings"
-        else renewed(entry, new[name])
-        if isinstance(entry, dict)
-        else new[name]
-        if name in OF_INTERVALS
-        else entry
-        for name, entry in old.items()
-        if name not in ("readings", "stretched_from")
-    }
+    kept = {name: old[name] for name in old if name not in ("readings", "stretched_from")}
+    for name, entry in kept.items():
+        if name in OF_INTERVALS:
+            kept[name] = new[name]
+        elif isinstance(entry, dict) and name != "trainings":
+            kept[name] = renewed(entry, new[name])
+    return kept
 
 
 def main():
