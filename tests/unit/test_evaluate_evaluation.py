@@ -226,7 +226,7 @@ def test_every_file_says_where_it_comes_from(evaluated):
         assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 8 + 2
 
 
-def test_the_command_prints_the_table(chain, tmp_path, capsys):
+def test_the_command_prints_the_table(chain, evaluated, tmp_path, capsys):
     write_config(CONFIG, tmp_path / "config.json")
     words = ["evaluate", "--config", str(tmp_path / "config.json")]
     words += ["--dataset", str(chain / "sample"), "--models", str(chain / "train")]
@@ -234,7 +234,7 @@ def test_the_command_prints_the_table(chain, tmp_path, capsys):
     assert main([*words, "--predictions", str(tmp_path / "predictions.parquet")]) == 0
     said = capsys.readouterr().out
     assert "by_simulation    lrcn_conditional" in said
-    assert content(tmp_path / "metrics.json") == content(chain / "evaluate" / "metrics.json")
+    assert content(tmp_path / "metrics.json") == content(evaluated / "metrics.json")
 
 
 def test_a_folder_without_models_is_refused(tmp_path):
