@@ -16,7 +16,7 @@ help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
 	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
-	@echo 'make test       lint and tests (make test TESTS=tests/unit for a subset)'
+	@echo 'make test       lint and tests (make test TESTS=tests/physics for a subset)'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
 	@echo 'make benchmark  cost of simulations, compared with SolverVBD'
@@ -109,8 +109,8 @@ benchmark-scale: setup
 shipped-instrument: setup
 	cp results/published/instrument/models/by_simulation/instrument/ensemble/instrument.safetensors \
 	   results/published/instrument/models/by_simulation/instrument/ensemble/instrument.json \
-	   results/published/instrument/config.json src/slipstitch/measure/shipped/
-	cd src/slipstitch/measure/shipped && \
+	   results/published/instrument/config.json src/slipstitch/film/measure/shipped/
+	cd src/slipstitch/film/measure/shipped && \
 		sha256sum config.json instrument.json instrument.safetensors > SHA256SUMS
 	$(BIN)/python benchmarks/figures.py
 

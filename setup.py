@@ -10,7 +10,7 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT / "src"))
 
-from slipstitch.project import INSTALLED, copy_parts  # noqa: E402
+from slipstitch.base.project import INSTALLED, copy_parts  # noqa: E402
 
 
 class WithWorkflow(build_py):

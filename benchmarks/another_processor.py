@@ -15,12 +15,12 @@ import numpy as np
 import pandas
 from filmed import CONFIGS, PUBLISHED, ROOT, SHIPPED, FilmedSet, models, publish, reading, videos
 
-from slipstitch.bench.frames import sampled_frames
 from slipstitch.config import load_config
-from slipstitch.evaluate.instruments import AVERAGE
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.sample.images import pixels_digest
-from slipstitch.sample.manifest import read_manifest
+from slipstitch.dataset.images import pixels_digest
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.learning.evaluation.instruments import AVERAGE
+from slipstitch.learning.instrument.measuring import load_instrument
 
 
 def main():

@@ -26,10 +26,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from support import synthetic_chain, synthetic_videos
 
-from slipstitch.audit.auditing import audit_release
-from slipstitch.audit.findings import Kind
-from slipstitch.config.grid import simulations, textures, viewpoints
-from slipstitch.release.assembly import write_release
+from slipstitch.dataset.audit.auditing import audit_release
+from slipstitch.dataset.audit.findings import Kind
+from slipstitch.dataset.release.assembly import write_release
+from slipstitch.design.grid import simulations, textures, viewpoints
 
 PIXELS = 112
 FRAMES = 30

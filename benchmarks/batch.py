@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.simulate.drop_and_drag import DropAndDrag, simulate_batch
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_batch
 
 MATERIALS = ("gray-interlock", "navy-sparkle-sweat", "royal-target", "11oz-black-denim")
 FRICTIONS = (0.1, 0.3, 0.6, 1.0)

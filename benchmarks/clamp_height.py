@@ -27,10 +27,10 @@ from filmed import (
 from instrument_reach import MATERIALS
 from scipy.stats import linregress
 
-from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.config.grid import simulations
-from slipstitch.simulate.drop_and_drag import draw_perturbation
-from slipstitch.theory import flexible_strip_drag
+from slipstitch.design.grid import simulations
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.physics.simulation.drop_and_drag import draw_perturbation
+from slipstitch.physics.theory import flexible_strip_drag
 
 SET = FilmedSet(
     "clamp_height",

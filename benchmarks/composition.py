@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from slipstitch.catalogue import FLOORS, TEXTURES
+from slipstitch.config.catalogue import FLOORS, TEXTURES
 from slipstitch.config.render import RenderSettings
-from slipstitch.render.blender import ClothScene
-from slipstitch.render.composition import compose, join
-from slipstitch.render.encoding import encode_srgb
-from slipstitch.render.packing import render_shadings, usable_trajectory
-from slipstitch.render.shots import shots
-from slipstitch.render.surroundings import draw_surroundings, generator
-from slipstitch.render.textures import texture
-from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
+from slipstitch.images.blender import ClothScene
+from slipstitch.images.composition import compose, join
+from slipstitch.images.encoding import encode_srgb
+from slipstitch.images.packing import render_shadings, usable_trajectory
+from slipstitch.images.shots import shots
+from slipstitch.images.surroundings import draw_surroundings, generator
+from slipstitch.images.textures import texture
+from slipstitch.images.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
 
 ROOT = Path(__file__).parents[1]
 SIMULATIONS = ("m03_f0400_r00", "m08_f1100_r00")

@@ -29,8 +29,8 @@ from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Weights, fit
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.mechanisms import MECHANISMS
+from slipstitch.criticise.prediction.predictive import predict_model
 from slipstitch.criticise.verdict import verdict_of
-from slipstitch.predict.predictive import predict_model
 
 KINDS = (
     *["null"] * 5,

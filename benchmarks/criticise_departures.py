@@ -32,7 +32,7 @@ from support.departures.sensors import REPORTABLE
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
-from slipstitch.predict.predictive import predict_model
+from slipstitch.criticise.prediction.predictive import predict_model
 
 KEPT = ("verdict", "causes", "alternatives", "parameters", "null", "gain", "scatter", "ranking")
 # What a finding about the data may call the sensor that is wrong.

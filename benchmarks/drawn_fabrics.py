@@ -13,10 +13,10 @@ import numpy as np
 from filmed import PUBLISHED, ROOT, SHIPPED, FilmedSet, models, of_each_simulation, publish, reading
 from instrument_reach import scores
 
+from slipstitch.base.provenance import file_digest
 from slipstitch.config.load import read_mapping
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.provenance import file_digest
-from slipstitch.sample.videos import read_videos
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.instrument.measuring import load_instrument
 
 CONFIG = "config/error_bars.yaml"
 

@@ -23,9 +23,9 @@ from collections import Counter
 from pathlib import Path
 
 from slipstitch.config import Config, load_config, write_config
-from slipstitch.config.grid import films, simulations
-from slipstitch.doctor.cost import estimate, verification_cpu_s
-from slipstitch.render.surroundings import draw_surroundings
+from slipstitch.design.cost import estimate, verification_cpu_s
+from slipstitch.design.grid import films, simulations
+from slipstitch.images.surroundings import draw_surroundings
 
 ROOT = Path(__file__).parents[1]
 TOLERANCE = 0.25

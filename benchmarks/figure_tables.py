@@ -8,18 +8,18 @@ import pandas
 from scipy.stats import binomtest
 from solver_cost_page import page
 
-from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.calibrate.choice import describe
 from slipstitch.config import load_config
 from slipstitch.config.train import split_of
-from slipstitch.doctor.cost import MEMORY_MIB, job_memory_mb
-from slipstitch.evaluate import paper as printed
-from slipstitch.instrument.calibration_answers import FILE, read_answers
-from slipstitch.instrument.calibration_readings import kept_readings
-from slipstitch.instrument.conformal import covered, grouped_quantile
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.sample.probes import SIGNIFICANCE, chance_of, is_probed
-from slipstitch.theory import flexible_strip_drag
+from slipstitch.dataset.probes import SIGNIFICANCE, chance_of, is_probed
+from slipstitch.design.cost import MEMORY_MIB, job_memory_mb
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.learning.evaluation import paper as printed
+from slipstitch.learning.instrument.calibration_answers import FILE, read_answers
+from slipstitch.learning.instrument.calibration_readings import kept_readings
+from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.physics.calibration.choice import describe
+from slipstitch.physics.theory import flexible_strip_drag
 
 # Head of what `_scores` gives.
 SCORES = "mean error of μ|within 0.1|in the 90 % interval|its mean width"

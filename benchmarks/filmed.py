@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from slipstitch.bench.frames import sampled_frames
+from slipstitch.base.provenance import provenance_record, read_metadata, write_json
 from slipstitch.config import load_config
-from slipstitch.config.grid import simulations
-from slipstitch.evaluate.instruments import measured
-from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.provenance import provenance_record, read_metadata, write_json
-from slipstitch.render.bench_camera import draw_bench_camera
-from slipstitch.render.pose import POSE
-from slipstitch.sample.shards import decode, read_shard
+from slipstitch.dataset.shards import decode, read_shard
+from slipstitch.design.grid import simulations
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.images.bench_camera import draw_bench_camera
+from slipstitch.images.pose import POSE
+from slipstitch.learning.evaluation.instruments import measured
+from slipstitch.learning.instrument.augmentation import phased
+from slipstitch.learning.instrument.measuring import load_instrument
 
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "results" / "published"

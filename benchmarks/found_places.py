@@ -16,11 +16,11 @@ import torch
 from filmed import publish, trainings
 from surrogate_places import mean_errors, places_off, reading
 
-from slipstitch.evaluate.instruments import measured
-from slipstitch.instrument.augmentation import phased
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.sample.manifest import read_manifest
-from slipstitch.sample.videos import read_videos
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.evaluation.instruments import measured
+from slipstitch.learning.instrument.augmentation import phased
+from slipstitch.learning.instrument.measuring import load_instrument
 
 # Videos of each part that are read: one in so many.
 PARTS = {"train": 12, "test": 2, "unseen_fabric": 3}

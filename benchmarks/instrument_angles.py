@@ -26,7 +26,7 @@ from filmed import (
 from instrument_reach import scores
 
 from slipstitch.config import load_config
-from slipstitch.config.splits import sides_of_simulations
+from slipstitch.design.splits import sides_of_simulations
 
 ANGLES_DEG = (-15, -10, -5, 0, 5, 10, 15)
 NEAR_DEG = 1.0

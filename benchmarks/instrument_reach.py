@@ -24,9 +24,9 @@ from filmed import (
     trainings,
 )
 
-from slipstitch.evaluate.metrics import BY_NAME, PredictionsAndTruth
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.instrument.poses import outside
+from slipstitch.learning.evaluation.metrics import BY_NAME, PredictionsAndTruth
+from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.learning.instrument.poses import outside
 
 MATERIALS = ["pink-ribbon-brown", "gray-interlock", "11oz-black-denim", "white-swim-solid"]
 OFF_GRID = [0.15, 0.55, 0.95, 1.35]

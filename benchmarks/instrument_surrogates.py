@@ -17,11 +17,11 @@ import yaml
 from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, answering, models, publish, run_slipstitch
 from instrument_reach import scores
 
-from slipstitch.capture.surrogate.bench import films, write_bench
-from slipstitch.catalogue import FLOORS
+from slipstitch.base.errors import BadInput
 from slipstitch.config import load_config
-from slipstitch.errors import BadInput
-from slipstitch.measure.measuring import measuring_bench
+from slipstitch.config.catalogue import FLOORS
+from slipstitch.film.measure.measuring import measuring_bench
+from slipstitch.film.surrogate.bench import films, write_bench
 
 
 def one_fabric_a_substrate():

@@ -4,10 +4,10 @@
 
 FOLDER holds trajectories of a grid (results/simulate). Every simulation whose fabric is there at a
 lower and at a higher coefficient is compared with the mean of those two, weighted by the tail that
-theory gives, as `slipstitch.config.interpolation` does, and linearly, at the frames that the
+theory gives, as `slipstitch.design.interpolation` does, and linearly, at the frames that the
 networks see: the median distance of the vertices, and what it is worth in friction, by how far the
 two are apart. And of cloths mixed half and half of two fabrics the share of frames in which they
-are cloths (`slipstitch.render.interpolation`). Goes to results/published/camera/interpolation.json.
+are cloths (`slipstitch.images.interpolation`). Goes to results/published/camera/interpolation.json.
 """
 
 import argparse
@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from slipstitch.bench.frames import sampled_frames
-from slipstitch.bench.stage_path import SIDE_M, StagePath
+from slipstitch.base.provenance import file_digest, provenance_record, write_json
 from slipstitch.config import resolve_config
-from slipstitch.provenance import file_digest, provenance_record, write_json
-from slipstitch.render.interpolation import STRAIN_MAX, edge_strain
-from slipstitch.simulate.trajectory import read_trajectory
-from slipstitch.theory.drag import flexible_strip_drag
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.images.interpolation import STRAIN_MAX, edge_strain
+from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.physics.theory.drag import flexible_strip_drag
 
 ROOT = Path(__file__).parents[1]
 HEIGHT_M = StagePath().start_height_m - StagePath().drop_m

@@ -22,10 +22,10 @@ from support import synthetic_videos
 
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
-from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.training import losses, training_views
-from slipstitch.train.network import LRCN, build_network, cross_entropy
-from slipstitch.train.torch_setup import computes_bfloat16, set_up_torch
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.training import losses, training_views
+from slipstitch.learning.network import LRCN, build_network, cross_entropy
+from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 
 FRAMES = 30
 CLASSES = 10

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from support import analytic_stage as stage
 
-from slipstitch.catalogue import VIEWPOINTS
 from slipstitch.cli.measure import ALARM_EXIT_CODE
-from slipstitch.render.camera import pose
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.images.camera import pose
 
 REST_S = 4.0
 DRAWN_WIDTH = 320

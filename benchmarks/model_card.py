@@ -5,10 +5,10 @@ import tomllib
 
 import pandas
 
-from slipstitch.instrument.poses import TITLES, TOLERANCE, shown
-from slipstitch.provenance import file_digest
+from slipstitch.base.provenance import file_digest
+from slipstitch.learning.instrument.poses import TITLES, TOLERANCE, shown
 
-SHIPPED = "src/slipstitch/measure/shipped"
+SHIPPED = "src/slipstitch/film/measure/shipped"
 PLACE = f"{SHIPPED}/MODEL_CARD.md"
 FILES = ("instrument.safetensors", "instrument.json", "config.json")
 RUN = "results/published/instrument"

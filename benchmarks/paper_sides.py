@@ -18,13 +18,13 @@ import pandas
 import yaml
 from filmed import PUBLISHED, ROOT, run_slipstitch, videos
 
-from slipstitch.bench.frames import sampled_frames
+from slipstitch.base.provenance import provenance_record, write_json
 from slipstitch.config import load_config, read_mapping
-from slipstitch.config.grid import simulations
-from slipstitch.provenance import provenance_record, write_json
-from slipstitch.sample.videos import resized
-from slipstitch.train.model_file import load_model
-from slipstitch.train.prediction import predict
+from slipstitch.dataset.videos import resized
+from slipstitch.design.grid import simulations
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.learning.model_file import load_model
+from slipstitch.learning.prediction import predict
 
 RESULT = PUBLISHED / "camera" / "paper_sides.json"
 FRICTIONS = (0.1, 0.2, 0.3, 0.5, 1.0)

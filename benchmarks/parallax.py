@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slipstitch.bench.stage_path import StagePath
-from slipstitch.catalogue import VIEWPOINTS
-from slipstitch.render.camera import cloth_room, crop_to, pose
-from slipstitch.render.mean_cloth import MeanCloth, Plane, lags_m
-from slipstitch.render.shots import cloth_size
-from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.design.stage_path import StagePath
+from slipstitch.images.camera import cloth_room, crop_to, pose
+from slipstitch.images.mean_cloth import MeanCloth, Plane, lags_m
+from slipstitch.images.shots import cloth_size
+from slipstitch.physics.simulation.trajectory import read_trajectory
 
 CALIBRATED = VIEWPOINTS["calibrated"]
 CAMERAS = {

@@ -21,17 +21,21 @@ import torch
 from filmed import CONFIGS, ROOT
 from interpolation import HEIGHT_M, digests
 
-from slipstitch.bench.frames import sampled_frames
+from slipstitch.base.provenance import provenance_record, write_json
 from slipstitch.config import load_config
-from slipstitch.config.grid import simulations
-from slipstitch.config.interpolation import between
-from slipstitch.config.splits import sides_of_simulations
-from slipstitch.instrument.distribution import medians, mixture_cumulative, ranked_probability_score
-from slipstitch.instrument.network import InstrumentNetwork
-from slipstitch.instrument.training import learning_rate, noisy_places, unit_of_points
-from slipstitch.provenance import provenance_record, write_json
-from slipstitch.render.marked_points import marked_points_m
-from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.design.grid import simulations
+from slipstitch.design.interpolation import between
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.splits import sides_of_simulations
+from slipstitch.images.marked_points import marked_points_m
+from slipstitch.learning.instrument.distribution import (
+    medians,
+    mixture_cumulative,
+    ranked_probability_score,
+)
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.training import learning_rate, noisy_places, unit_of_points
+from slipstitch.physics.simulation.trajectory import read_trajectory
 
 RESULT = ROOT / "results" / "published" / "camera" / "places.json"
 NOISE_MM = (0.5, 1.0, 2.0, 3.0)

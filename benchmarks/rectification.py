@@ -12,10 +12,10 @@ import argparse
 
 import numpy as np
 
-from slipstitch.instrument import load_instrument
-from slipstitch.instrument.augmentation import phased, rectified_with_errors
-from slipstitch.sample.videos import read_videos, takes_part
-from slipstitch.train.torch_setup import set_up_torch
+from slipstitch.dataset.videos import read_videos, takes_part
+from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.instrument.augmentation import phased, rectified_with_errors
+from slipstitch.learning.torch_setup import set_up_torch
 
 # Corners' moves in pixels (upper left, upper right, lower left; across and down), blur in pixels.
 SIDEWAYS, DOWN = np.array([[1.0, 0.0]] * 3), np.array([[0.0, 1.0]] * 3)

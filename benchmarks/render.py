@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from support import synthetic_cloth
 
 from slipstitch.config.render import RenderSettings
-from slipstitch.render import blender
-from slipstitch.render.encoding import encode_png
-from slipstitch.render.packing import Job, read_pack, write_pack
-from slipstitch.render.shards import composed_images, render_shard
-from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+from slipstitch.images import blender
+from slipstitch.images.encoding import encode_png
+from slipstitch.images.packing import Job, read_pack, write_pack
+from slipstitch.images.shards import composed_images, render_shard
+from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 TEXTURES = ["stripes", "checks", "tartan", "dots", "houndstooth", "floral", "denim", "linen"]
 VIEWPOINTS = ["calibrated", "frontal", "side"]

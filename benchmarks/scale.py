@@ -1,6 +1,6 @@
 """Projected cost of 10^4 and 10^6 simulations: a cluster model with the measured costs of jobs.
 
-The cost of jobs is that of `slipstitch.doctor.cost`; building graphs and running jobs that of
+The cost of jobs is that of `slipstitch.design.cost`; building graphs and running jobs that of
 `benchmarks/dag.py`. A file system that all share serves bytes and operations in the order in which
 jobs ask. With --replay, a finished run is played again from its jobs' measured times and compared
 with how long it really took.
@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from slipstitch.config import load_config
-from slipstitch.config.grid import films, simulations
-from slipstitch.doctor.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
-from slipstitch.status.runs import read_plan, read_runs
-from slipstitch.status.schedule import finish_times_s
-from slipstitch.status.state import read_benchmark
+from slipstitch.design.cost import _video_bytes, estimate, job_cpu_s, job_memory_mb
+from slipstitch.design.grid import films, simulations
+from slipstitch.report.status.runs import read_plan, read_runs
+from slipstitch.report.status.schedule import finish_times_s
+from slipstitch.report.status.state import read_benchmark
 
 ROOT = Path(__file__).parents[1]
 # CPU s of one start of Snakemake on this project: `snakemake -n` of a small graph.

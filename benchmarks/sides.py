@@ -16,11 +16,11 @@ import numpy as np
 from filmed import CONFIGS, ROOT
 from interpolation import digests
 
+from slipstitch.base.provenance import provenance_record, write_json
 from slipstitch.config import load_config
-from slipstitch.config.grid import simulations
-from slipstitch.provenance import provenance_record, write_json
-from slipstitch.render.marked_points import MARKED_UV, marked_points_m
-from slipstitch.simulate.trajectory import read_trajectory
+from slipstitch.design.grid import simulations
+from slipstitch.images.marked_points import MARKED_UV, marked_points_m
+from slipstitch.physics.simulation.trajectory import read_trajectory
 
 RESULT = ROOT / "results" / "published" / "camera" / "sides.json"
 LOWER_EDGE = int(np.flatnonzero((MARKED_UV == (0.5, 1.0)).all(axis=1))[0])

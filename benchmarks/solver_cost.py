@@ -51,9 +51,9 @@ def simulate(material, friction, window_s, start_height_m=None, **settings):
 
 
 def _simulate(material, friction, window_s, start_height_m, changes):
-    from slipstitch.bench.stage_path import StagePath
     from slipstitch.config.simulation import SimulationSettings
-    from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.design.stage_path import StagePath
+    from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
 
     path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)
     warm = SimulationSettings(vertices_per_side=5, frames=2, settle_s=0.0)
@@ -120,8 +120,8 @@ def steady_part():
 
 def _steady(material, friction):
     from slipstitch.config import load_config
-    from slipstitch.convergence.study import compare
-    from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.physics.convergence.study import compare
+    from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
 
     grid = load_config(ROOT / "config.yaml", ROOT / "config" / "paper.yaml").simulation
     warm = grid.model_copy(update={"vertices_per_side": 5, "frames": 2, "settle_s": 0.0})
@@ -164,7 +164,7 @@ def side_by_side_part():
 
 
 def _scene():
-    from slipstitch.cloth import rectangle
+    from slipstitch.physics.cloth import rectangle
 
     mesh = rectangle(41, 41, 0.2, 0.2)
     u, v = mesh.rest_uv_m.T
@@ -181,9 +181,9 @@ def _lowered(hung_m, time_s):
 def _side_by_side():
     from vertex_block_descent import VertexBlockDescent
 
-    from slipstitch.cloth import ClothSolver, SolverSettings, StepRecord
     from slipstitch.config.simulation import SimulationSettings
-    from slipstitch.material import isotropic_tables
+    from slipstitch.physics.cloth import ClothSolver, SolverSettings, StepRecord
+    from slipstitch.physics.fabric import isotropic_tables
 
     mesh, fixed, hung_m = _scene()
     cloth = ClothSolver(
@@ -262,8 +262,8 @@ def _creep(friction=0.5):
     """How far a square of cloth moves in a second on a plane of 0.98 times the friction."""
     from vertex_block_descent import GRAVITY_M_S2, VertexBlockDescent
 
-    from slipstitch.cloth import rectangle
-    from slipstitch.protocol.registry import run_protocol
+    from slipstitch.physics.cloth import rectangle
+    from slipstitch.physics.experiments.registry import run_protocol
 
     slope = np.arctan(SLOPE_OF_FRICTION * friction)
     options = {"friction": friction, "slope_deg": float(np.degrees(slope))}
@@ -299,7 +299,12 @@ def main():
     """Run the parts asked for, and write result, picture and page."""
     from solver_cost_page import draw, page
 
-    from slipstitch.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+    from slipstitch.base.provenance import (
+        atomic_path,
+        provenance_record,
+        start_clock,
+        write_sidecar,
+    )
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)

@@ -16,8 +16,8 @@ import instrument_reach
 import instrument_surrogates
 from filmed import PUBLISHED, FilmedSet, models, publish
 
-from slipstitch.instrument.measuring import load_instrument
-from slipstitch.provenance import file_digest, read_sidecar
+from slipstitch.base.provenance import file_digest, read_sidecar
+from slipstitch.learning.instrument.measuring import load_instrument
 
 MADE_BY = {
     "reach": instrument_reach,

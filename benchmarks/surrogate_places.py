@@ -21,13 +21,13 @@ import yaml
 from filmed import CONFIGS, ROOT, SHIPPED, FilmedSet, publish, trainings
 from scipy.interpolate import RegularGridInterpolator
 
-from slipstitch.capture.surrogate.bench import films, surrogate_simulation
+from slipstitch.base.errors import BadInput
 from slipstitch.config import load_config
-from slipstitch.errors import BadInput
-from slipstitch.instrument.distribution import medians, mixture_cumulative
-from slipstitch.measure.measuring import measuring_bench
-from slipstitch.render.marked_points import MARKED_UV, marked_uv
-from slipstitch.simulate.drop_and_drag import draw_perturbation, simulate_drop_and_drag
+from slipstitch.film.measure.measuring import measuring_bench
+from slipstitch.film.surrogate.bench import films, surrogate_simulation
+from slipstitch.images.marked_points import MARKED_UV, marked_uv
+from slipstitch.learning.instrument.distribution import medians, mixture_cumulative
+from slipstitch.physics.simulation.drop_and_drag import draw_perturbation, simulate_drop_and_drag
 
 BENCHES = ("surrogate", "ideal")
 LOWER_EDGE = MARKED_UV[:, 1] == 1.0

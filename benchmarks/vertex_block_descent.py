@@ -2,7 +2,7 @@
 
 Needs the optional extra: ``pip install slipstitch[benchmark]``. The sheet is isotropic, because
 SolverVBD has no data-driven law: its stable neo-Hookean membrane and its hinges have the same
-stiffness at small strain as `slipstitch.material.isotropic_tables`.
+stiffness at small strain as `slipstitch.physics.fabric.isotropic_tables`.
 """
 
 import newton
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 RADIUS_M = 1.0e-3  # particles touch the ground at this height; the ground lies as much lower
 

@@ -1,7 +1,7 @@
 """Settings chosen with a pushed strip, one job per swept setting, and checked against theory."""
 
 from slipstitch.config.calibrate import BASE, KEYS
-from slipstitch.calibrate.sweep import sweep_inputs
+from slipstitch.physics.calibration.sweep import sweep_inputs
 
 
 rule calibrate:

@@ -1,6 +1,6 @@
 """Videos of a bench, or surrogates, evaluated with the trained networks; not part of `all`."""
 
-from slipstitch.capture.ingest.captures_table import files_named
+from slipstitch.film.ingest.captures_table import files_named
 
 CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
 SLIP_ANGLES = CONFIG.captures.angles or (
@@ -190,7 +190,7 @@ rule captures_evaluate:
         runtime=30,
     params:
         *settings("evaluate"),
-        code=code_of("evaluate.capture_evaluation"),
+        code=code_of("evaluate.captures"),
         config=CONFIG_FILE,
     message:
         "Evaluate networks and instruments on the captures"

@@ -9,14 +9,14 @@ from functools import cache
 from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
-from slipstitch.config.grid import batches, films, grid_rows, simulations, viewpoints
-from slipstitch.config.interpolation import interpolations
-from slipstitch.doctor.cost import estimate_line, job_memory_mb, job_runtime_min
-from slipstitch.errors import BadInput
-from slipstitch.material import fabric_digest, fabric_names
-from slipstitch.provenance import code_digest, file_digest
-from slipstitch.simulate.convergence import study_digest
-from slipstitch.catalogue import catalogue_entries
+from slipstitch.design.grid import batches, films, grid_rows, simulations, viewpoints
+from slipstitch.design.interpolation import interpolations
+from slipstitch.design.cost import estimate_line, job_memory_mb, job_runtime_min
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.fabric import fabric_digest, fabric_names
+from slipstitch.base.provenance import code_digest, file_digest
+from slipstitch.physics.simulation.convergence import study_digest
+from slipstitch.config.catalogue import catalogue_entries
 
 CONFIG_FILE = "results/config.json"
 
@@ -40,7 +40,7 @@ with one_line_errors():
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
 
-# Each job says what it used at the end of its log (slipstitch.status.state.read_benchmark).
+# Each job says what it used at the end of its log (slipstitch.report.status.state.read_benchmark).
 os.environ["SLIPSTITCH_CPU_TIME"] = "1"
 
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}
@@ -134,7 +134,7 @@ rule grid:
         runtime=15,
     params:
         rows=hashlib.sha256(json.dumps(grid_rows(CONFIG)).encode()).hexdigest(),
-        code=code_of("config.grid_table"),
+        code=code_of("grid"),
         config=CONFIG_FILE,
     message:
         "Write the table of ids and seeds"

@@ -1,6 +1,6 @@
 """Dependence of drop-and-drag on time step and mesh; not part of `all`."""
 
-from slipstitch.convergence.cases import cases
+from slipstitch.physics.convergence.cases import cases
 
 CASES = {case.id: case for case in cases(CONFIG)}
 

@@ -31,7 +31,7 @@ rule evaluate_all:
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
         *settings("evaluate", also=("sample.frames", "view_order")),
-        code=code_of("evaluate.evaluation"),
+        code=code_of("evaluate"),
         config=CONFIG_FILE,
     message:
         "Evaluate the networks"

@@ -1,6 +1,6 @@
 """The measuring instrument: its network, error bars and alarm."""
 
-from slipstitch.config.trainable import check_calibration_datasets, check_instrument_can_train
+from slipstitch.design.trainable import check_calibration_datasets, check_instrument_can_train
 
 
 rule instrument:

@@ -1,6 +1,6 @@
 """The dataset: sampled frames, splits, manifest."""
 
-from slipstitch.config.splits import sides_of_simulations
+from slipstitch.design.splits import sides_of_simulations
 
 
 rule sample:

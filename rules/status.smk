@@ -3,8 +3,8 @@
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
-from slipstitch.status.journal import Journal
-from slipstitch.status.runs import last_failures
+from slipstitch.report.status.journal import Journal
+from slipstitch.report.status.runs import last_failures
 
 # What `slipstitch status` and the report read; the processes of single jobs do not write to it.
 JOURNAL = Journal()

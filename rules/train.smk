@@ -1,7 +1,7 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
 from slipstitch.config.train import NETWORKS
-from slipstitch.config.trainable import check_networks_can_train
+from slipstitch.design.trainable import check_networks_can_train
 
 
 def material_network(wildcards):

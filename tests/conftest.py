@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from slipstitch.provenance import record
+from slipstitch.base.provenance import record
 
 
 def pytest_addoption(parser):

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
+from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.errors import BadInput
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
 

@@ -10,6 +10,7 @@ from support.departures.campaign import write
 from support.departures.strength import SLIDE_MM, STROKE_MM, TRAVEL_MM
 from support.hidden_effects.bench import make_case
 
+from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import power_to_file
 from slipstitch.criticise.expected_traces import assumptions_of, expected
@@ -17,7 +18,6 @@ from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
 from slipstitch.criticise.inference.certificate import of_design, plain_model
 from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
-from slipstitch.errors import BadInput
 
 
 def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_is_not(tmp_path):

@@ -12,12 +12,12 @@ import pandas as pd
 import pytest
 from support.hidden_effects.bench import make_case
 
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.cli.main import main
 from slipstitch.criticise.inference import fit
-from slipstitch.errors import BadInput
-from slipstitch.predict.predictive import read_verdict
-from slipstitch.predict.validation import lock, score
-from slipstitch.provenance import file_digest, read_provenance
+from slipstitch.criticise.prediction.predictive import read_verdict
+from slipstitch.criticise.prediction.validation import lock, score
 
 KEYS = {
     "case",

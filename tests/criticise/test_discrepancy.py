@@ -10,7 +10,7 @@ import pytest
 import yaml
 from support.hidden_effects.bench import make_case
 
-from slipstitch.bench.extended_model import model_of, read_extended_model
+from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import criticise_to_files
 from slipstitch.criticise.inference.discrepancy import (
@@ -21,10 +21,10 @@ from slipstitch.criticise.inference.discrepancy import (
 from slipstitch.criticise.inference.gain import plain_scatters
 from slipstitch.criticise.inference.outliers import fit_without_outliers
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.prediction.predictive import is_discrepancy, predict_model, read_verdict
 from slipstitch.criticise.resimulation import law_of_run
-from slipstitch.errors import BadInput
-from slipstitch.friction_law import Contact
-from slipstitch.predict.predictive import is_discrepancy, predict_model, read_verdict
+from slipstitch.physics.friction_law import Contact
+from slipstitch.physics.friction_law.extended_model import model_of, read_extended_model
 
 SEED = 101
 

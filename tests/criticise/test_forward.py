@@ -12,7 +12,7 @@ from slipstitch.criticise.protocols.dragged_cloth import (
 )
 from slipstitch.criticise.protocols.incline import slip_angle_rad
 from slipstitch.criticise.protocols.strip import areal_contact, foot, slip_strain
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 # Sano, Yamaguchi and Wada 2017, weightless strip: friction -> strain at slip.
 PUBLISHED_SLIP = {

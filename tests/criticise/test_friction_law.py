@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from slipstitch.errors import BadInput
-from slipstitch.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
 
 CONTACT = Contact(
     normal_force_N=0.2,

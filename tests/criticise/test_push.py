@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols.push import LEVEL, PEAK
-from slipstitch.errors import BadInput
-from slipstitch.friction_law import FrictionLaw
+from slipstitch.physics.friction_law import FrictionLaw
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
 MASS_KG, STIFFNESS_N_M, SPEED_M_S, MU = 1.5, 2.0e4, 2.5e-3, 0.3

@@ -8,6 +8,7 @@ import pytest
 from support import departures
 from support.hidden_effects.bench import make_case
 
+from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference.analysis import analyse
@@ -15,8 +16,7 @@ from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols import spring_slider
 from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
 from slipstitch.criticise.verdict import parameters_with_intervals
-from slipstitch.errors import BadInput
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)
 LOAD_N = 0.6

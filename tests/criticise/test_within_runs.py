@@ -21,7 +21,7 @@ from slipstitch.criticise.within_runs import (
     within_runs,
     words,
 )
-from slipstitch.protocol.tracked_drag import TrackedShape
+from slipstitch.physics.experiments.tracked_drag import TrackedShape
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
 WEIGHT_N = 0.06 * 9.80665

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
-from slipstitch.bench.stage_path import StagePath
-from slipstitch.cloth import (
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.cloth import (
     ClothSolver,
     Sheets,
     SolverSettings,
@@ -21,12 +22,15 @@ from slipstitch.cloth import (
     run_together,
     self_contact,
 )
-from slipstitch.cloth.batch import Work
-from slipstitch.config.simulation import SimulationSettings
-from slipstitch.errors import BadInput, NotConverged
-from slipstitch.friction_law import FrictionLaw
-from slipstitch.material import ElasticTables, load_fabric
-from slipstitch.simulate.drop_and_drag import DropAndDrag, simulate_batch, simulate_drop_and_drag
+from slipstitch.physics.cloth.batch import Work
+from slipstitch.physics.fabric import ElasticTables, load_fabric
+from slipstitch.physics.friction_law import FrictionLaw
+from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.simulation.drop_and_drag import (
+    DropAndDrag,
+    simulate_batch,
+    simulate_drop_and_drag,
+)
 
 # Lowered at once to a heap, so that soft cloth comes to lie on itself.
 HEAP = SimulationSettings(vertices_per_side=9, frames=14, frame_rate_hz=4, settle_s=0.2)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
-from slipstitch.cloth.bending import hinge_geometry
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.material import ElasticTables, fabric_names, load_fabric
-from slipstitch.material.law import CURVATURE_SPACING_PER_M
+from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth.bending import hinge_geometry
+from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric
+from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M
 
 SPACING_M = 0.005
 # Two rows are held, the third hangs on the fold between: one hinge along u.

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
-from slipstitch.cloth.bending import hinge_geometry
-from slipstitch.errors import BadInput
-from slipstitch.material import isotropic_tables
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth.bending import hinge_geometry
+from slipstitch.physics.fabric import isotropic_tables
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 HINGE_N_M = 5e-5
 

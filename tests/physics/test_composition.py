@@ -11,16 +11,16 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.config.render import RenderSettings
-from slipstitch.render.blender import ClothScene
-from slipstitch.render.composition import compose, join
-from slipstitch.render.encoding import encode_png, encode_srgb
-from slipstitch.render.packing import render_shadings
-from slipstitch.render.shading import separate
-from slipstitch.render.shots import shots
-from slipstitch.render.surroundings import MATTE, Surroundings
-from slipstitch.render.textures import texture
-from slipstitch.render.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
-from slipstitch.simulate.trajectory import Trajectory
+from slipstitch.images.blender import ClothScene
+from slipstitch.images.composition import compose, join
+from slipstitch.images.encoding import encode_png, encode_srgb
+from slipstitch.images.packing import render_shadings
+from slipstitch.images.shading import separate
+from slipstitch.images.shots import shots
+from slipstitch.images.surroundings import MATTE, Surroundings
+from slipstitch.images.textures import texture
+from slipstitch.images.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
+from slipstitch.physics.simulation.trajectory import Trajectory
 
 # Between the floors that the reflection was tuned on, and at the ends.
 REFLECTIVE = {

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.material import isotropic_tables
+from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.fabric import isotropic_tables
 
 COLUMNS, SPACING_M = 13, 0.005
 AMPLITUDE_M = 1e-6  # linear, and far above the tolerance

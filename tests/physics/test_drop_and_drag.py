@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from slipstitch.bench.stage_path import StagePath
-from slipstitch.cloth import ClothSolver
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.simulate.drop_and_drag import (
+from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.cloth import ClothSolver
+from slipstitch.physics.simulation.drop_and_drag import (
     LANDING_S,
     _Bench,
     draw_perturbation,
@@ -142,7 +142,7 @@ def test_the_curl_may_change_sides_with_the_replicate():
 @pytest.mark.parametrize("curl", [-1.0, 1.0])
 def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch):
     """Without it the flat cloth is an unstable equilibrium that rounding would decide."""
-    import slipstitch.simulate.drop_and_drag as module
+    import slipstitch.physics.simulation.drop_and_drag as module
 
     straight = module.BenchPerturbation(0.0, 0.0, 1.0, 1.0, 1.0, 0.5 * curl)
     monkeypatch.setattr(module, "draw_perturbation", lambda *of_a_run: straight)

@@ -7,17 +7,17 @@ The reference reads the data file itself, samples the law on the original's node
 import json
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import pytest
 import scipy.interpolate
 import scipy.optimize
 
-from slipstitch.cloth import ClothSolver, SolverSettings, rectangle
-from slipstitch.material import ElasticTables, load_fabric
+from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.fabric import ElasticTables, load_fabric
+from slipstitch.physics.fabric.fabrics import CATALOGUE
 
-FABRICS = json.loads(files("slipstitch.material").joinpath("fabrics.json").read_text())["fabrics"]
+FABRICS = json.loads(CATALOGUE.read_text())["fabrics"]
 DIRECTIONS_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)
 STRAINS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20)
 DEMAND = 0.005  # of the uniaxial stress

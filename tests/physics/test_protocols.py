@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from slipstitch import theory
-from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.errors import BadInput
-from slipstitch.protocol.registry import run_protocol
+from slipstitch.physics import theory
+from slipstitch.physics.experiments.registry import run_protocol
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 FRICTIONS = (0.1, 0.5, 1.2)
 STEPS_S = (0.005, 0.02, 0.08)

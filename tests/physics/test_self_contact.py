@@ -8,13 +8,13 @@ import warp as wp
 from scipy.optimize import minimize
 from support.mesh_intersections import crossing_pairs
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
-from slipstitch.bench.stage_path import StagePath
-from slipstitch.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
-from slipstitch.cloth.self_contact import SelfContact
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.material import isotropic_tables
-from slipstitch.simulate.drop_and_drag import simulate_drop_and_drag
+from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
+from slipstitch.physics.cloth.self_contact import SelfContact
+from slipstitch.physics.fabric import isotropic_tables
+from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
 
 THICKNESS_M = 1e-3
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from slipstitch.errors import BadInput
-from slipstitch.theory import cantilever_rule_gamma, heavy_cantilever
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.theory import cantilever_rule_gamma, heavy_cantilever
 
 
 @pytest.mark.parametrize(("gamma", "ratio"), [(1.0, 0.12456), (10.0, 1.0668), (100.0, 5.888)])

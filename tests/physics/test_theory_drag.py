@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from slipstitch.errors import BadInput
-from slipstitch.theory import flat_drag, flexible_strip_drag, steady_strip_drag
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.theory import flat_drag, flexible_strip_drag, steady_strip_drag
 
 LENGTH, HEIGHT = 0.20, 0.15
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from slipstitch import theory
-from slipstitch.errors import BadInput
-from slipstitch.theory.landed import _flat_foot
+from slipstitch.base.errors import BadInput
+from slipstitch.physics import theory
+from slipstitch.physics.theory.landed import _flat_foot
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.3])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eig
 
-from slipstitch.errors import BadInput
-from slipstitch.theory import capstan, incline, lateral_buckling
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.theory import capstan, incline, lateral_buckling
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.2])

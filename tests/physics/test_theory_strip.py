@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from slipstitch.errors import BadInput
-from slipstitch.theory import (
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.theory import (
     strip_buckling_load,
     strip_slip_strain,
     strip_state,

@@ -11,9 +11,9 @@ import av
 import cv2
 import numpy as np
 
-from slipstitch.bench.stage_path import SIDE_M, StagePath
-from slipstitch.render.camera import Camera
-from slipstitch.render.camera_file import LensCamera, write_camera_file
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.images.camera import Camera
+from slipstitch.images.camera_file import LensCamera, write_camera_file
 
 PATH = StagePath()
 SIZE = (320, 240)

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from slipstitch.render.blender import ClothScene
-from slipstitch.render.camera import Camera
+from slipstitch.images.blender import ClothScene
+from slipstitch.images.camera import Camera
 
 SQUARES, SQUARE_M, MARKER_M, DICTIONARY = (10, 7), 0.025, 0.019, "DICT_4X4_50"
 SIZE = (480, 360)

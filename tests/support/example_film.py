@@ -5,10 +5,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipstitch.capture.recording import Recording
-from slipstitch.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO
-from slipstitch.render.camera import Camera
-from slipstitch.render.camera_file import LensCamera, read_camera_file
+from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO
+from slipstitch.film.recording import Recording
+from slipstitch.images.camera import Camera
+from slipstitch.images.camera_file import LensCamera, read_camera_file
 from support import analytic_stage as stage
 
 

@@ -10,16 +10,16 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.audit.contents import read_contents
-from slipstitch.errors import SlipstitchError
-from slipstitch.provenance import attach_metadata, file_digest
-from slipstitch.release import card, crate, croissant
-from slipstitch.release.checksums import files_below, write_sums
-from slipstitch.release.description import card_of
-from slipstitch.release.manifest import notes_of, sampled_rows
-from slipstitch.release.previews import draw_previews
-from slipstitch.release.records import CRATE, CROISSANT, RELEASE_RECORD
-from slipstitch.sample.manifest import MANIFEST_SCHEMA, dataset_digest
+from slipstitch.base.errors import SlipstitchError
+from slipstitch.base.provenance import attach_metadata, file_digest
+from slipstitch.dataset.audit.contents import read_contents
+from slipstitch.dataset.manifest import MANIFEST_SCHEMA, dataset_digest
+from slipstitch.dataset.release import card, crate, croissant
+from slipstitch.dataset.release.checksums import files_below, write_sums
+from slipstitch.dataset.release.description import card_of
+from slipstitch.dataset.release.manifest import notes_of, sampled_rows
+from slipstitch.dataset.release.previews import draw_previews
+from slipstitch.dataset.release.records import CRATE, CROISSANT, RELEASE_RECORD
 
 
 def chunk(kind: bytes, body: bytes) -> bytes:

@@ -22,41 +22,41 @@ import numpy as np
 import torch
 import yaml
 
-from slipstitch.audit.auditing import audit_release
-from slipstitch.bench.extended_model import read_extended_model
-from slipstitch.bench.frames import sampled_frames
-from slipstitch.calibrate.calibration import read_sweeps
-from slipstitch.capture.camera import views
-from slipstitch.capture.ingest.captures_table import read_captures, read_references
-from slipstitch.capture.reference.angles import read_angles
-from slipstitch.capture.reference.estimate import estimate
-from slipstitch.capture.schedule import Schedule
-from slipstitch.capture.videos import read_stage_video
-from slipstitch.catalogue import VIEWPOINTS
+from slipstitch.base.errors import SlipstitchError
+from slipstitch.base.provenance import read_provenance, start_clock
 from slipstitch.config import load_config
+from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 from slipstitch.criticise.case import read_case
-from slipstitch.errors import SlipstitchError
-from slipstitch.evaluate.evaluation import find_models
-from slipstitch.instrument.measuring import load_instrument, save_instrument
-from slipstitch.predict.predictive import read_verdict
-from slipstitch.provenance import read_provenance, start_clock
-from slipstitch.release.assembly import write_release
-from slipstitch.release.records import read_artefact
-from slipstitch.render.camera import pose
-from slipstitch.render.camera_file import DISTORTION, FORMAT, read_camera_file
-from slipstitch.render.preview import decode_image, read_images
-from slipstitch.render.textures import _read as read_texture
+from slipstitch.criticise.prediction.predictive import read_verdict
+from slipstitch.dataset.audit.auditing import audit_release
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.release.assembly import write_release
+from slipstitch.dataset.release.records import read_artefact
+from slipstitch.dataset.shards import read_shard
+from slipstitch.dataset.videos import read_videos
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.film.camera import views
+from slipstitch.film.ingest.captures_table import read_captures, read_references
+from slipstitch.film.reference.angles import read_angles
+from slipstitch.film.reference.estimate import estimate
+from slipstitch.film.schedule import Schedule
+from slipstitch.film.videos import read_stage_video
+from slipstitch.images.camera import pose
+from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file
+from slipstitch.images.preview import decode_image, read_images
+from slipstitch.images.textures import _read as read_texture
+from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
+from slipstitch.learning.evaluation.evaluation import find_models
+from slipstitch.learning.instrument.measuring import load_instrument, save_instrument
+from slipstitch.learning.model_file import load_model, save_model
+from slipstitch.learning.network import build_network
+from slipstitch.physics.calibration.calibration import read_sweeps
+from slipstitch.physics.friction_law.extended_model import read_extended_model
+from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.results import Results
-from slipstitch.sample.manifest import read_manifest
-from slipstitch.sample.shards import read_shard
-from slipstitch.sample.videos import read_videos
-from slipstitch.simulate.trajectory import read_trajectory
-from slipstitch.status.state import status
-from slipstitch.train.checkpoint import Progress, load_checkpoint, save_checkpoint
-from slipstitch.train.model_file import load_model, save_model
-from slipstitch.train.network import build_network
+from slipstitch.report.status.state import status
 from support import analytic_stage, synthetic_chain, synthetic_results
 from support.untrained import untrained_instrument
 

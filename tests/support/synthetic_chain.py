@@ -14,20 +14,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.bench.extended_model import read_extended_model
-from slipstitch.bench.stage_path import StagePath
-from slipstitch.catalogue import catalogue_entries
+from slipstitch.base.provenance import file_digest, provenance_record, write_parquet, write_sidecar
 from slipstitch.config import Config, write_config
-from slipstitch.config.grid import Simulation, films, simulations, viewpoints
-from slipstitch.config.grid_table import write_grid
-from slipstitch.provenance import file_digest, provenance_record, write_parquet, write_sidecar
-from slipstitch.render.augmentation import draw_augmentation
-from slipstitch.render.encoding import encode_png
-from slipstitch.render.packing import Job
-from slipstitch.render.shards import Rectifier, marked_points_record
-from slipstitch.render.shots import camera_record, shots
-from slipstitch.render.surroundings import draw_surroundings
-from slipstitch.render.verification import (
+from slipstitch.config.catalogue import catalogue_entries
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.shards import decode
+from slipstitch.design.grid import Simulation, films, simulations, viewpoints
+from slipstitch.design.grid_table import write_grid
+from slipstitch.design.stage_path import StagePath
+from slipstitch.images.augmentation import draw_augmentation
+from slipstitch.images.encoding import encode_png
+from slipstitch.images.packing import Job
+from slipstitch.images.shards import Rectifier, marked_points_record
+from slipstitch.images.shots import camera_record, shots
+from slipstitch.images.surroundings import draw_surroundings
+from slipstitch.images.verification import (
     LEAST_PSNR_DB,
     VIEWS,
     Comparison,
@@ -35,11 +36,10 @@ from slipstitch.render.verification import (
     psnr_db,
     ssim,
 )
-from slipstitch.sample.dataset import write_dataset
-from slipstitch.sample.shards import decode
-from slipstitch.simulate.convergence import measured_convergence
-from slipstitch.simulate.drop_and_drag import DropAndDrag, draw_perturbation
-from slipstitch.simulate.trajectory import Trajectory, read_trajectory, write_trajectory
+from slipstitch.physics.friction_law.extended_model import read_extended_model
+from slipstitch.physics.simulation.convergence import measured_convergence
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, draw_perturbation
+from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_results, synthetic_videos
 
 

@@ -14,17 +14,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image, ImageDraw
 
-from slipstitch import theory
-from slipstitch.calibrate.calibration import calibrate, strip_calibration, write_calibration
-from slipstitch.calibrate.sweep import sweep
+from slipstitch.base.provenance import provenance_record, write_json, write_sidecar, write_text
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.calibrate import BASE, KEYS
-from slipstitch.config.grid import simulations
-from slipstitch.evaluate.capture_scores import Predictions, capture_scores, subsets
-from slipstitch.evaluate.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.provenance import provenance_record, write_json, write_sidecar, write_text
-from slipstitch.sample.dataset import write_dataset
-from slipstitch.simulate.trajectory import Trajectory, write_trajectory
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.design.grid import simulations
+from slipstitch.film.captures.scores import Predictions, capture_scores, subsets
+from slipstitch.learning.evaluation.metrics import entry, mean_over_seeds, spread_over_seeds
+from slipstitch.physics import theory
+from slipstitch.physics.calibration.calibration import (
+    calibrate,
+    strip_calibration,
+    write_calibration,
+)
+from slipstitch.physics.calibration.sweep import sweep
+from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_videos
 
 

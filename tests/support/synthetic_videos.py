@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
+from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config, resolve_config
-from slipstitch.config.grid import films, simulations, textures, viewpoints
-from slipstitch.provenance import attach_metadata
-from slipstitch.render.marked_points import MARKED_UV
+from slipstitch.design.grid import films, simulations, textures, viewpoints
+from slipstitch.images.marked_points import MARKED_UV
 
 SCHEMA = pa.schema(
     [

@@ -3,8 +3,8 @@
 import torch
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.instrument.measuring import Instrument
-from slipstitch.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.measuring import Instrument
+from slipstitch.learning.instrument.network import InstrumentNetwork
 
 
 def untrained_instrument(

@@ -6,9 +6,9 @@ import re
 import pyarrow.parquet as pq
 import pytest
 
+from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.config import load_config
-from slipstitch.config.grid import friction_id, simulations
-from slipstitch.provenance import file_digest, read_provenance
+from slipstitch.design.grid import friction_id, simulations
 
 # One process of pytest-xdist for all of them: they share one run of the chain.
 pytestmark = pytest.mark.xdist_group("chain")

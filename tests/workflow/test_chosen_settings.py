@@ -5,7 +5,7 @@ import json
 import pytest
 from support.workflow_copy import Workflow
 
-from slipstitch.provenance import read_provenance
+from slipstitch.base.provenance import read_provenance
 
 pytestmark = pytest.mark.xdist_group("chosen_settings")
 

@@ -9,7 +9,7 @@ import pytest
 from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
-from slipstitch.doctor.cost import estimate, estimate_line
+from slipstitch.design.cost import estimate, estimate_line
 
 pytestmark = pytest.mark.xdist_group("dry_run")
 

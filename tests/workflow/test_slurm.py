@@ -18,8 +18,8 @@ from support import equal_results
 from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
-from slipstitch.doctor.cost import JOB_KINDS, job_memory_mb, job_runtime_min
-from slipstitch.status.state import kind_of, read_benchmark
+from slipstitch.design.cost import JOB_KINDS, job_memory_mb, job_runtime_min
+from slipstitch.report.status.state import kind_of, read_benchmark
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
 

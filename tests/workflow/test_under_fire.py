@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from support import kills
 
-from slipstitch.config.grid import simulations
 from slipstitch.config.load import load_config
+from slipstitch.design.grid import simulations
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
 

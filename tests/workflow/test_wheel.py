@@ -12,8 +12,8 @@ import pytest
 from support.workflow_copy import PARTS, ROOT
 
 from slipstitch.config import load_config
-from slipstitch.doctor.checks import pinned_versions
-from slipstitch.doctor.cost import estimate_line
+from slipstitch.design.cost import estimate_line
+from slipstitch.report.machine_checks import pinned_versions
 
 pytestmark = pytest.mark.xdist_group("wheel")
 

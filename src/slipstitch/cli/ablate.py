@@ -42,8 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Answer one question or summarise all results; print the outcome."""
+    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
 
     check_at_least(arguments, threads=1, seed=0)
     one = ("dataset", "question", "seed")
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> None:
             "--dataset, --question and --seed are required, or --summary (--page requires "
             "--summary)"
         )
-    from slipstitch.ablate.answering import write_answer
+    from slipstitch.learning.ablation.answering import write_answer
 
     found = write_answer(
         config,
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _summary(config, arguments: argparse.Namespace) -> None:
     """Write summary and page; print the sentences."""
-    from slipstitch.ablate.collection import write_summary
+    from slipstitch.learning.ablation.collection import write_summary
 
     summary = write_summary(config, arguments.summary, arguments.out, arguments.page)
     for name, question in summary["questions"].items():

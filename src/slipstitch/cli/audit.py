@@ -72,9 +72,9 @@ def _json_or_stdout(text: str) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return 0 for an intact release or an identical clip, else 1."""
-    from slipstitch.audit.contents import read_contents
-    from slipstitch.audit.published import INDEX
-    from slipstitch.errors import BadInput
+    from slipstitch.base.errors import BadInput
+    from slipstitch.dataset.audit.contents import read_contents
+    from slipstitch.dataset.audit.published import INDEX
 
     ignored = ("config", "expect", "verify", "allow_stale", "page")
     if arguments.explain:
@@ -95,8 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         refuse(arguments, ("explain", "rebuild", *ignored), "a published folder")
         return _published(arguments)
     if arguments.explain:
-        from slipstitch.audit.audit_page import printable
-        from slipstitch.audit.explain import explain
+        from slipstitch.dataset.audit.audit_page import printable
+        from slipstitch.dataset.audit.explain import explain
 
         story = explain(read_contents(arguments.release), arguments.explain)
         print("\n".join(map(printable, story.split("\n"))))
@@ -111,7 +111,7 @@ def _inside(path: Path, folder: Path) -> bool:
 
 
 def _write(text: str, path: str | None) -> None:
-    from slipstitch.provenance import write_text
+    from slipstitch.base.provenance import write_text
 
     if path == "-":
         print(text)
@@ -120,8 +120,8 @@ def _write(text: str, path: str | None) -> None:
 
 
 def _rebuild(arguments: argparse.Namespace) -> int:
-    from slipstitch.audit.contents import read_contents
-    from slipstitch.audit.rebuild import as_json, in_words, rebuild
+    from slipstitch.dataset.audit.contents import read_contents
+    from slipstitch.dataset.audit.rebuild import as_json, in_words, rebuild
 
     done = rebuild(read_contents(arguments.release), arguments.rebuild)
     _write(as_json(done), arguments.json)
@@ -133,7 +133,7 @@ def _rebuild(arguments: argparse.Namespace) -> int:
 def _published(arguments: argparse.Namespace) -> int:
     import json
 
-    from slipstitch.audit.published import audit_published
+    from slipstitch.dataset.audit.published import audit_published
 
     audit = audit_published(arguments.release)
     _write(json.dumps(audit.as_json(), indent=1), arguments.json)
@@ -145,9 +145,9 @@ def _published(arguments: argparse.Namespace) -> int:
 def _audit(arguments: argparse.Namespace) -> int:
     import json
 
-    from slipstitch.audit.audit_page import as_text, write_page
-    from slipstitch.audit.auditing import audit_release
     from slipstitch.config import load_config
+    from slipstitch.dataset.audit.audit_page import as_text, write_page
+    from slipstitch.dataset.audit.auditing import audit_release
 
     config = load_config(*arguments.config) if arguments.config else None
     audit = audit_release(

@@ -50,18 +50,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.calibrate.calibration import calibrate_to_file
-    from slipstitch.calibrate.sweep import sweep_to_file
+    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
-    from slipstitch.errors import BadInput
+    from slipstitch.physics.calibration.calibration import calibrate_to_file
+    from slipstitch.physics.calibration.sweep import sweep_to_file
 
     pictures = _pictures(arguments)
     if arguments.draw:
         refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
         if not pictures:
             raise BadInput("--draw requires --picture, --strip-picture or --settings-picture")
-        from slipstitch.calibrate.pictures import draw_again
+        from slipstitch.physics.calibration.pictures import draw_again
 
         draw_again(arguments.draw, pictures)
         return
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     def draw(calibration: Mapping, record: Mapping, failed: bool) -> None:
         if pictures and (failed or not arguments.only_failures):
-            from slipstitch.calibrate.pictures import draw_pictures
+            from slipstitch.physics.calibration.pictures import draw_pictures
 
             draw_pictures(pictures, calibration, record, failed)
 
@@ -107,7 +107,7 @@ def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _trial_line(trial: dict, chosen: dict) -> str:
-    from slipstitch.calibrate.choice import describe
+    from slipstitch.physics.calibration.choice import describe
 
     error = trial["strain_error"]
     strain = "no slip to compare" if error is None else f"slip strain within {error:.2e}"

@@ -65,10 +65,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
-    from slipstitch.capture.camera.board import Board
-    from slipstitch.capture.camera.calibration_files import calibrate_to_file
-    from slipstitch.capture.camera.lens_calibration import FloorPlace
-    from slipstitch.errors import BadInput
+    from slipstitch.base.errors import BadInput
+    from slipstitch.film.camera.board import Board
+    from slipstitch.film.camera.calibration_files import calibrate_to_file
+    from slipstitch.film.camera.lens_calibration import FloorPlace
 
     for name in ("place_mm", "angle_deg", "thickness_mm"):
         if getattr(arguments, name) is not None:

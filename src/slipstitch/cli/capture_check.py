@@ -33,9 +33,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare, draw, print; exit code 3 if the camera cannot be used."""
-    from slipstitch.measure.camera_check import check_camera, check_figure
-    from slipstitch.page.figures import save_figure
-    from slipstitch.provenance import provenance_record, recorded_path, start_clock
+    from slipstitch.base.page.figures import save_figure
+    from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
+    from slipstitch.film.measure.camera_check import check_camera, check_figure
 
     started = start_clock()
     check = check_camera(arguments.camera, arguments.model, arguments.config)

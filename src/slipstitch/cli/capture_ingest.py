@@ -37,9 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Ingest all videos of the table; say of each where it starts."""
-    from slipstitch.capture.ingest.dataset import ingest
+    from slipstitch.base.progress import progress
     from slipstitch.config import load_config
-    from slipstitch.progress import progress
+    from slipstitch.film.ingest.dataset import ingest
 
     bar = partial(progress, unit="video")
     config = load_config(*arguments.config)

@@ -38,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Estimate, write, print one line per pair."""
-    from slipstitch.capture.reference.reference_files import reference_to_files
+    from slipstitch.film.reference.reference_files import reference_to_files
 
     for pair in reference_to_files(
         arguments.table, arguments.out, arguments.json, arguments.picture

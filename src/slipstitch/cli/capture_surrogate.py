@@ -30,21 +30,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the bench's tables, or one film."""
+    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
 
     config = load_config(*arguments.config)
     if arguments.bench:
         if arguments.out:
             raise BadInput("--out requires --film")
-        from slipstitch.capture.surrogate.bench import write_bench
+        from slipstitch.film.surrogate.bench import write_bench
 
         write_bench(config, arguments.bench)
         print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
         return
-    from slipstitch.capture.surrogate.bench import find_film
-    from slipstitch.capture.surrogate.film import make_film
-    from slipstitch.progress import progress
+    from slipstitch.base.progress import progress
+    from slipstitch.film.surrogate.bench import find_film
+    from slipstitch.film.surrogate.film import make_film
 
     if not arguments.out:
         raise BadInput("--film requires --out FILE.mp4")

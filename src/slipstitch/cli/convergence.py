@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.convergence.case_run import simulate_case
+    from slipstitch.physics.convergence.case_run import simulate_case
 
     config = load_config(*arguments.config, calibration=arguments.calibration)
     run, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _compare(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.convergence.study_files import compare_cases
+    from slipstitch.physics.convergence.study_files import compare_cases
 
     config = load_config(*arguments.config, calibration=arguments.calibration)
     study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
@@ -82,8 +82,8 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _publish(arguments: argparse.Namespace) -> None:
-    from slipstitch.convergence.study_files import publish
-    from slipstitch.simulate.convergence import MEASURED
+    from slipstitch.physics.convergence.study_files import publish
+    from slipstitch.physics.simulation.convergence import MEASURED
 
     count = publish(arguments.study, arguments.out)
     print(f"{arguments.out}, {MEASURED.name}: {count} cases")

@@ -111,10 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _validate(out: Path, case: Path) -> None:
+    from slipstitch.base.provenance import write_json
     from slipstitch.criticise.case import has_measurements
-    from slipstitch.predict.predictive import read_verdict
-    from slipstitch.predict.validation import lock, score, score_words
-    from slipstitch.provenance import write_json
+    from slipstitch.criticise.prediction.predictive import read_verdict
+    from slipstitch.criticise.prediction.validation import lock, score, score_words
 
     prediction = out.with_suffix(".prediction.csv")
     record = lock(read_verdict(out), case, prediction)

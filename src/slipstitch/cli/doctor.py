@@ -2,7 +2,7 @@
 
 import argparse
 
-from slipstitch.doctor.checks import Standing, examine
+from slipstitch.report.machine_checks import Standing, examine
 
 SUMMARY = "check the installation and how to complete it; estimate the cost of a configuration"
 EXAMPLE = "slipstitch doctor --estimate config.yaml config/paper.yaml"
@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the findings; return 1 if a requirement is missing."""
     if arguments.estimate:
         from slipstitch.config import load_config
-        from slipstitch.doctor.cost import estimate_table
+        from slipstitch.design.cost import estimate_table
 
         print(estimate_table(load_config(*arguments.estimate)))
         return 0

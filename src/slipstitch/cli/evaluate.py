@@ -54,10 +54,10 @@ def run(arguments: argparse.Namespace) -> None:
     """Evaluate, write, print the table."""
     from pathlib import Path
 
+    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
-    from slipstitch.evaluate.evaluation import write_evaluation
-    from slipstitch.evaluate.text_table import test_set_lines
+    from slipstitch.learning.evaluation.evaluation import write_evaluation
+    from slipstitch.learning.evaluation.text_table import test_set_lines
 
     check_at_least(arguments, threads=1)
     config = load_config(*arguments.config)
@@ -88,8 +88,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _captures(config, arguments: argparse.Namespace) -> None:
     """Evaluate on captures; print one line per model and subset."""
-    from slipstitch.evaluate.capture_evaluation import write_captures_evaluation
-    from slipstitch.evaluate.text_table import capture_lines
+    from slipstitch.film.captures.evaluation import write_captures_evaluation
+    from slipstitch.learning.evaluation.text_table import capture_lines
 
     refuse(arguments, ("details", "update"), "--captures")
     metrics = write_captures_evaluation(

@@ -17,6 +17,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the table."""
     from slipstitch.config import load_config
-    from slipstitch.config.grid_table import write_grid
+    from slipstitch.design.grid_table import write_grid
 
     write_grid(load_config(*arguments.config), arguments.out)

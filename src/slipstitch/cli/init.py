@@ -15,7 +15,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Copy the workflow's files and say what to do with them."""
-    from slipstitch.project import lay_out
+    from slipstitch.base.project import lay_out
 
     lay_out(arguments.folder)
     print(f"{arguments.folder}: config.yaml is the demo; to run it there: snakemake --cores 2 all")

@@ -50,8 +50,8 @@ def run(arguments: argparse.Namespace) -> None:
     check_at_least(arguments, threads=1, seed=0)
     if arguments.recalibrate:
         refuse(arguments, ("config", "dataset", "split"), "--recalibrate")
-        from slipstitch.errors import BadInput
-        from slipstitch.instrument.ensemble import recalibrate_instrument
+        from slipstitch.base.errors import BadInput
+        from slipstitch.learning.instrument.ensemble import recalibrate_instrument
 
         if not (arguments.calibration_datasets or arguments.readings):
             raise BadInput("--recalibrate requires --calibration-datasets, --readings or both")
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     config = load_config(*arguments.config)
     if arguments.members:
-        from slipstitch.instrument.ensemble import combine_instruments
+        from slipstitch.learning.instrument.ensemble import combine_instruments
 
         _print_average(
             combine_instruments(
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> None:
         )
         return
     refuse(arguments, ("calibration_datasets",), mode)
-    from slipstitch.instrument.training import train_instrument
+    from slipstitch.learning.instrument.training import train_instrument
 
     card = train_instrument(
         config.instrument,

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from slipstitch import __version__
+from slipstitch.base.errors import BadInput, SlipstitchError, refused_by_the_machine
+from slipstitch.base.threads import use_one_thread
 from slipstitch.cli.options import refuse_overwriting
-from slipstitch.errors import BadInput, SlipstitchError, refused_by_the_machine
-from slipstitch.threads import use_one_thread
 
 # In the order of the chain.
 VERBS = (
@@ -120,7 +120,7 @@ def _refuse_tight_memory() -> None:
 
 def _say_cpu_time() -> None:
     """What the job took, with the killed attempts that it went on from."""
-    from slipstitch.provenance import earlier_attempts
+    from slipstitch.base.provenance import earlier_attempts
 
     wall_s, cpu_s = earlier_attempts()
     if wall_s:

@@ -81,11 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
     """
     import math
 
-    from slipstitch.errors import BadInput
-    from slipstitch.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
-    from slipstitch.measure.measurement_files import measured_pair, write_measurements
-    from slipstitch.measure.measuring import measuring_bench
-    from slipstitch.provenance import start_clock
+    from slipstitch.base.errors import BadInput
+    from slipstitch.base.provenance import start_clock
+    from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
+    from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
+    from slipstitch.film.measure.measuring import measuring_bench
 
     check_at_least(arguments, threads=1)
     if arguments.example:

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from slipstitch.errors import BadInput
+from slipstitch.base.errors import BadInput
 
 THREADS_MAX = 1024
 

@@ -25,9 +25,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Write one line per run and quantity."""
     from pathlib import Path
 
+    from slipstitch.base.provenance import atomic_path
     from slipstitch.criticise.case import read_case
-    from slipstitch.predict.predictive import predictions, read_verdict
-    from slipstitch.provenance import atomic_path
+    from slipstitch.criticise.prediction.predictive import predictions, read_verdict
 
     verdict = read_verdict(Path(arguments.verdict))
     table = predictions(verdict, read_case(arguments.case, with_measurements=False))

@@ -75,9 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
     import json
 
+    from slipstitch.base.errors import BadInput
     from slipstitch.config.load import resolve_config
-    from slipstitch.errors import BadInput
-    from slipstitch.protocol.registry import run_protocol_to_file
+    from slipstitch.physics.experiments.registry import run_protocol_to_file
 
     options = {name: getattr(arguments, name) for name in OPTIONS}
     options = {name: value for name, value in options.items() if value is not None}

@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the folder and say what it holds."""
     from slipstitch.config import load_config
-    from slipstitch.publish.publishing import publish
+    from slipstitch.report.publishing import publish
 
     config = load_config(*arguments.config)
     index = publish(

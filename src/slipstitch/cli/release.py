@@ -2,8 +2,8 @@
 
 import argparse
 
+from slipstitch.base.project import project_folder
 from slipstitch.cli.options import add_config, output_folder
-from slipstitch.project import project_folder
 
 SUMMARY = "write the dataset as a folder to distribute: shards, splits, card, metadata, records"
 EXAMPLE = (
@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the release; print its content and digest."""
     from slipstitch.config import load_config
-    from slipstitch.release.assembly import write_release
+    from slipstitch.dataset.release.assembly import write_release
 
     done = write_release(
         load_config(*arguments.config),

@@ -110,8 +110,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _preview(arguments: argparse.Namespace) -> None:
-    from slipstitch.errors import BadInput
-    from slipstitch.render.preview import preview
+    from slipstitch.base.errors import BadInput
+    from slipstitch.images.preview import preview
 
     if not (arguments.out_sheet or arguments.out_video):
         raise BadInput("--preview requires --out-sheet or --out-video")
@@ -122,9 +122,9 @@ def _preview(arguments: argparse.Namespace) -> None:
 
 
 def _verify(arguments: argparse.Namespace) -> None:
+    from slipstitch.base.progress import progress
     from slipstitch.config import load_config
-    from slipstitch.progress import progress
-    from slipstitch.render.verification import verify
+    from slipstitch.images.verification import verify
 
     done = verify(
         load_config(*arguments.config),
@@ -140,7 +140,7 @@ def _verify(arguments: argparse.Namespace) -> None:
 
 def _compose(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.render.shards import render_shards_from_packs
+    from slipstitch.images.shards import render_shards_from_packs
 
     config = load_config(*arguments.config)
     packs, folder = arguments.from_shading, arguments.out_dir
@@ -149,9 +149,9 @@ def _compose(arguments: argparse.Namespace) -> None:
 
 
 def _render(arguments: argparse.Namespace) -> None:
+    from slipstitch.base.progress import progress
     from slipstitch.config import load_config
-    from slipstitch.progress import progress
-    from slipstitch.render.packing import Job, write_pack
+    from slipstitch.images.packing import Job, write_pack
 
     config = load_config(*arguments.config)
     bar = partial(progress, unit="frame")
@@ -161,7 +161,7 @@ def _render(arguments: argparse.Namespace) -> None:
         _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
         print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {job.viewpoint}")
         return
-    from slipstitch.render.shards import FilmJob, render_shard
+    from slipstitch.images.shards import FilmJob, render_shard
 
     film = FilmJob.of(config, arguments.trajectory, arguments.viewpoint)
     done = render_shard(film, arguments.out, progress=bar)

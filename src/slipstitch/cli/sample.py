@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write the dataset; print its content."""
     from slipstitch.config import load_config
-    from slipstitch.sample.dataset import write_dataset
+    from slipstitch.dataset.dataset import write_dataset
 
     rows = write_dataset(load_config(*arguments.config), arguments.shards, arguments.out_dir)
     simulations = {row["simulation"] for row in rows}

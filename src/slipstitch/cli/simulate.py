@@ -52,8 +52,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; print one line per result."""
+    from slipstitch.base.errors import BadInput
     from slipstitch.config.section import FRICTION_MAX
-    from slipstitch.errors import BadInput
 
     by_hand = arguments.material is not None and arguments.friction is not None
     if arguments.simulation is not None:
@@ -71,8 +71,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise BadInput(f"--seed {seed}: must be at least 0")
     config = _configuration(arguments, by_hand)
 
-    from slipstitch.simulate.drop_and_drag import DropAndDrag
-    from slipstitch.simulate.simulation_files import runs_of_the_grid, simulate_to_files
+    from slipstitch.physics.simulation.drop_and_drag import DropAndDrag
+    from slipstitch.physics.simulation.simulation_files import runs_of_the_grid, simulate_to_files
 
     if by_hand:
         runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
@@ -100,9 +100,9 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _configuration(arguments: argparse.Namespace, by_hand: bool):
     """The configuration, then the calibration's settings, then ``--set``."""
+    from slipstitch.base.errors import BadInput
+    from slipstitch.base.provenance import load_yaml
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
-    from slipstitch.provenance import load_yaml
 
     changes = {}
     for text in arguments.overrides:

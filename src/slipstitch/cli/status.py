@@ -25,10 +25,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Print; return 1 if the last run failed or was interrupted, else 0."""
     from pathlib import Path
 
+    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
-    from slipstitch.errors import BadInput
-    from slipstitch.status.state import status
-    from slipstitch.status.status_text import text
+    from slipstitch.report.status.state import status
+    from slipstitch.report.status.status_text import text
 
     folder = Path(arguments.results)
     if not folder.is_dir():

@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.config import load_config
-    from slipstitch.train.training import train_network
+    from slipstitch.learning.training import train_network
 
     check_at_least(arguments, threads=1, seed=0)
     config = load_config(*arguments.config)

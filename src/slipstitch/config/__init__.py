@@ -1,6 +1,6 @@
 """The typed configuration of simulation, rendering and learning, and their scale.
 
-Stages get their section; ids and seeds come from `slipstitch.config.grid`.
+Stages get their section; ids and seeds come from `slipstitch.design.grid`.
 """
 
 from slipstitch.config.load import load_config, read_mapping, resolve_config, write_config

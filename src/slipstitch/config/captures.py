@@ -2,7 +2,7 @@
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.catalogue import FLOORS, TEXTURES
+from slipstitch.config.catalogue import FLOORS, TEXTURES
 from slipstitch.config.section import Fabric, Section
 
 

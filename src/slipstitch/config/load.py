@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from slipstitch.base.errors import BadInput, Damaged
+from slipstitch.base.provenance.files import atomic_path
+from slipstitch.base.provenance.reading import load_yaml, read_json, read_yaml
 from slipstitch.config.model import Config
-from slipstitch.errors import BadInput, Damaged
-from slipstitch.provenance.files import atomic_path
-from slipstitch.provenance.reading import load_yaml, read_json, read_yaml
 
 # YAML 1.1 reads 1e-3 as a string, because it wants a point in the mantissa and a sign; here it is
 # the number that everybody means.

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.catalogue import (
+from slipstitch.config.catalogue import (
     FLOORS,
     TEST_ONLY_TEXTURES,
     TEXTURE_FAMILY,
@@ -90,7 +90,7 @@ class BenchCameraSettings(Section):
 
 
 class InterpolationSettings(Section):
-    """Films of cloths between the simulated ones (`slipstitch.config.interpolation`)."""
+    """Films of cloths between the simulated ones (`slipstitch.design.interpolation`)."""
 
     share: float = Field(
         0.0,

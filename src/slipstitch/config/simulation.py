@@ -5,8 +5,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.bench.stage_path import SIDE_M
 from slipstitch.config.section import Fabrics, Section
+from slipstitch.design.stage_path import SIDE_M
 
 
 class StageSettings(Section):

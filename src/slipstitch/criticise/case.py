@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_parquet
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.columns import Column
-from slipstitch.errors import BadInput
-from slipstitch.provenance import read_parquet
 
 TABLE_BYTES_MAX = 512 * 2**20
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch import __version__
+from slipstitch.base.provenance import provenance_record, start_clock, write_json, write_text
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
 from slipstitch.criticise.extended_model import write_extended_model
@@ -16,7 +17,6 @@ from slipstitch.criticise.inference.certificate import of_design, plain_model
 from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import certificate, false_alarm_words, statement, verdict_of
-from slipstitch.provenance import provenance_record, start_clock, write_json, write_text
 
 
 def finite(content: Any) -> Any:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from slipstitch.base.provenance import write_text
 from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS
-from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
-from slipstitch.provenance import write_text
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
 
 
 def extended_model(verdict: dict, which: str = "extended") -> dict:

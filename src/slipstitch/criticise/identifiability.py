@@ -8,7 +8,7 @@ import numpy as np
 
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.friction_law import Mechanism, Parameter
+from slipstitch.physics.friction_law import Mechanism, Parameter
 
 LARGEST_FACTOR = 3.0
 AT_BOUND = "it lies at the bound of what is looked for"

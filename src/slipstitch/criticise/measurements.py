@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS, Bench
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block
 from slipstitch.criticise.sensors import ZEROS, Zero
-from slipstitch.errors import BadInput
-from slipstitch.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
 
 REMEMBERED = 64  # predictions of a block
 # The friction coefficients of the null, of the cloth's face and of a strip's edge.

@@ -2,7 +2,7 @@
 
 A further mechanism of bench or fabric is one entry of the table below; a protocol that reads a new
 field of :class:`Bench` lists it in its ``READS``. One of the contact goes into the table of
-:mod:`slipstitch.friction_law.mechanisms`.
+:mod:`slipstitch.physics.friction_law.mechanisms`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from slipstitch.friction_law import CONTACT_MECHANISMS, Mechanism, Parameter
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Mechanism, Parameter
 
 
 @dataclass(frozen=True)

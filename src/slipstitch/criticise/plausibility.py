@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 SMALLEST_COEFFICIENT, LARGEST_COEFFICIENT = 0.01, 5.0
 USUAL_COEFFICIENT = (0.05, 2.0)  # a slip of units is named if it brings the readings here

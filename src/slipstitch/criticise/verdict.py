@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import t as student
 
+from slipstitch.base.page.wording import counted, with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_exported, not_identified
@@ -20,7 +21,6 @@ from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
 from slipstitch.criticise.measurements import COEFFICIENTS
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.within_runs import departure, within_runs, words
-from slipstitch.page.wording import counted, with_interval
 
 CLEAR_FALL = 0.8  # of an error, to be worth a headline
 

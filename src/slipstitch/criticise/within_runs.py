@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
+from slipstitch.base.page.wording import with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.protocols.push import LEVEL, PEAK, PushBlock
 from slipstitch.criticise.protocols.spring_slider import slips_of
 from slipstitch.criticise.protocols.stick_slip import Slider, swing
-from slipstitch.page.wording import with_interval
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 PIECES = 16
 FEWEST_SLIPS, FEWEST_RUNS = 5, 2  # of a run's pieces that are kept and left out; with as many

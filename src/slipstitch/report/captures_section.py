@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.base.page.figures import svg_uri
 from slipstitch.config.train import REFLECTIVE, split_of
-from slipstitch.evaluate import paper
-from slipstitch.evaluate.capture_scores import subsets, what_they_are
-from slipstitch.evaluate.evaluation import MODELS
-from slipstitch.evaluate.metrics import (
+from slipstitch.dataset.videos import takes_part
+from slipstitch.film.captures.scores import subsets, what_they_are
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.evaluation import MODELS
+from slipstitch.learning.evaluation.metrics import (
     BY_NAME,
     CAPTURES,
     PredictionsAndTruth,
@@ -18,11 +20,9 @@ from slipstitch.evaluate.metrics import (
     metrics_of,
     spread_over_seeds,
 )
-from slipstitch.page.figures import svg_uri
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import MODEL_TITLES, SPLIT_TITLES, seeds_of
 from slipstitch.report.results import Results
-from slipstitch.sample.videos import takes_part
 
 SUBSET_TITLES = {
     "all": "all captures",

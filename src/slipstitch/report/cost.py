@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.page.figures import new_figure, styled, svg_uri
-from slipstitch.page.palette import BLUE, PALE_BLUE
-from slipstitch.page.wording import NONE, duration
+from slipstitch.base.page.figures import new_figure, styled, svg_uri
+from slipstitch.base.page.palette import BLUE, PALE_BLUE
+from slipstitch.base.page.wording import NONE, duration
 from slipstitch.report.results import Benchmark
 
 

@@ -3,8 +3,8 @@
 from pathlib import PurePath
 from typing import Any
 
+from slipstitch.base.page.figures import svg_uri
 from slipstitch.criticise.verdict import second_sentence, statement
-from slipstitch.page.figures import svg_uri
 from slipstitch.report.results import Results
 
 

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from slipstitch.bench.frames import sampled_frames
-from slipstitch.config.grid import Simulation, simulations, textures, viewpoints
-from slipstitch.page.figures import png_uri
-from slipstitch.page.wording import evenly
+from slipstitch.base.page.figures import png_uri
+from slipstitch.base.page.wording import evenly
+from slipstitch.design.grid import Simulation, simulations, textures, viewpoints
+from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
 

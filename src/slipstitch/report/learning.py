@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipstitch.ablate.summary import LEVEL, interval
+from slipstitch.base.page.wording import percent, seeds_in_words
 from slipstitch.config import Config
-from slipstitch.evaluate import paper, probes
-from slipstitch.evaluate.evaluation import MODELS
-from slipstitch.evaluate.instruments import AVERAGE, TRAINING
-from slipstitch.evaluate.metrics import TEST_SETS, Metric, metrics_of, steps_off
-from slipstitch.page.wording import percent, seeds_in_words
+from slipstitch.learning.ablation.summary import LEVEL, interval
+from slipstitch.learning.evaluation import paper, probes
+from slipstitch.learning.evaluation.evaluation import MODELS
+from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
+from slipstitch.learning.evaluation.metrics import TEST_SETS, Metric, metrics_of, steps_off
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.errors import BadInput
-from slipstitch.evaluate.cumulative import draw_cumulative
-from slipstitch.evaluate.instruments import AVERAGE, TRAINING
-from slipstitch.page.figures import new_figure, styled
-from slipstitch.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
+from slipstitch.base.errors import BadInput
+from slipstitch.base.page.figures import new_figure, styled
+from slipstitch.base.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
+from slipstitch.learning.evaluation.cumulative import draw_cumulative
+from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
 from slipstitch.report.results import History
 
 NETWORK_NAMES = {

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from slipstitch.base.page.wording import counted
 from slipstitch.config import Config
-from slipstitch.page.wording import counted
 
 FEW_SIMULATIONS = 10
 

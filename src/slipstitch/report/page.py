@@ -9,14 +9,14 @@ from typing import Any
 
 import yaml
 
+from slipstitch.base.page.figures import svg_uri
+from slipstitch.base.page.templates import render
+from slipstitch.base.page.wording import counted, time_of_making
+from slipstitch.base.provenance import provenance_record, start_clock, write_text
 from slipstitch.config import Config
-from slipstitch.config.grid import films
-from slipstitch.evaluate import paper
-from slipstitch.evaluate.metrics import TEST_SETS, metrics_of
-from slipstitch.page.figures import svg_uri
-from slipstitch.page.templates import render
-from slipstitch.page.wording import counted, time_of_making
-from slipstitch.provenance import provenance_record, start_clock, write_text
+from slipstitch.design.grid import films
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.metrics import TEST_SETS, metrics_of
 from slipstitch.report import learning_pictures
 from slipstitch.report.captures_section import captures_section
 from slipstitch.report.cost import cost_section
@@ -34,8 +34,8 @@ from slipstitch.report.limits import limits
 from slipstitch.report.physics import convergence, physics
 from slipstitch.report.results import Results
 from slipstitch.report.simulations import simulation_section
+from slipstitch.report.status.runs import Failure
 from slipstitch.report.viewpoints import table_3
-from slipstitch.status.runs import Failure
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 

@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from slipstitch.calibrate.choice import describe
+from slipstitch.base.page.figures import svg_uri
+from slipstitch.base.page.wording import counted, quantity, yes_or_no
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.page.figures import svg_uri
-from slipstitch.page.wording import counted, quantity, yes_or_no
+from slipstitch.physics.calibration.choice import describe
+from slipstitch.physics.simulation.convergence import studied_settings_that_differ
 from slipstitch.report import physics_pictures
 from slipstitch.report.results import Results
-from slipstitch.simulate.convergence import studied_settings_that_differ
 
 _OPTION_NAMES = {
     "friction": "µ",

@@ -8,11 +8,11 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipstitch.calibrate.calibration_figure import calibration_figure
-from slipstitch.calibrate.strip_figure import settings_figure, strip_figure
-from slipstitch.convergence.distance_figure import convergence_figure
-from slipstitch.page.figures import a_few, new_figure, styled
-from slipstitch.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, THEORY
+from slipstitch.base.page.figures import a_few, new_figure, styled
+from slipstitch.base.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, THEORY
+from slipstitch.physics.calibration.calibration_figure import calibration_figure
+from slipstitch.physics.calibration.strip_figure import settings_figure, strip_figure
+from slipstitch.physics.convergence.distance_figure import convergence_figure
 from slipstitch.report.results import SimulationSummary
 
 

@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.config import Config
-from slipstitch.config.grid import Simulation, simulations
-from slipstitch.errors import BadInput
-from slipstitch.provenance import (
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import (
     read_json,
     read_metadata,
     read_parquet,
     read_provenance,
     read_sidecar,
 )
-from slipstitch.sample.images import read_frames
-from slipstitch.sample.manifest import MANIFEST, read_manifest
-from slipstitch.simulate.trajectory import read_trajectory
-from slipstitch.status.runs import Failure, Run, failures, read_runs
-from slipstitch.status.state import read_benchmark
+from slipstitch.config import Config
+from slipstitch.dataset.images import read_frames
+from slipstitch.dataset.manifest import MANIFEST, read_manifest
+from slipstitch.design.grid import Simulation, simulations
+from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.report.status.runs import Failure, Run, failures, read_runs
+from slipstitch.report.status.state import read_benchmark
 
 STAGES = (
     "calibrate",

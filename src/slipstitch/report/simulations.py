@@ -6,10 +6,10 @@ from typing import Any
 
 from PIL import Image
 
-from slipstitch.config.grid import Simulation, simulations
-from slipstitch.errors import BadInput
-from slipstitch.page.figures import data_uri, svg_uri
-from slipstitch.page.wording import evenly
+from slipstitch.base.errors import BadInput
+from slipstitch.base.page.figures import data_uri, svg_uri
+from slipstitch.base.page.wording import evenly
+from slipstitch.design.grid import Simulation, simulations
 from slipstitch.report import physics_pictures
 from slipstitch.report.results import Results, SimulationSummary
 

@@ -3,12 +3,12 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from slipstitch.evaluate import paper
-from slipstitch.evaluate.evaluation import MODELS
-from slipstitch.evaluate.instruments import AVERAGE, TRAINING
-from slipstitch.evaluate.metrics import Metric
-from slipstitch.page.figures import svg_uri
-from slipstitch.page.wording import percent
+from slipstitch.base.page.figures import svg_uri
+from slipstitch.base.page.wording import percent
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.evaluation import MODELS
+from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
+from slipstitch.learning.evaluation.metrics import Metric
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import (
     COUNTED,

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from slipstitch.friction_law import CONTACT_MECHANISMS, FrictionLaw
-from slipstitch.protocol.tracked_drag import DragRun, Sheet, drag_tracked
+from slipstitch.physics.experiments.tracked_drag import DragRun, Sheet, drag_tracked
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
 
 NOMINAL = {"rho_kg_m2": 0.2, "B_Nm": 6.0e-6, "cloth_length_m": 0.2}
 HEIGHTS_MM = (75.0, 100.0, 125.0)

@@ -30,7 +30,7 @@ from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
-from slipstitch.friction_law import CONTACT_MECHANISMS
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 
 SIGNIFICANCE = 0.04
 LEFTOVER_SIGNIFICANCE = 0.01

@@ -17,7 +17,6 @@ import pandas as pd
 from scipy.interpolate import PchipInterpolator
 from scipy.stats import t as student
 
-from slipstitch.bench.extended_model import CURVES
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 from slipstitch.criticise.inference.alternatives import nuisance_columns
 from slipstitch.criticise.inference.clusters import Clusters
@@ -29,7 +28,8 @@ from slipstitch.criticise.inference.selection import number_of_runs
 from slipstitch.criticise.inference.state import State, zeros_of
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.friction_law import Curve
+from slipstitch.physics.friction_law import Curve
+from slipstitch.physics.friction_law.extended_model import CURVES
 
 ALONG = ("pos_x_mm", "clock_min", "speed_mm_s", "load_ratio")
 SIGNIFICANCE = 0.04

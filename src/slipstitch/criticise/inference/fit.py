@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from slipstitch.base.errors import NotConverged
 from slipstitch.criticise.inference.covariance import Group, Scatter, Whitening
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.errors import NotConverged
-from slipstitch.friction_law import Parameter
+from slipstitch.physics.friction_law import Parameter
 
 # Most fits take 1 to 3 iterations, one in a hundred more than 14, along a narrow valley up to 50.
 ITERATIONS_MAX = 200

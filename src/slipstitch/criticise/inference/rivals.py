@@ -18,7 +18,7 @@ from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.friction_law import CONTACT_MECHANISMS
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 
 SURVIVES_AT = 0.01
 TIME, BEFORE, PLACE = "time_in_session", "run_before", "place"

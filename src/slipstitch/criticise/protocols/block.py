@@ -10,7 +10,7 @@ import pandas as pd
 
 from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols.trace_noise import TraceNoise
-from slipstitch.friction_law import FrictionLaw
+from slipstitch.physics.friction_law import FrictionLaw
 
 USUAL_AREA_M2 = 0.01  # where it was not recorded
 

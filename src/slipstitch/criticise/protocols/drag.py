@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols.block import (
     Block,
@@ -27,7 +26,8 @@ from slipstitch.criticise.protocols.drag_trace import (
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
 SLIPS = ("force_first_slip_mN", "force_reversal_slip_mN")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 
 @cache

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.protocols.block import (
     Block,
     conditions_of,
@@ -21,7 +20,8 @@ from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, numbe
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
-from slipstitch.friction_law import Contact
+from slipstitch.physics.friction_law import Contact
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 # A stage that turns early stands still while its reading goes on.
 TURN_MARGIN_MM = 5.0

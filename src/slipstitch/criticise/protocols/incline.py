@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.protocols.block import (
     USUAL_AREA_M2,
     Block,
@@ -16,7 +15,8 @@ from slipstitch.criticise.protocols.block import (
 )
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LARGEST_ANGLE_RAD = np.radians(89.0)
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.protocols.block import (
     USUAL_AREA_M2,
     Block,
@@ -24,7 +23,8 @@ from slipstitch.criticise.protocols.block import (
 )
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
-from slipstitch.friction_law import Contact
+from slipstitch.physics.friction_law import Contact
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LEVEL, PEAK = "push_level_mN", "push_peak_mN"
 # A block that turns needs less force: only near-translations are read.

@@ -14,7 +14,6 @@ import pandas as pd
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import find_peaks
 
-from slipstitch.bench.gravity import GRAVITY_M_S2
 from slipstitch.criticise.protocols.block import (
     USUAL_AREA_M2,
     Block,
@@ -27,7 +26,8 @@ from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, numbe
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
-from slipstitch.friction_law import Contact
+from slipstitch.physics.friction_law import Contact
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LEVEL, SWING, FIRST_SWING = "slider_level_mN", "slider_swing_mN", "slider_first_swing_mN"
 DESIGN_QUANTITIES = (LEVEL, SWING)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipstitch.friction_law import Contact, FrictionLaw
+from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 USUAL_REST_S = 10.0  # before the first slip, where it was not recorded
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from slipstitch.base.page.figures import new_figure, plain_text, styled
+from slipstitch.base.page.palette import FAINT, INK
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.structure import Outcome
@@ -15,8 +17,6 @@ from slipstitch.criticise.report.verdict_pictures import (
     relative_residuals,
     series,
 )
-from slipstitch.page.figures import new_figure, plain_text, styled
-from slipstitch.page.palette import FAINT, INK
 
 COLUMNS = 3
 

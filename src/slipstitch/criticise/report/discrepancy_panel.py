@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from slipstitch.base.page.figures import new_figure, styled
+from slipstitch.base.page.palette import FAINT, INK, INTERVAL, SERIES
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.discrepancy import along, specimen_factors
-from slipstitch.page.figures import new_figure, styled
-from slipstitch.page.palette import FAINT, INK, INTERVAL, SERIES
 
 MOST_LABELS = 6
 

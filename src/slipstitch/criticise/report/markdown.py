@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from slipstitch.base.page.wording import counted, with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.analysis import Analysis
@@ -15,7 +16,6 @@ from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.verdict_pictures import relative_residuals
 from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
 from slipstitch.criticise.within_runs import words
-from slipstitch.page.wording import counted, with_interval
 
 MOST_TRACES = 6
 

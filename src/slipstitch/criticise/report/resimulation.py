@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from slipstitch.base.page.figures import new_figure, plain_text, styled, svg_element
+from slipstitch.base.page.palette import FAINT
+from slipstitch.base.page.wording import percent, with_interval
 from slipstitch.criticise.report.verdict_pictures import EXTENDED_COLOUR, NULL_COLOUR
 from slipstitch.criticise.resimulation import Resimulation
-from slipstitch.page.figures import new_figure, plain_text, styled, svg_element
-from slipstitch.page.palette import FAINT
-from slipstitch.page.wording import percent, with_interval
 
 SHOWN_RUNS = 3
 COLOURS = {"null": NULL_COLOUR, "extended": EXTENDED_COLOUR}

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from slipstitch.base.page.figures import svg, svg_element
+from slipstitch.base.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
+from slipstitch.base.page.templates import render
 from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.mechanisms import MECHANISMS
@@ -18,9 +21,6 @@ from slipstitch.criticise.report.verdict_pictures import (
 from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
 from slipstitch.criticise.within_runs import words
-from slipstitch.page.figures import svg, svg_element
-from slipstitch.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
-from slipstitch.page.templates import render
 
 _TEMPLATE = Path(__file__).with_name("verdict.html.j2")
 _TONES = {"none": GOOD, "cause": BLUE, "confounded": DOUBT, "unknown": VERMILION}

@@ -1,0 +1,1 @@
+"""Errors, records, digests, pages: what every wing uses."""

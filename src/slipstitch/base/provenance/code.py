@@ -1,0 +1,178 @@
+"""Digest of the code of a stage: the source files that compute its result.
+
+A stage is rerun when its digest changes. The digest covers the modules named in `STAGES` and every
+module that they import, directly or through others. Of a module counts what
+`ast.unparse` writes of it without docstrings: comments, layout and documentation do not count.
+Settings do not count either: their values are parameters of the rules.
+"""
+
+import ast
+import functools
+import hashlib
+import importlib.metadata
+from pathlib import Path
+
+PACKAGE = "slipstitch"
+
+# Stage, as rules and records name it -> modules or packages below `slipstitch` that it starts from.
+STAGES: dict[str, tuple[str, ...]] = {
+    "grid": ("design.grid_table",),
+    "calibrate": ("physics.calibration",),
+    "calibrate.sweep": ("physics.calibration.sweep",),
+    "calibrate.calibration": ("physics.calibration.calibration",),
+    "calibrate.pictures": ("physics.calibration.pictures",),
+    "convergence": ("physics.convergence",),
+    "convergence.case_run": ("physics.convergence.case_run",),
+    "simulate": ("physics.simulation",),
+    "render": ("images",),
+    "render.packing": ("images.packing",),
+    "sample": ("dataset.dataset", "dataset.probes"),
+    "train": ("learning.training",),
+    "instrument": ("learning.instrument",),
+    "evaluate": ("learning.evaluation.evaluation",),
+    "evaluate.captures": ("film.captures",),
+    "ablate": ("learning.ablation",),
+    "ablate.answering": ("learning.ablation.answering",),
+    "release": ("dataset.release",),
+    "audit": ("dataset.audit",),
+    "report": ("report.page",),
+    "publish": ("report.publishing",),
+    "capture": ("film.camera", "film.ingest", "film.reference", "film.surrogate"),
+    "measure": ("film.measure",),
+    "criticise": ("criticise",),
+    "predict": ("criticise.prediction",),
+}
+
+# Modules that decide which values reach a stage, or write down what happened.
+NOT_COUNTED = (
+    "cli",
+    "config",
+    "base.errors",
+    "base.progress",
+    "base.provenance",
+    "base.warp_start",
+)
+# Tables whose entries are compared one by one, as parameters of the rules that use them.
+QUOTED = ("fabrics.json", "convergence.json")
+# Module -> the package whose version changes the results of a stage that imports the module.
+RESULT_PACKAGES = {"bpy": "bpy", "torch": "torch", "warp": "warp-lang"}
+
+
+def _sources(root: Path, module: str) -> list[Path]:
+    """Files of a module or of all modules of a package; empty if there is neither."""
+    place = root / PACKAGE / Path(*module.split("."))
+    if place.is_dir():
+        return sorted(place.rglob("*.py"))
+    return [file] if (file := place.with_suffix(".py")).is_file() else []
+
+
+@functools.cache
+def _read(text: str) -> tuple[str, frozenset[str]]:
+    """Computing text of a module, and the dotted names that the module imports."""
+    tree = ast.parse(text)
+    imported: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(
+            node
+        ):
+            node.body[:1] = [] if len(node.body) > 1 else [ast.Pass()]
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return ast.unparse(tree), frozenset(imported)
+
+
+def _imported_sources(root: Path, name: str) -> list[Path]:
+    """Source of an imported name, which is a module, a package or something inside of either."""
+    parts = name.split(".")[1:]
+    for length in (len(parts), len(parts) - 1):
+        module = ".".join(parts[:length])
+        if any(module == one or module.startswith(one + ".") for one in NOT_COUNTED) or not module:
+            return []
+        place = root / PACKAGE / Path(*parts[:length])
+        for file in (place.with_suffix(".py"), place / "__init__.py"):
+            if file.is_file():
+                return [file]
+    return []
+
+
+@functools.cache
+def _contents(stage: str, root: Path) -> tuple[dict[Path, str], frozenset[str]]:
+    """Computing text of every file that counts, and the packages whose versions count."""
+    waiting = [file for module in STAGES.get(stage, ()) for file in _sources(root, module)]
+    if not waiting:
+        raise ModuleNotFoundError(f"no stage {stage} in {root}")
+    contents: dict[Path, str] = {}
+    versions: set[str] = set()
+    while waiting:
+        file = waiting.pop()
+        if file in contents:
+            continue
+        contents[file], imported = _read(file.read_text(encoding="utf-8"))
+        versions |= {RESULT_PACKAGES.get(name.partition(".")[0], "") for name in imported} - {""}
+        for name in imported:
+            if name.startswith(PACKAGE + "."):
+                waiting += _imported_sources(root, name)
+        for data in sorted(file.parent.iterdir()):  # templates and tables that the module names
+            is_table = data.suffix in (".j2", ".json", ".css") and data.name not in QUOTED
+            if is_table and data.name in contents[file]:
+                contents[data] = data.read_text(encoding="utf-8")
+    ordered = sorted(contents, key=lambda file: file.relative_to(root).as_posix())
+    return {file: contents[file] for file in ordered}, frozenset(versions)
+
+
+def _root(root: str | Path | None) -> Path:
+    return Path(root) if root is not None else Path(__file__).resolve().parents[3]
+
+
+def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
+    """Return the files that the result of `stage` depends on, sorted by path.
+
+    Parameters
+    ----------
+    stage : str
+        A key of `STAGES`.
+    root : path, optional
+        Folder that holds the package ``slipstitch``; the running one's by default.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such stage.
+    """
+    return list(_contents(stage, _root(root))[0])
+
+
+@functools.cache
+def installed_version(package: str) -> str | None:
+    """Return the version of an installed package; None if the package is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+@functools.cache
+def code_digest(
+    stage: str, root: str | Path | None = None, versions: tuple[tuple[str, str], ...] | None = None
+) -> str:
+    """Return the SHA-256 of a stage's code (64 hexadecimal digits): sources and versions.
+
+    Parameters
+    ----------
+    stage, root
+        As for `code_sources`; the errors too.
+    versions : tuple of pairs, optional
+        Package and version, as a record names them; by default what is installed.
+    """
+    base = _root(root)
+    contents, packages = _contents(stage, base)
+    digest = hashlib.sha256()
+    for file, text in contents.items():
+        digest.update(f"{file.relative_to(base).as_posix()}\0{len(text)}\0{text}".encode())
+    stated = None if versions is None else dict(versions)
+    for package in sorted(packages):
+        version = installed_version(package) if stated is None else stated.get(package)
+        digest.update(f"{package}=={str(version).partition('+')[0]}\0".encode())
+    return digest.hexdigest()

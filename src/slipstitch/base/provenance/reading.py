@@ -1,0 +1,274 @@
+"""Reading files that may be missing, damaged or malicious: one clear error for each.
+
+Nothing here runs what it reads: YAML is loaded safely, Parquet and JSON hold data alone. Files that
+claim more than they can hold are refused before memory is taken for them.
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from slipstitch.base.errors import BadInput, Damaged, first_line
+
+SIDECAR_SUFFIX = ".provenance.json"
+YAML_BYTES_MAX = 256 * 1024
+YAML_VALUES_MAX = 100_000
+IMAGE_PIXELS_MAX = 64 * 2**20
+JSON_BYTES_MAX = 512 * 1024 * 1024
+# What claims more than this for each of its bytes is no dataset: repeated values take next to none.
+BYTES_A_BYTE_MAX = 10_000
+ROWS_A_BYTE_MAX = 100
+# What pyarrow raises for damaged files, besides OSError and its own exceptions (ValueErrors).
+_DAMAGE = (OSError, ValueError, MemoryError, KeyError, TypeError, OverflowError, RecursionError)
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
+    """Errors in the block are reported for the file at `path`, which should be a `kind`.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, or it cannot be opened.
+    Damaged
+        If its content cannot be understood.
+    """
+    try:
+        yield
+    except BadInput:
+        raise
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise BadInput(f"{path}: is a folder; must be a {kind}") from None
+    except PermissionError:
+        raise BadInput(f"{path}: permission denied") from None
+    except _DAMAGE as error:
+        raise Damaged(path, f"damaged or not a {kind}: {first_line(error)}") from None
+
+
+def _check_claims(path: str | os.PathLike, metadata) -> None:
+    """Refuse a file whose footer claims far more than its bytes can hold."""
+    size = os.path.getsize(path)
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    rows = max([metadata.num_rows, *(group.num_rows for group in groups)])
+    claimed = sum(group.total_byte_size for group in groups)
+    if not (0 <= rows <= size * ROWS_A_BYTE_MAX and 0 <= claimed <= size * BYTES_A_BYTE_MAX):
+        raise ValueError(f"claims {rows} rows of {claimed} bytes in a file of {size} bytes")
+
+
+@contextlib.contextmanager
+def open_parquet(path: str | os.PathLike) -> Iterator[Any]:
+    """A ``pyarrow.parquet.ParquetFile`` that verifies the checksums of its pages.
+
+    Whatever goes wrong in the block with reading it is said of the file; see `reading`.
+    """
+    import pyarrow.parquet
+
+    path = os.fspath(path)
+    with (
+        reading(path, "Parquet file"),
+        open(path, "rb") as stream,  # pyarrow takes no file name that is not text
+        pyarrow.parquet.ParquetFile(stream, page_checksum_verification=True) as file,
+    ):
+        _check_claims(path, file.metadata)
+        _ = file.schema_arrow.names  # raises where a column's name is no text
+        yield file
+
+
+def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
+    """A Parquet file as a pyarrow table, checksums verified.
+
+    Parameters
+    ----------
+    path : path
+    columns : iterable of str, optional
+        Those to read, all of which must be there; every column by default.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, or it lacks a column.
+    Damaged
+        If it is damaged or no Parquet file.
+    """
+    wanted = None if columns is None else list(columns)
+    with open_parquet(path) as file:
+        names = file.schema_arrow.names
+        needed = wanted or ()
+        for name in needed:
+            if name not in names:
+                raise BadInput(f"{path}: no column {name!r}; required: {', '.join(needed)}")
+        table = file.read(columns=wanted)
+        table.validate(full=True)  # text that is none, offsets that lead nowhere
+        return table
+
+
+def check_image(data: bytes, where: str) -> None:
+    """Refuse an image file that claims more pixels than `IMAGE_PIXELS_MAX`, before it is decoded.
+
+    Raises
+    ------
+    BadInput
+        Also if it is no image file.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data)) as image:
+            width, height = image.size
+    except Image.DecompressionBombError:
+        width = height = IMAGE_PIXELS_MAX
+    except (*_DAMAGE, SyntaxError):
+        raise BadInput(f"{where}: not an image file, or a damaged image") from None
+    if width * height > IMAGE_PIXELS_MAX:
+        raise BadInput(f"{where}: an image of more than {IMAGE_PIXELS_MAX} pixels")
+
+
+def image_bytes(path: str | os.PathLike) -> bytes:
+    """Content of an image file that has passed `check_image`; BadInput if it cannot be read."""
+    with reading(path, "image file"):
+        data = Path(path).read_bytes()
+    check_image(data, os.fspath(path))
+    return data
+
+
+def read_json(path: str | os.PathLike) -> Any:
+    """Content of a JSON file.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file.
+    Damaged
+        If it is no JSON, or not what its record of provenance was written for.
+    """
+    with reading(path, "JSON file"):
+        if os.path.getsize(path) > JSON_BYTES_MAX:
+            raise ValueError("too large")
+        raw = Path(path).read_bytes()
+        _check_digest(path, raw)
+        return json.loads(raw.decode("utf-8"))
+
+
+def record_beside(path: str | os.PathLike) -> dict[str, Any] | None:
+    """The record in ``<path>.provenance.json``; None if there is none.
+
+    Raises
+    ------
+    Damaged
+        If it is no JSON, or no mapping.
+    """
+    side = Path(os.fspath(path) + SIDECAR_SUFFIX)
+    if not side.is_file():
+        return None
+    with reading(side, "record of provenance"):
+        record = json.loads(side.read_text(encoding="utf-8"))
+        if not isinstance(record, dict):
+            raise ValueError("must be a mapping")
+        return record
+
+
+def check_recorded(path: str | os.PathLike) -> None:
+    """Refuse a file that is not what the record beside it was written for, if there is one.
+
+    Raises
+    ------
+    BadInput
+        Also if there is no such file.
+    """
+    with reading(path, "file"):
+        _check_digest(path, Path(path).read_bytes())
+
+
+def _check_digest(path: str | os.PathLike, raw: bytes) -> None:
+    noted = (record_beside(path) or {}).get("sha256")
+    if noted is not None and noted != hashlib.sha256(raw).hexdigest():
+        raise ValueError("its content does not match its record")
+
+
+def _values(content: Any) -> int:
+    """Number of values in a structure with aliases expanded; stops at `YAML_VALUES_MAX`."""
+    count, waiting = 0, [content]
+    while waiting and count <= YAML_VALUES_MAX:
+        value = waiting.pop()
+        count += 1
+        if isinstance(value, dict):
+            waiting.extend(value.values())
+        elif isinstance(value, list | tuple | set):
+            waiting.extend(value)
+    return count
+
+
+class _UniqueKeys(yaml.SafeLoader):
+    """Plain data only, as `yaml.SafeLoader`; a key given twice is an error."""
+
+    def construct_mapping(self, node, deep=False):
+        """The mapping of a node."""
+        given = set()
+        for key_node, _ in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key in given and key != "<<":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is given twice", key_node.start_mark
+                )
+            given.add(key)
+            given.discard(None)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(text: str, where: str) -> Any:
+    """The content of a YAML text; plain data only.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        What to call it in an error.
+
+    Raises
+    ------
+    BadInput
+        If it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
+    """
+    if len(text) > YAML_BYTES_MAX:
+        raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")
+    try:
+        content = yaml.load(text, Loader=_UniqueKeys)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" line {mark.line + 1}:" if mark else ""
+        raise BadInput(f"{where}:{line} not YAML: {getattr(error, 'problem', error)}") from None
+    except RecursionError:
+        raise BadInput(f"{where}: invalid YAML: nested too deeply") from None
+    except ValueError as error:  # a date of month 13, say
+        raise BadInput(f"{where}: not YAML: {first_line(error)}") from None
+    if _values(content) > YAML_VALUES_MAX:
+        raise BadInput(f"{where}: more than {YAML_VALUES_MAX} values with aliases expanded")
+    return content
+
+
+def read_yaml(path: str | os.PathLike) -> Any:
+    """Content of a YAML (or JSON) file; see `load_yaml`.
+
+    Raises
+    ------
+    BadInput
+        Also if the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream:
+            raw = stream.read(4 * YAML_BYTES_MAX + 1)
+        text = raw.decode("utf-8")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise BadInput(f"{path}: cannot be read: {reason}") from None
+    return load_yaml(text, os.fspath(path))

@@ -1,0 +1,297 @@
+"""Verification of all file hashes and all decoded images."""
+
+import hashlib
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from slipstitch.base.errors import BadInput, first_line
+from slipstitch.base.provenance import file_digest
+from slipstitch.dataset.audit.admission import (
+    UNUSABLE,
+    Harmful,
+    check_parquet,
+    short_texts,
+    text_columns,
+)
+from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.findings import Finding, Kind
+from slipstitch.dataset.audit.lineage import Lineage
+from slipstitch.dataset.audit.png import png_problem
+from slipstitch.dataset.images import DATASET_SCHEMA
+from slipstitch.dataset.release.checksums import files_below
+from slipstitch.dataset.release.shards import FOLDER, shard_schema
+
+# Labels of an image that its video's row of the manifest repeats: column there -> column here.
+SHARED = {
+    "simulation": "simulation",
+    "material": "material",
+    "friction": "friction",
+    "texture_id": "texture",
+    "viewpoint_id": "viewpoint",
+}
+_BATCH_ROWS = 256
+_BUFFER_BYTES = 2**20
+_GROWS = "takes far more memory than it has bytes; not read"
+
+
+@dataclass
+class Shard:
+    """The content of a shard: by video, the digest of its pixels, its labels, a flaw of an image.
+
+    `problem` states why it could not be read, `odd` its deviations from the format.
+    """
+
+    pixels: dict[str, str] = field(default_factory=dict)
+    first_row: dict[str, int] = field(default_factory=dict)
+    labels: dict[str, dict[str, Any]] = field(default_factory=dict)
+    columns: dict[str, dict[str, list]] = field(default_factory=dict)
+    images: int = 0
+    problem: str | None = None
+    odd: str | None = None
+    grows: bool = False
+    flaws: dict[str, str] = field(default_factory=dict)
+
+
+def _batches(path: Path) -> Iterator[pa.RecordBatch]:
+    # Texts as dictionaries: a long one that every row repeats is held once.
+    texts = text_columns(path)
+    with pq.ParquetFile(path, read_dictionary=texts, buffer_size=_BUFFER_BYTES) as file:
+        for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=False):
+            short_texts(batch, path)
+            yield batch
+
+
+def read_shard(path: Path, pixels: int | None = None) -> Shard:
+    """Decode a shard's images and take down what it says of its videos.
+
+    Parameters
+    ----------
+    path : path
+    pixels : int, optional
+        Side that every image must have.
+    """
+    shard = Shard()
+    sums: dict[str, Any] = {}
+    try:
+        shard.odd = check_parquet(path, images=True)
+        expected, schema = shard_schema(DATASET_SCHEMA), pq.read_schema(path)
+        if not schema.equals(expected, check_metadata=True):
+            shard.odd = f"its columns are not those of a shard: {_difference(schema, expected)}"
+        for batch in _batches(path):
+            columns = {
+                name: batch.column(name).to_pylist()
+                for name in batch.schema.names
+                if name != "image"
+            }
+            images, paths = (batch.column("image").field(name) for name in ("bytes", "path"))
+            for number, video in enumerate(columns["video"]):
+                if video not in sums:
+                    sums[video] = hashlib.sha256()
+                    shard.first_row[video] = shard.images
+                    shard.labels[video] = {name: values[number] for name, values in columns.items()}
+                    shard.columns[video] = defaultdict(list)
+                data = images[number].as_py() or b""
+                problem, decoded = png_problem(data, (pixels, pixels) if pixels else None), None
+                if problem is None:
+                    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+                if decoded is None:
+                    shard.flaws.setdefault(video, problem or "cannot be decoded")
+                else:
+                    sums[video].update(np.ascontiguousarray(decoded[..., ::-1]))
+                for name, values in columns.items():
+                    shard.columns[video][name].append(values[number])
+                shard.columns[video]["path"].append(paths[number].as_py())
+                shard.images += 1
+    except MemoryError:
+        shard.problem, shard.grows = _GROWS, True
+    except Harmful as error:
+        shard.problem, shard.grows = str(error).removeprefix(f"{path}: "), True
+    except UNUSABLE as error:
+        shard.problem = first_line(error)
+    shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
+    return shard
+
+
+def _difference(found: pa.Schema, expected: pa.Schema) -> str:
+    """What of a schema is not as expected, in a few words."""
+    more = [name for name in found.names if name not in expected.names]
+    fewer = [name for name in expected.names if name not in found.names]
+    if more or fewer:
+        return f"{more[0]!r} more" if more else f"{fewer[0]!r} is missing"
+    of_type = [f.name for f, e in zip(found, expected, strict=False) if f.type != e.type]
+    return f"{of_type[0]!r} has another type" if of_type else "order or metadata"
+
+
+def admit_shards(contents: Contents) -> dict[str, str]:
+    """Shards that cannot be opened, and why; before any file is read.
+
+    Raises
+    ------
+    BadInput
+        If one, just as SHA256SUMS has it, would take far more memory than it has bytes.
+    """
+    problems = {}
+    for name in sorted(contents.sums):
+        path = contents.folder / name
+        if not name.startswith(f"{FOLDER}/") or not path.is_file():
+            continue
+        try:
+            check_parquet(path, images=True)
+        except BadInput as error:
+            if isinstance(error, Harmful) and contents.as_listed(name):
+                raise
+            problems[name] = str(error).removeprefix(f"{path}: ")
+    return problems
+
+
+def check_files(
+    contents: Contents, jobs: int
+) -> tuple[list[Finding], dict[str, int], dict[str, Shard]]:
+    """Hash every file and decode every shard.
+
+    Returns
+    -------
+    findings : list of Finding
+    numbers : dict
+        ``files, bytes, images`` that were looked at.
+    shards : dict
+        Shards that could be read, by path in the release.
+    """
+    folder, sums = contents.folder, contents.sums
+    unreadable = admit_shards(contents)
+    lineage = Lineage(contents)
+    there = files_below(folder)
+    findings = [
+        Finding(Kind.MISSING, name, "is missing", lineage.clips_of_file(name))
+        for name in sums
+        if name not in set(there)
+    ]
+    findings += [
+        Finding(Kind.MISSING, name, "listed in the manifest, but not in SHA256SUMS", clips)
+        for name in sorted({row["shard"] for row in contents.rows} - set(sums))
+        if (clips := lineage.clips_of_file(name))
+    ]
+    findings += [
+        Finding(Kind.UNEXPLAINED, name, "not listed in SHA256SUMS")
+        for name in there
+        if name not in sums
+    ]
+    present = [name for name in there if name in sums]
+    # The largest first, so that no thread is left with one at the end.
+    order = sorted(present, key=lambda name: -os.path.getsize(folder / name))
+    with ThreadPoolExecutor(jobs) as pool:
+        digests = dict(zip(order, pool.map(lambda n: file_digest(folder / n), order), strict=True))
+        shards = [name for name in order if name.startswith(f"{FOLDER}/")]
+        pixels = contents.config.render.pixels if contents.config else None
+
+        def read(name: str) -> Shard:
+            if name in unreadable:
+                return Shard(problem=unreadable[name])
+            return read_shard(folder / name, pixels)
+
+        decoded = dict(zip(shards, pool.map(read, shards), strict=True))
+    for name, shard in decoded.items():
+        if shard.grows and digests[name] == sums[name]:
+            raise Harmful(f"{folder / name}: {shard.problem}")
+    owner = {digest: name for name, digest in sums.items()}
+    stated = contents.release.get("files", {})
+    for name in present:
+        clips = lineage.clips_of_file(name)
+        if digests[name] != sums[name]:
+            findings.append(_altered(lineage, name, digests[name], owner, decoded.get(name)))
+        elif name in stated and stated[name] != digests[name]:
+            what = "SHA256SUMS was rewritten: its digest differs from records/release.json"
+            findings.append(Finding(Kind.ALTERED, name, what, clips))
+        if name in decoded and contents.rows:
+            findings += _check_shard(lineage, name, decoded[name], digests[name] == sums[name])
+    numbers = {
+        "files": len(present),
+        "bytes": sum(os.path.getsize(folder / name) for name in present),
+        "images": sum(shard.images for shard in decoded.values()),
+    }
+    return findings, numbers, decoded
+
+
+def _altered(
+    lineage: Lineage, name: str, digest: str, owner: dict[str, str], shard: Shard | None
+) -> Finding:
+    """A file whose bytes are others than the sums say, and what that means for its clips."""
+    what, contents = "content differs from SHA256SUMS", lineage.contents
+    clips = lineage.clips_of_file(name)
+    if digest in owner:
+        return Finding(Kind.ALTERED, name, f"has the content of {owner[digest]}", clips)
+    if shard is not None and shard.problem is None and contents.rows:
+        changed = tuple(
+            clip
+            for clip in clips
+            if shard.pixels.get(clip) != contents.row_of[clip]["pixels_sha256"]
+        )
+        if not changed:
+            return Finding(Kind.ALTERED, name, f"{what}; the pixels of its clips do not", ())
+        clips = changed
+    return Finding(Kind.ALTERED, name, what, clips)
+
+
+def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) -> list[Finding]:
+    """Pixels, places and labels of a shard against the manifest."""
+    if shard.problem is not None:
+        what = f"cannot be read: {shard.problem}"
+        return [Finding(Kind.ALTERED, name, what, lineage.clips_of_file(name))]
+    findings = []
+    if shard.odd is not None:
+        findings.append(Finding(Kind.BROKEN, name, shard.odd, lineage.clips_of_file(name)))
+    row_of = lineage.contents.row_of
+    expected = {video: row_of[video] for video in lineage.clips_of_file(name)}
+    strangers = tuple(video for video in shard.pixels if video not in expected)
+    if strangers:
+        what = (
+            f"contains images of {strangers[0]}, which according to the manifest are in another "
+            "shard or do not exist"
+        )
+        findings.append(Finding(Kind.BROKEN, name, what))
+    for video, row in expected.items():
+        found = shard.pixels.get(video)
+        if found is None:
+            findings.append(Finding(Kind.BROKEN, name, f"contains no image of {video}", (video,)))
+            continue
+        if video in shard.flaws:
+            what = f"an image of {video} {shard.flaws[video]}"
+            findings.append(Finding(Kind.ALTERED, name, what, (video,)))
+        elif found != row["pixels_sha256"]:
+            what = f"the decoded pixels of {video} do not match the manifest"
+            findings.append(Finding(Kind.ALTERED, name, what, (video,)))
+        problem = _labels(row, shard)
+        if problem:
+            # An edit of the bytes is the alteration; with the sums rewritten the chain tells.
+            kind = Kind.BROKEN if same_bytes else Kind.ALTERED
+            findings.append(Finding(kind, name, f"{video}: {problem}", (video,)))
+    return findings
+
+
+def _labels(row: dict[str, Any], shard: Shard) -> str | None:
+    """Errors in the labels of a video's images."""
+    video = row["video"]
+    columns = shard.columns[video]
+    for there, here in SHARED.items():
+        if there in row and here in columns:
+            other = next((value for value in columns[here] if value != row[there]), None)
+            if other is not None:
+                return f"{here} is {other!r} here, {row[there]!r} in the manifest"
+    if shard.first_row[video] != row["first_row"]:
+        return f"starts in row {shard.first_row[video]}, not {row['first_row']}"
+    if columns.get("position") != list(range(row["frames"])):
+        return f"its images are not the {row['frames']} of the manifest in order"
+    names = [f"{video}_{frame:04d}.png" for frame in columns["frame"] if frame is not None]
+    if columns["path"] != names:
+        return f"its images are not named {video}_<frame>.png"
+    return None

@@ -1,0 +1,210 @@
+"""A clip simulated and rendered again from its record, and compared."""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from slipstitch.base.errors import BadInput, SlipstitchError
+from slipstitch.base.provenance import read_metadata
+from slipstitch.config import Config, write_config
+from slipstitch.config.load import without_law
+from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.explain import find_clip
+from slipstitch.dataset.audit.lineage import Lineage
+from slipstitch.dataset.release.records import Artefact, carried_file, recorded_name, rows_digest
+from slipstitch.dataset.shards import decode, read_shard
+
+# How and beside what it ran; the trajectory's digest is of its times too.
+_OF_THE_RUN = frozenset({"device", "simulated_at_once", "trajectory_sha256"})
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """A clip made again beside the released one.
+
+    Attributes
+    ----------
+    clip : str
+    same_motion : bool
+        Whether the simulation gave the same bits.
+    same_pixels : bool
+    images_differing : int
+    images : int
+    largest_difference : int
+        Of a channel of a pixel, 0 ... 255.
+    psnr_db : float or None
+        None if equal.
+    differing : tuple of str
+        What the records of the simulation and of the rendering tell otherwise.
+    """
+
+    clip: str
+    same_motion: bool
+    same_pixels: bool
+    images_differing: int
+    images: int
+    largest_difference: int
+    psnr_db: float | None
+    differing: tuple[str, ...] = ()
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return self.same_pixels and self.same_motion and not self.differing
+
+
+def _run(*words: str) -> None:
+    """Run a verb of Slipstitch; Blender wants a process of its own."""
+    answer = subprocess.run(
+        [sys.executable, "-m", "slipstitch", *words], capture_output=True, text=True
+    )
+    if answer.returncode:
+        errors = answer.stderr.strip().splitlines()
+        raise SlipstitchError(f"slipstitch {words[0]}: {errors[-1] if errors else 'failed'}")
+
+
+def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
+    """The release's configuration, with files from outside taken from the release."""
+    simulation, render = config.simulation, config.render
+    files = {simulation.model, render.camera, *render.texture_files()} - {None}
+
+    def taken_along(name: str | None) -> str | None:
+        path = recorded_name(name, contents.artefacts) if name and name in files else None
+        return str((contents.folder / carried_file(path)).resolve()) if path else name
+
+    sections = {
+        "simulation": simulation.model_copy(update={"model": taken_along(simulation.model)}),
+        "render": render.model_copy(
+            update={
+                "camera": taken_along(render.camera),
+                "textures": [taken_along(name) for name in render.textures],
+                "test_textures": [taken_along(name) for name in render.test_textures],
+            }
+        ),
+    }
+    write_config(config.model_copy(update=sections), folder / "config.json")
+    return folder / "config.json"
+
+
+def _released(contents: Contents, row: dict[str, Any]) -> np.ndarray:
+    """The released clip, uint8 (frames, pixels, pixels, 3)."""
+    table = pq.read_table(contents.folder / row["shard"], columns=["image"])
+    images = table["image"].slice(row["first_row"], row["frames"]).to_pylist()
+    return np.stack([decode(image["bytes"], row["video"], row["pixels"]) for image in images])
+
+
+def rebuild(contents: Contents, clip: str) -> Rebuilt:
+    """Simulate and render a clip again with the code that is installed.
+
+    Raises
+    ------
+    BadInput
+        If the release has no such clip, or lacks what it takes.
+    SlipstitchError
+        If the simulation or the rendering fails.
+    """
+    row = find_clip(contents, clip)
+    lineage = Lineage(contents)
+    simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
+    calibrated = lineage.of_stage(row, "calibrate.calibration")
+    of_view = [one for one in rendered if Path(one.path).stem.endswith(row["viewpoint_id"])]
+    if contents.config is None or not (simulated and of_view and calibrated):
+        raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        config = _configuration(contents, contents.config, folder)
+        shard = folder / "shard.parquet"
+        # Of an interpolated film all simulations that its cloth is made of.
+        trajectories = {one.path: folder / Path(one.path).name for one in simulated}
+        for trajectory in trajectories.values():
+            _run(
+                "simulate", "--config", str(config), "--simulation", trajectory.stem,
+                "--calibration", str(contents.folder / carried_file(calibrated[0].path)),
+                "--out", str(trajectory),
+            )  # fmt: skip
+        same_motion = all(
+            rows_digest(trajectories[one.path]) == one.rows_sha256 for one in simulated
+        )
+        _run(
+            "render", "--config", str(config),
+            "--trajectory", str(folder / f"{row['simulation']}.parquet"),
+            "--viewpoint", row["viewpoint_id"], "--out", str(shard),
+        )  # fmt: skip
+        frames = np.array(_frames(contents, row))
+        videos = read_shard(shard, frames)
+        key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
+        if key not in videos:
+            raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
+        again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
+        differing = [*_differing(of_view[0], shard)]
+        for one in simulated:
+            differing += _differing(one, trajectories[one.path])
+    return compare(clip, _released(contents, row), again, same_motion, tuple(differing))
+
+
+def _differing(recorded: Artefact, made: Path) -> list[str]:
+    """Entries of a record's metadata that a file made again has otherwise."""
+    then, now = (_comparable(metadata) for metadata in (recorded.metadata, read_metadata(made)))
+    return [f"{name} of {recorded.path}" for name, value in then.items() if now.get(name) != value]
+
+
+def _comparable(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be the same in a file made again; not where the law lay, whose content must."""
+    kept = {name: value for name, value in metadata.items() if name not in _OF_THE_RUN}
+    if isinstance(kept.get("settings"), dict):
+        kept["settings"] = without_law(kept["settings"])
+    return kept
+
+
+def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:
+    table = pq.read_table(contents.folder / row["shard"], columns=["frame"])
+    return table["frame"].slice(row["first_row"], row["frames"]).to_pylist()
+
+
+def compare(
+    clip: str,
+    released: np.ndarray,
+    again: np.ndarray,
+    same_motion: bool,
+    differing: tuple[str, ...] = (),
+) -> Rebuilt:
+    """Compare two arrays of images, uint8 of equal shape; the rest as in `Rebuilt`."""
+    difference = released.astype(np.int16) - again
+    mean_square = float(np.mean(np.square(difference, dtype=np.float64)))
+    return Rebuilt(
+        clip=clip,
+        same_motion=same_motion,
+        same_pixels=not difference.any(),
+        images_differing=int(difference.any(axis=(1, 2, 3)).sum()),
+        images=len(released),
+        largest_difference=int(np.abs(difference).max()),
+        psnr_db=round(10 * np.log10(255**2 / mean_square), 2) if mean_square else None,
+        differing=differing,
+    )
+
+
+def in_words(done: Rebuilt) -> str:
+    """The comparison as a line."""
+    motion = "the same motion, bit by bit" if done.same_motion else "ANOTHER MOTION"
+    told = f"; its records TELL OTHERWISE: {', '.join(done.differing)}" if done.differing else ""
+    if done.same_pixels:
+        pixels = f"all {done.images} images have equal pixels"
+    else:
+        pixels = (
+            f"{done.images_differing} of {done.images} images DIFFER, "
+            f"by up to {done.largest_difference} of 255, {done.psnr_db} dB"
+        )
+    return f"{done.clip}: made again, {motion}; {pixels}{told}"
+
+
+def as_json(done: Rebuilt) -> str:
+    """The comparison as JSON."""
+    return json.dumps(vars(done), indent=1)

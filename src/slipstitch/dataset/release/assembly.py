@@ -1,0 +1,254 @@
+"""Assembling a release in a temporary folder that is renamed at the very end."""
+
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from slipstitch.base.errors import BadInput, SlipstitchError
+from slipstitch.base.page.wording import time_of_making
+from slipstitch.base.progress import progress
+from slipstitch.base.provenance import (
+    atomic_path,
+    file_digest,
+    provenance_record,
+    start_clock,
+    write_json,
+)
+from slipstitch.config import Config
+from slipstitch.dataset.manifest import MANIFEST_SCHEMA, read_manifest
+from slipstitch.dataset.release.card import CARD
+from slipstitch.dataset.release.checksums import SIGNATURE, SUMS, files_below, write_sums
+from slipstitch.dataset.release.code import check_project, copy_code, locked_versions
+from slipstitch.dataset.release.currency import (
+    calibrated_by,
+    catalogue_changes,
+    config_changes,
+    current_digest,
+    other_versions,
+)
+from slipstitch.dataset.release.description import card_of, facts_of
+from slipstitch.dataset.release.manifest import MANIFEST, released_rows, write_manifest
+from slipstitch.dataset.release.previews import write_previews
+from slipstitch.dataset.release.records import (
+    CONFIG,
+    CRATE,
+    CROISSANT,
+    GRID,
+    RELEASE_RECORD,
+    VERIFICATION,
+    Artefact,
+    carried_file,
+    collect,
+    is_carried,
+    locate,
+    write_record,
+)
+from slipstitch.dataset.release.shards import write_shards
+from slipstitch.dataset.release.signature import check_key, sign
+from slipstitch.dataset.release.splits import parts, split_columns
+
+_ROOM = 1.02  # records, code and previews come on top of the shards
+
+
+@dataclass(frozen=True)
+class Released:
+    """What was written."""
+
+    videos: int
+    images: int
+    files: int
+    size_bytes: int
+    sums_sha256: str
+
+
+def check_current(
+    artefacts: Mapping[str, Artefact], config: Config, root: Path, lock: Mapping[str, str]
+) -> None:
+    """Refuse to release what code, configuration or catalogue would not make now.
+
+    Simulations are held against what they were told to use: the configuration with the settings
+    that the calibration (below `root`) chose. Versions must be those of the `lock`, by which others
+    make the same again.
+
+    Raises
+    ------
+    BadInput
+        Names the first such file and what changed.
+    """
+    calibrated = calibrated_by(artefacts, lambda path: root / path)
+    for artefact in artefacts.values():
+        if artefact.provenance is None:
+            continue
+        if artefact.provenance["code_digest"] != current_digest(artefact.stage):
+            raise BadInput(
+                f"{artefact.path}: made by different code of the stage {artefact.stage}; update "
+                "the results with: snakemake --cores 2 sample"
+            )
+        for problem in other_versions(artefact.record, lock):
+            raise BadInput(
+                f"{artefact.path}: {problem}; install these versions, or update the lock"
+            )
+        changes = config_changes(artefact, config, calibrated)
+        if changes:
+            raise BadInput(f"{artefact.path}: made with a different configuration: {changes[0]}")
+        changes = catalogue_changes(artefact)
+        if changes:
+            raise BadInput(f"{artefact.path}: made with a different catalogue: {changes[0]}")
+
+
+def _outside(config: Config) -> dict[str, Path]:
+    """Name -> place of the files from outside that the configuration names."""
+    files = [config.simulation.model, config.render.camera, *config.render.texture_files()]
+    return {Path(file).name: Path(file) for file in files if file}
+
+
+def _check_target(out: Path) -> None:
+    if out.is_dir() and not any(out.iterdir()):
+        return
+    if (out / SUMS).is_file():
+        raise BadInput(f"{out}: contains a release, which is not overwritten; remove it first")
+    if out.exists() or out.is_symlink():
+        raise BadInput(f"{out}: exists and is not a release; choose another folder")
+
+
+def _check_room(out: Path, needed: float) -> None:
+    place = next(parent for parent in out.resolve().parents if parent.exists())
+    free = shutil.disk_usage(place).free
+    if free < needed:
+        raise SlipstitchError(
+            f"{out}: the release needs about {needed / 1e6:.1f} MB, "
+            f"{free / 1e6:.1f} MB are free on that disk"
+        )
+
+
+def write_release(
+    config: Config,
+    results: str | os.PathLike,
+    out: str | os.PathLike,
+    project: str | os.PathLike,
+    key: str | os.PathLike | None = None,
+) -> Released:
+    """Write a release of the sampled dataset.
+
+    Parameters
+    ----------
+    config : Config
+        What the results were made with.
+    results : path
+        Folder of the results, ``sample/``, ``render/`` and the others in it.
+    out : path
+        The release; must not exist yet.
+    project : path
+        Checkout of the code that runs.
+    key : path, optional
+        SSH key to sign it with.
+
+    Raises
+    ------
+    BadInput
+        If results are missing, altered or not up to date, or `out` exists.
+    SlipstitchError
+        If the disk is full; nothing is left then.
+    """
+    started = start_clock()
+    results, out = Path(results), Path(out)
+    if results.resolve().name != "results":
+        raise BadInput(f"{results}: must be a folder named results, as in the records")
+    _check_target(out)
+    if key is not None:
+        check_key(key)
+    project = check_project(project)
+    sample = results / "sample"
+    sampled, _ = read_manifest(sample)
+    made = [f"results/sample/{MANIFEST}"]
+    if (results.parent / VERIFICATION).is_file():
+        made.append(VERIFICATION)
+    artefacts = collect(made, results.parent, _outside(config))
+    check_current(artefacts, config, results.parent, locked_versions(project))
+    _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
+    try:
+        with atomic_path(out) as folder:
+            folder.mkdir()
+            return _fill(folder, config, results, sampled, artefacts, project, started, key)
+    except OSError as error:
+        raise SlipstitchError(f"{out}: cannot be written: {error.strerror or error}") from None
+
+
+def _fill(
+    folder: Path,
+    config: Config,
+    results: Path,
+    sampled: list[dict[str, Any]],
+    artefacts: dict[str, Artefact],
+    project: Path,
+    started: tuple[float, float],
+    key: str | os.PathLike | None,
+) -> Released:
+    sample = results / "sample"
+    splits = split_columns(sampled, config)
+    part_of = parts(splits)
+    videos = [row["video"] for row in sampled]
+    places = write_shards(
+        sample,
+        sampled,
+        dict(zip(videos, part_of, strict=True)),
+        folder,
+        config.release.shard_mb,
+        partial(progress, description="release: ", unit="file"),
+    )
+    rows = released_rows(sampled, splits, part_of, places)
+    write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
+    pictures = write_previews(folder, rows)
+    copy_code(project, folder)
+    facts = facts_of(config, project, time_of_making().date().isoformat())
+    _write_records(folder, config, results, artefacts)
+    card = card_of(folder, facts, config, rows, artefacts, pictures)
+    (folder / CARD).write_text(card, encoding="utf-8")
+    # rdflib and rocrate take a second to import.
+    from slipstitch.dataset.release.crate import crate_text
+    from slipstitch.dataset.release.croissant import croissant_text
+
+    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
+    record = provenance_record(
+        "release",
+        inputs=[results / "sample" / MANIFEST],
+        config={"release": config.release, "seed": config.seed},
+        seed=config.seed,
+        started=started,
+    )
+    # As the other records call it, whatever the working folder.
+    record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
+    (folder / CRATE).write_text(crate_text(folder, facts, artefacts, record), encoding="utf-8")
+    content = {name: file_digest(folder / name) for name in files_below(folder)}
+    write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
+    digest = write_sums(folder)
+    files = [*files_below(folder), SUMS]
+    if key is not None:
+        sign(folder, key)
+        files.append(SIGNATURE)
+    for name in files:
+        (folder / name).chmod(0o444)
+    return Released(
+        videos=len(rows),
+        images=sum(row["frames"] for row in rows),
+        files=len(files),
+        size_bytes=sum((folder / name).stat().st_size for name in files),
+        sums_sha256=digest,
+    )
+
+
+def _write_records(
+    folder: Path, config: Config, results: Path, artefacts: Mapping[str, Artefact]
+) -> None:
+    for path, artefact in artefacts.items():
+        write_record(artefact, folder)
+        if is_carried(artefact):
+            place = locate(path, results.parent, _outside(config))
+            shutil.copyfile(place, folder / carried_file(path))
+    write_json(folder / CONFIG, config.model_dump(mode="json"))
+    if (results / "grid.parquet").is_file():
+        shutil.copyfile(results / "grid.parquet", folder / GRID)

@@ -1,0 +1,214 @@
+"""RO-Crate: the release as a research object, every job behind it as an action.
+
+Follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the Snakefile is
+the main entity, the run of the whole workflow is one ``CreateAction``, every job another one. Each
+stage is a step of the workflow (``HowToStep``), each job was started for its step by Snakemake
+(``ControlAction``, ``OrganizeAction``). Files between the jobs are not in the release: they appear
+as contextual entities with their digests, described by the records that the release carries. Left
+out is what no record holds: when each job began, and parameters one by one (``FormalParameter``);
+the configuration stands for these.
+"""
+
+import json
+import mimetypes
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rocrate.model.contextentity import ContextEntity
+from rocrate.model.file import File
+from rocrate.rocrate import ROCrate
+
+from slipstitch.base.provenance import file_digest
+from slipstitch.dataset.release.checksums import files_below
+from slipstitch.dataset.release.code import CODE, SNAKEFILE
+from slipstitch.dataset.release.records import (
+    CRATE,
+    RELEASE_RECORD,
+    Artefact,
+    in_order,
+    record_file,
+)
+
+PROFILES = {
+    "https://w3id.org/ro/wfrun/process/0.5": {"name": "Process Run Crate", "version": "0.5"},
+    "https://w3id.org/ro/wfrun/workflow/0.5": {"name": "Workflow Run Crate", "version": "0.5"},
+    "https://w3id.org/ro/wfrun/provenance/0.5": {"name": "Provenance Run Crate", "version": "0.5"},
+    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": {"name": "Workflow RO-Crate"},
+}
+_ENGINE = "https://snakemake.github.io"
+_CONTEXT = "https://w3id.org/ro/terms/workflow-run/context"
+_TYPES = {".parquet": "application/vnd.apache.parquet", ".cff": "text/yaml", ".smk": "text/plain"}
+
+
+def _media_type(name: str) -> str:
+    suffix = Path(name).suffix
+    return _TYPES.get(suffix) or mimetypes.guess_type(name)[0] or "text/plain"
+
+
+def crate_text(
+    folder: Path,
+    facts: Mapping[str, Any],
+    artefacts: Mapping[str, Artefact],
+    record: Mapping[str, Any],
+) -> str:
+    """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it.
+
+    Parameters
+    ----------
+    folder : path
+        The release.
+    facts : mapping
+        ``title, description, licence_url, date, keywords, version``.
+    artefacts : mapping
+        Path -> record of every file behind the release.
+    record : mapping
+        The release's own.
+    """
+    artefacts = in_order(artefacts) | {".": Artefact(".", "", provenance=dict(record))}
+    crate = ROCrate(version="1.1")  # which the profiles are based on
+    crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
+    root = crate.root_dataset
+    crate.name, crate.description = facts["title"], facts["description"]
+    crate.license, crate.keywords = facts["licence_url"], list(facts["keywords"])
+    root["version"] = facts["version"]
+    root["datePublished"] = facts["date"]
+    main = crate.add_workflow(
+        dest_path=SNAKEFILE,
+        main=True,
+        lang="snakemake",
+        properties={
+            "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"],
+            "name": "Slipstitch workflow",
+            "sha256": file_digest(folder / SNAKEFILE),
+        },
+    )
+    root["conformsTo"] = [
+        crate.add(ContextEntity(crate, url, {"@type": "CreativeWork", **profile}))
+        for url, profile in PROFILES.items()
+    ]
+    entities = {
+        name: crate.add(
+            File(
+                crate,
+                dest_path=name,
+                properties={
+                    "contentSize": str((folder / name).stat().st_size),
+                    "encodingFormat": _media_type(name),
+                    "sha256": file_digest(folder / name),
+                },
+            )
+        )
+        for name in files_below(folder)
+        if name not in (SNAKEFILE, CRATE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
+    }
+    crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
+    for path, artefact in artefacts.items():
+        if path != ".":
+            entities[path] = crate.add(
+                ContextEntity(
+                    crate,
+                    f"#{path}",
+                    {
+                        "@type": "CreativeWork",
+                        "name": path,
+                        "sha256": artefact.sha256,
+                        "subjectOf": {"@id": record_file(path)},
+                    },
+                )
+            )
+    actions = [
+        _action(crate, artefact, entities)
+        for artefact in artefacts.values()
+        if artefact.provenance is not None
+    ]
+    whole = crate.add_action(
+        main,
+        "#run",
+        object=[entities["records/config.json"]],
+        result=[entities["manifest.parquet"], *_shards(entities)],
+        properties={"name": "The workflow run that generated this release"},
+    )
+    root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
+    return json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n"
+
+
+def _organised(crate: ROCrate, main, whole, actions: list):
+    """Snakemake's part: the workflow's steps, and each job as the execution of one."""
+    main["hasPart"] = list(
+        {action["instrument"].id: action["instrument"] for action in actions}.values()
+    )
+    steps: dict[str, ContextEntity] = {}
+    for tool in main["hasPart"]:
+        properties = {
+            "@type": "HowToStep",
+            "name": tool["name"],
+            "position": str(len(steps) + 1),
+            "workExample": tool,
+        }
+        identity = f"{SNAKEFILE}#{tool.id.removeprefix('#')}"
+        steps[tool.id] = crate.add(ContextEntity(crate, identity, properties))
+    main["step"] = list(steps.values())
+    controls = []
+    for action in actions:
+        properties = {
+            "@type": "ControlAction",
+            "name": f"start of {action.id.removeprefix('#job/')}",
+            "instrument": steps[action["instrument"].id],
+            "object": action,
+        }
+        identity = action.id.replace("#job/", "#control/")
+        controls.append(crate.add(ContextEntity(crate, identity, properties)))
+    engine = {"@type": "SoftwareApplication", "name": "Snakemake", "url": _ENGINE}
+    properties = {
+        "@type": "OrganizeAction",
+        "name": "Run of Snakemake",
+        "instrument": crate.add(ContextEntity(crate, _ENGINE, engine)),
+        "object": controls,
+        "result": whole,
+    }
+    return crate.add(ContextEntity(crate, "#organize", properties))
+
+
+def _shards(entities: Mapping[str, Any]) -> list:
+    return [entity for name, entity in entities.items() if name.startswith("data/")]
+
+
+def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
+    """The job that wrote an artefact."""
+    record = artefact.record
+    tool = _tool(crate, record["stage"], record)
+    is_release = artefact.path == "."
+    result = _shards(entities) if is_release else [entities[artefact.path]]
+    return crate.add_action(
+        tool,
+        "#job/release" if is_release else f"#job/{artefact.path}",
+        object=[entities[path] for path in record["inputs"] if path in entities],
+        result=result,
+        properties={
+            "name": f"slipstitch {record['stage']}",
+            "actionStatus": "http://schema.org/CompletedActionStatus",
+            "description": f"{record['wall_s']} s, {record['cpu_s']} CPU s; {record['host_kind']}",
+        },
+    )
+
+
+def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
+    """The stage as software, one entity for each state of its code."""
+    identity = f"#stage/{stage}/{record['code_digest'][:12]}"
+    known = crate.get(identity)
+    if known is not None:
+        return known
+    return crate.add(
+        ContextEntity(
+            crate,
+            identity,
+            {
+                "@type": "SoftwareApplication",
+                "name": f"slipstitch {stage}",
+                "softwareVersion": record["versions"]["slipstitch"],
+                "sha256": record["code_digest"],
+                "identifier": record["git_commit"] or "unknown commit",
+            },
+        )
+    )

@@ -1,0 +1,256 @@
+"""The records of all artefacts that a dataset depends on."""
+
+import hashlib
+import json
+import os
+import posixpath
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest, read_metadata, read_parquet, read_provenance
+
+RECORDS = "records"
+#: Written beside the dataset: a sample of its images against direct renders.
+VERIFICATION = "results/render/verification.json"
+CONFIG = f"{RECORDS}/config.json"
+GRID = f"{RECORDS}/grid.parquet"
+RELEASE_RECORD = f"{RECORDS}/release.json"
+CROISSANT = "croissant.json"
+CRATE = "ro-crate-metadata.json"
+RECORD_SUFFIX = ".record.json"
+# Of a trajectory: the mesh follows from the settings and would be most of the record.
+NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """One file that a stage wrote, or a file from outside, as its record tells.
+
+    Attributes
+    ----------
+    path : str
+        As the records call it, such as ``results/render/m05_f0300_r00_v00.parquet``.
+    sha256 : str
+        Of the file's bytes.
+    rows_sha256 : str or None
+        Of a Parquet file's rows alone: the same whenever the same rows are made again, while the
+        bytes also hold the times of the job.
+    metadata : dict
+        What else the file says about itself.
+    provenance : dict or None
+        Its record; None for a file that no stage wrote.
+    """
+
+    path: str
+    sha256: str
+    rows_sha256: str | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] | None = None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Its record; empty for a file that no stage wrote."""
+        return self.provenance or {}
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Path -> SHA-256 of what it was made from, as far as that is followed.
+
+        Measured data behind an extended model are not: its record has their digests.
+        """
+        return {} if self.stage == "criticise" else self.record.get("inputs", {})
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Package -> version that it was made with; what is no text is left out."""
+        versions = self.record.get("versions")
+        found = versions.items() if isinstance(versions, Mapping) else ()
+        return {package: version for package, version in found if isinstance(version, str)}
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage that wrote it; empty if none did."""
+        return self.record.get("stage") or ""
+
+
+def rows_digest(path: str | os.PathLike) -> str:
+    """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
+    return table_digest(read_parquet(path))
+
+
+def table_digest(table: pa.Table) -> str:
+    """SHA-256 of a table's rows, whatever its metadata and chunks."""
+    table = table.replace_schema_metadata(None)
+    sink = hashlib.sha256()
+    sink.update(table.schema.to_string().encode())
+    for name in table.column_names:
+        _update(sink, table.column(name))
+    return sink.hexdigest()
+
+
+def _update(sink, column: pa.ChunkedArray) -> None:
+    # An IPC stream of a freshly combined column does not depend on how the file was chunked.
+    combined = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    stream = pa.BufferOutputStream()
+    batch = pa.record_batch([combined], names=["column"])
+    with pa.ipc.new_stream(stream, batch.schema) as writer:
+        writer.write_batch(batch)
+    sink.update(stream.getvalue())
+
+
+def read_artefact(path: str, place: Path) -> Artefact:
+    """The record of the file at `place`, which records call `path`.
+
+    Raises
+    ------
+    BadInput
+        If it is not there or damaged.
+    """
+    if not place.is_file():
+        raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
+    parquet = place.suffix == ".parquet"
+    metadata = read_metadata(place) if parquet else {}
+    rows = rows_digest(place) if parquet else None
+    try:
+        # What a file from outside was made from is not followed: photographs of a board, say.
+        provenance = read_provenance(place) if is_ours(path) else None
+    except FileNotFoundError:
+        raise BadInput(
+            f"{path}: no provenance record; regenerate it with: snakemake --cores 2 sample"
+        ) from None
+    kept = {key: value for key, value in metadata.items() if key not in NOT_RECORDED}
+    return Artefact(path, file_digest(place), rows, kept, provenance)
+
+
+def is_ours(path: str) -> bool:
+    """Whether a stage of the workflow wrote the file; a camera file, say, comes from outside."""
+    return path.startswith("results/")
+
+
+def recorded_name(configured: str, paths: Iterable[str]) -> str | None:
+    """Which of these paths of records is the file that the configuration names, if any is.
+
+    Records call a file by its place in the working folder, or by its name alone if it lies outside.
+    """
+    whole = f"/{posixpath.normpath(configured)}"
+    return max((path for path in paths if whole.endswith(f"/{path}")), key=len, default=None)
+
+
+def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
+    """The location of the file called `path` in the records."""
+    place = root / path
+    return place if place.exists() else outside.get(path, place)
+
+
+def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
+    """Records of the artefacts `start` and of everything behind them.
+
+    Parameters
+    ----------
+    start : iterable of str
+        Paths as records call them, relative to `root`.
+    root : path
+        Folder that the recorded paths are relative to.
+    outside : mapping
+        Where files are that a record calls by their name alone, because they lie elsewhere.
+
+    Returns
+    -------
+    dict
+        Path -> artefact, inputs before what was made from them.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, or is no longer the one that something was made from.
+    """
+    found: dict[str, Artefact] = {}
+
+    def visit(path: str) -> Artefact:
+        if path not in found:
+            artefact = read_artefact(path, locate(path, root, outside))
+            for name, digest in artefact.inputs.items():
+                if visit(name).sha256 != digest:
+                    raise BadInput(
+                        f"{name}: not the file that {path} was made from; update the results "
+                        "with: snakemake --cores 2 sample"
+                    )
+            found[path] = artefact
+        return found[path]
+
+    for path in start:
+        visit(path)
+    return found
+
+
+def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
+    """The same, inputs before what was made from them, whatever order they came in."""
+    found: dict[str, Artefact] = {}
+
+    def visit(path: str) -> None:
+        if path in artefacts and path not in waiting:
+            waiting.add(path)
+            for name in sorted(artefacts[path].inputs):
+                visit(name)
+            found[path] = artefacts[path]
+
+    waiting: set[str] = set()
+    for path in sorted(artefacts):
+        visit(path)
+    return found
+
+
+def carried_file(path: str) -> str:
+    """Location of the artefact `path` in a release, if included."""
+    return f"{RECORDS}/{path.removeprefix('results/')}"
+
+
+def record_file(path: str) -> str:
+    """Location of the record of the artefact `path` in a release."""
+    return carried_file(path) + RECORD_SUFFIX
+
+
+def is_carried(artefact: Artefact) -> bool:
+    """Whether a release carries the artefact whole: small text, and files from outside."""
+    return not is_ours(artefact.path) or artefact.path.endswith((".json", ".yaml"))
+
+
+def write_record(artefact: Artefact, folder: Path) -> None:
+    """Write the record into a release."""
+    target = folder / record_file(artefact.path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(asdict(artefact), indent=1, sort_keys=True, allow_nan=False)
+    target.write_text(text + "\n", encoding="utf-8")
+
+
+def read_record(path: Path) -> Artefact:
+    """A record of a release.
+
+    Raises
+    ------
+    ValueError
+        If it is no record; the message says why.
+    """
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, Mapping):
+        raise ValueError("not a record: not a mapping")
+    try:
+        artefact = Artefact(**content)
+    except TypeError:
+        raise ValueError("not a record: wrong keys") from None
+    kinds = {"path": str, "sha256": str, "metadata": dict}
+    for name, kind in kinds.items():
+        if not isinstance(getattr(artefact, name), kind):
+            raise ValueError(f"not a record: {name} is not {kind.__name__}")
+    record = artefact.provenance
+    if record is not None:
+        kinds = {"stage": str, "inputs": dict, "config": dict, "code_digest": str}
+        for name, kind in kinds.items():
+            if not isinstance(record, dict) or not isinstance(record.get(name), kind):
+                raise ValueError(f"not a record: provenance has no {name}")
+    return artefact

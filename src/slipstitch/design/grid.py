@@ -1,0 +1,301 @@
+"""The grid of simulations, with its ids and seeds: the meaning of m05_f0300_r00_t02_v01.
+
+The ids are kept in ``results/grid.parquet``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field, model_validator
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.section import Fabrics, Frictions, Section
+from slipstitch.physics.fabric.fabrics import fabric_names
+
+if TYPE_CHECKING:
+    from slipstitch.config.model import Config
+
+
+class GridSettings(Section):
+    """The simulations: every material with every friction coefficient, some times over."""
+
+    materials: Fabrics = Field(
+        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"),
+        min_length=1,
+        description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
+    )
+    frictions: Frictions = Field(
+        (0.1, 0.3, 0.6, 1.0),
+        min_length=1,
+        max_length=100,
+        description="friction coefficients, increasing, multiples of 0.001; id f0350 is 0.35",
+    )
+    replicates: int = Field(
+        2,
+        ge=1,
+        le=100,
+        description="simulations of each pair with different perturbations; ids r00..",
+    )
+    test_frictions: Frictions = Field(
+        (),
+        max_length=100,
+        description="off-grid coefficients, increasing, for testing only, simulated with every "
+        "material; ids follow those of `frictions`",
+    )
+    test_materials: Fabrics = Field(
+        (),
+        description="unseen fabrics, for testing only, simulated with every coefficient of "
+        "`frictions`",
+    )
+    test_replicates: int = Field(1, ge=1, le=100, description="simulations of each test-only pair")
+    own_benches: bool = Field(
+        False,
+        description="every simulation has clamps, curl and fabric of its own, shared with none at "
+        "another coefficient; only where its cameras are its own as well (viewpoints bench_1 "
+        "...), so that whole simulations are held out; ideal replicates share theirs",
+    )
+
+    @property
+    def classes(self) -> dict[str, list]:
+        """The classes of the networks: fabrics, as in the catalogue, and friction coefficients."""
+        return {
+            "material": sorted(self.materials, key=fabric_names().index),
+            "friction": list(self.frictions),
+        }
+
+    @model_validator(mode="after")
+    def _training_and_testing_are_apart(self) -> GridSettings:
+        for kind in ("materials", "frictions"):
+            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
+            if both:
+                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+        return self
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """One simulation of the grid."""
+
+    id: str
+    material_id: str
+    friction_id: str
+    replicate_id: str
+    material: str
+    friction: float
+    seed: int
+    material_role: str = "train"
+    friction_role: str = "train"
+
+    @property
+    def replicate(self) -> int:
+        """Its number."""
+        return int(self.replicate_id[1:])
+
+
+def material_id(name: str) -> str:
+    """Position in the catalogue of ten: ids stay the same whichever fabrics a grid holds."""
+    return f"m{fabric_names().index(name):02d}"
+
+
+def friction_id(friction: float) -> str:
+    """The coefficient in thousandths, ``0.35`` -> ``f0350``: ids stay the same in any grid."""
+    return f"f{round(1000 * friction):04d}"
+
+
+def simulation_seed(seed: int, bench: str, replicate: int) -> int:
+    """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
+
+    A hash of the parameters of the bench, not of its position in the grid: adding a material or a
+    replicate leaves the others as they are. The friction coefficient is no part of it: the bench,
+    named by its material, is the same at every coefficient (common random numbers), so that nothing
+    but contact tells them apart. With `GridSettings.own_benches` the coefficient is in its name.
+    """
+    return int.from_bytes(_digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
+
+
+def bench_of(simulation: str) -> str:
+    """The bench of a simulation by its id, ``m05_f0300_r00`` -> ``m05_r00``.
+
+    Floor, lamp and the camera's noise are drawn by this, the same at every coefficient; but for
+    cameras of the family ``bench_1`` ..., see `slipstitch.images.surroundings.drawn_by`.
+    """
+    return re.sub(r"_f\d+(?=_|$)", "", simulation)
+
+
+def simulations(config: Config) -> list[Simulation]:
+    """The simulations of the grid, material by material, friction by friction.
+
+    Those for testing only come last.
+    """
+    own, ideal = config.grid.own_benches, config.simulation.ideal_replicates
+    return [
+        Simulation(
+            **place,
+            seed=simulation_seed(
+                config.seed,
+                place["material"]
+                + (f" {place['friction_id']}" if own and replicate >= ideal else ""),
+                replicate,
+            ),
+        )
+        for place, replicate in _places(config)
+    ]
+
+
+def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
+    """Every `Simulation` but for its seed, and its replicate; by material, then friction.
+
+    Those for testing only come last: every material at the coefficients off the grid, then every
+    fabric that no network trains on, at the grid's.
+    """
+    grid = config.grid
+    parts = (
+        (grid.materials, "train", grid.frictions, "train", grid.replicates),
+        (grid.materials, "train", grid.test_frictions, "test", grid.test_replicates),
+        (grid.test_materials, "test", grid.frictions, "train", grid.test_replicates),
+    )
+    return [
+        (
+            {
+                "id": f"{material_id(material)}_{friction_id(friction)}_r{r:02d}",
+                "material_id": material_id(material),
+                "friction_id": friction_id(friction),
+                "replicate_id": f"r{r:02d}",
+                "material": material,
+                "friction": friction,
+                "material_role": material_role,
+                "friction_role": friction_role,
+            },
+            r,
+        )
+        for materials, material_role, frictions, friction_role, replicates in parts
+        for material in materials
+        for friction in frictions
+        for r in range(replicates)
+    ]
+
+
+def batches(config: Config) -> list[list[str]]:
+    """Ids of the simulations that one job simulates at once, job by job."""
+    ids = [simulation.id for simulation in simulations(config)]
+    size = config.compute.batch
+    return [ids[first : first + size] for first in range(0, len(ids), size)]
+
+
+def find_simulation(config: Config, name: str) -> Simulation:
+    """The simulation with id `name`; BadInput if the grid does not have it."""
+    grid = simulations(config)
+    for simulation in grid:
+        if simulation.id == name:
+            return simulation
+    raise BadInput(
+        f"the grid has no simulation {name!r}; its {len(grid)} ids look like {grid[0].id}"
+    )
+
+
+def textures(config: Config) -> list[dict[str, str]]:
+    """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
+    return [
+        {"id": identity, "name": name, "role": role}
+        for (identity, name), role in zip(
+            config.render.texture_ids().items(),
+            ["train"] * len(config.render.textures) + ["test"] * len(config.render.test_textures),
+            strict=True,
+        )
+    ]
+
+
+def viewpoints(config: Config) -> list[dict[str, str]]:
+    """Viewpoints as ``{id, name, role, floor_role}``: of training, then of testing.
+
+    Those of training come once more in the end, with the floor for testing only, where there are
+    reflective floors: networks trained on the others have not seen them.
+    """
+    render = config.render
+    return [
+        {
+            "id": identity,
+            "name": name,
+            "role": "test" if name in render.test_viewpoints else "train",
+            "floor_role": "test" if render.reflective(identity) else "train",
+        }
+        for identity, name in render.viewpoint_ids().items()
+    ]
+
+
+def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
+    """Ids of simulation and viewpoint -> the textures filmed, id -> name; none if there is no film.
+
+    Test textures are filmed from the main training viewpoints only, where videos of test viewpoints
+    are drawn; these are drawn by what they are, so that one more texture changes few.
+    """
+    render = config.render
+    names = render.texture_ids()
+    trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
+    grid = [place for place, _ in _places(config)]
+    result: dict[tuple[str, str], dict[str, str]] = {}
+    for view in viewpoints(config):
+        if view["role"] == "test" and render.test_viewpoint_videos is not None:
+            every = [
+                (simulation["id"], texture)
+                for simulation in grid
+                if "test" not in (simulation["material_role"], simulation["friction_role"])
+                for texture in trained
+            ]
+            every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
+            for simulation, texture in sorted(every[: render.test_viewpoint_videos]):
+                result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
+        else:
+            textures = trained if view["floor_role"] == "test" else names
+            result |= {(simulation["id"], view["id"]): textures for simulation in grid}
+    return result
+
+
+def _digest(*words: object) -> bytes:
+    return hashlib.sha256("|".join(map(str, words)).encode()).digest()
+
+
+def grid_rows(config: Config) -> list[dict]:
+    """Rows of ``grid.parquet``.
+
+    Returns
+    -------
+    list of dict
+        Keys ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
+        ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate
+        number; NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations
+        ``material_id, friction_id, replicate_id, material, friction, seed`` (else None).
+    """
+    rows: list[dict[str, Any]] = [
+        {"kind": "material", "id": material_id(name), "name": name}
+        for name in config.grid.materials
+    ]
+    rows += [
+        {"kind": "friction", "id": friction_id(f), "name": f"{f:g}", "value": f}
+        for f in config.grid.frictions
+    ]
+    rows += [
+        {"kind": "replicate", "id": f"r{i:02d}", "name": f"replicate {i}", "value": float(i)}
+        for i in range(config.grid.replicates)
+    ]
+    rows += [{"kind": "texture", **texture} for texture in textures(config)]
+    rows += [
+        {"kind": "viewpoint", **view, "value": VIEWPOINTS[view["name"]].azimuth_deg}
+        for view in viewpoints(config)
+    ]
+    rows += [
+        {
+            "kind": "simulation",
+            "name": simulation.id,
+            "value": simulation.friction,
+            **asdict(simulation),
+        }
+        for simulation in simulations(config)
+    ]
+    return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]

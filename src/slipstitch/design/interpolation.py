@@ -1,0 +1,133 @@
+"""Films of cloths between the simulated ones: of which simulations, with which weights.
+
+Where it is dragged behind its clamps, a cloth changes smoothly with the friction coefficient: the
+weighted mean of two trajectories is nearly the trajectory of a coefficient between theirs. The
+weights follow the tail of a dragged flexible strip, which theory gives; weights linear in friction
+put the mean five times as far off (`benchmarks/interpolation.py`). Below about 0.4 a cloth is
+pushed ahead, or falls to this side or the other, and nothing is smooth. A second fabric mixed in
+makes a fabric between two. Only films that train show such cloths, and only simulations that train
+are their parents: what is tested and calibrated with is simulated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.design.grid import Simulation, simulations
+from slipstitch.design.splits import sides_of_simulations
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.physics.theory.drag import flexible_strip_drag
+
+if TYPE_CHECKING:
+    from slipstitch.config.model import Config
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """The cloth of a film: a weighted mean of simulated ones.
+
+    Attributes
+    ----------
+    friction : float
+        Coefficient that the film shows.
+    weights : dict
+        Simulation id -> weight; they add up to 1. The largest fabric is the film's own.
+    """
+
+    friction: float
+    weights: dict[str, float]
+
+
+def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
+    """Ids of simulation and viewpoint -> the cloth of that film, for films that are interpolated.
+
+    Of every camera of the family ``bench_1`` ... and every simulation that trains, from
+    `from_friction` on, a share. The coefficient is drawn between the middles of the intervals to
+    the next coefficients at which the simulation's fabric trains, so that the films of a fabric
+    cover all from its first to its last.
+
+    Raises
+    ------
+    BadInput
+        If the grid has no valid split.
+    """
+    settings = config.render.interpolation
+    family = [
+        (identity, name)
+        for identity, name in config.render.viewpoint_ids().items()
+        if VIEWPOINTS[name].drawn
+    ]
+    if not settings.share or not family:
+        return {}
+    path = StagePath(**dict(config.simulation.stage))
+    height_m = path.start_height_m - path.drop_m
+    sides = sides_of_simulations(config)
+    trained: dict[tuple[str, str], list[Simulation]] = defaultdict(list)
+    for simulation in simulations(config):
+        dragged = simulation.friction >= settings.from_friction
+        if sides[simulation.id] == "train" and dragged:
+            trained[simulation.replicate_id, simulation.material].append(simulation)
+    result = {}
+    for (replicate, material), row in trained.items():
+        others = [trained[key] for key in trained if key[0] == replicate and key[1] != material]
+        for place, simulation in enumerate(row):
+            for identity, name in family:
+                draw = _drawn(config.seed, simulation.id, name)
+                if next(draw) >= settings.share:
+                    continue
+                near = [one.friction for one in row[max(place - 1, 0) : place + 2]]
+                low, high = ((simulation.friction + end) / 2 for end in (min(near), max(near)))
+                friction = round(low + next(draw) * (high - low), 4)
+                share = next(draw) * settings.fabric
+                weights = between(row, friction, height_m)
+                reached = [
+                    other for other in others if other[0].friction <= friction <= other[-1].friction
+                ]
+                if share and reached:
+                    other = reached[int(next(draw) * len(reached))]
+                    weights = {one: (1 - share) * part for one, part in weights.items()}
+                    mixed_in = between(other, friction, height_m)
+                    weights |= {one: share * part for one, part in mixed_in.items()}
+                result[simulation.id, identity] = Interpolation(friction, weights)
+    return result
+
+
+def filmed_friction(simulation: Simulation, shown: Interpolation | None) -> float:
+    """Coefficient that a film of a simulation shows: its own, unless its cloth is interpolated."""
+    return simulation.friction if shown is None else shown.friction
+
+
+def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict[str, float]:
+    """Weights of the two simulations of a row on either side of a coefficient; or of one at it.
+
+    Parameters
+    ----------
+    row : sequence of Simulation
+        Of one fabric, by friction coefficient, all below to above `friction`.
+    friction : float
+    height_m : float
+        Of the clamps while the cloth is dragged.
+    """
+    for below, above in itertools.pairwise(row):
+        if friction <= above.friction:
+            first, at, last = (
+                flexible_strip_drag(each, SIDE_M, height_m).holder_ahead_of_tail_m
+                for each in (below.friction, friction, above.friction)
+            )
+            part = (at - first) / (last - first)
+            both = {below.id: 1 - part, above.id: part}
+            return {name: weight for name, weight in both.items() if weight > 0}
+    return {row[-1].id: 1.0}
+
+
+def _drawn(*words: object) -> Iterator[float]:
+    """Numbers in 0 ... 1 that depend on the words only."""
+    for count in itertools.count():
+        text = "|".join(map(str, (*words, "interpolation", count)))
+        yield int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") / 2**64

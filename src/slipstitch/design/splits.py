@@ -1,0 +1,215 @@
+"""Assignment of videos to training, validation and test.
+
+Two ways, because they answer different questions. `split_by_video` is the paper's: videos at
+random, so that the simulation of a test video is in the training set too, seen from another
+side or in another cloth. `split_by_simulation` keeps whole simulations from training; only it tells
+what a network is worth on a cloth that it has never watched move. docs/learning.md argues both.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slipstitch.base.errors import BadInput
+from slipstitch.design.grid import simulations
+
+if TYPE_CHECKING:
+    from slipstitch.config.model import Config
+
+SIDES = ("train", "validation", "test")
+
+
+def split_by_video(
+    videos: Sequence[str], validation_fraction: float, test_fraction: float, seed: int
+) -> dict[str, str]:
+    """Every video's side, drawn at random.
+
+    Parameters
+    ----------
+    videos : sequence of str
+        Ids; their order does not matter.
+    validation_fraction, test_fraction : float
+        Shares of the videos, rounded; at least one video tests and one trains.
+    seed : int
+
+    Returns
+    -------
+    dict
+        Video id -> train, validation or test.
+
+    Raises
+    ------
+    BadInput
+        With fewer than two videos.
+    """
+    if len(videos) < 2:
+        raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
+    tests = min(max(1, round(len(videos) * test_fraction)), len(videos) - 1)
+    validations = min(round(len(videos) * validation_fraction), len(videos) - 1 - tests)
+    order = np.random.default_rng(seed).permutation(sorted(videos))
+    sides = ["test"] * tests + ["validation"] * validations
+    sides += ["train"] * (len(videos) - len(sides))
+    return dict(zip(map(str, order), sides, strict=True))
+
+
+def sides_of_simulations(config: Config) -> dict[str, str]:
+    """Every simulation's id -> its side where whole simulations are held out.
+
+    Those of a test-only fabric or friction coefficient are test simulations, those of a fabric for
+    validation only are validation simulations, and of the other fabrics those of a coefficient that
+    is never held out train.
+
+    Raises
+    ------
+    BadInput
+        If the grid has no valid split.
+    """
+    grid = simulations(config)
+    apart = {
+        simulation.id: "test"
+        for simulation in grid
+        if "test" in (simulation.material_role, simulation.friction_role)
+    }
+    for simulation in grid:
+        if simulation.material in config.sample.validation_materials:
+            apart.setdefault(simulation.id, "validation")
+        elif simulation.friction in config.sample.train_only_frictions:
+            apart.setdefault(simulation.id, "train")
+    triples = {
+        simulation.id: (simulation.material_id, simulation.friction_id, simulation.replicate_id)
+        for simulation in grid
+        if simulation.id not in apart
+    }
+    sides = split_by_simulation(
+        triples.values(),
+        config.sample.validation_fraction,
+        config.sample.test_fraction,
+        seed=config.seed,
+        hold_out=config.sample.hold_out,
+    )
+    return {
+        simulation.id: apart.get(simulation.id) or sides[triples[simulation.id]]
+        for simulation in grid
+    }
+
+
+def split_by_simulation(
+    simulations: Iterable[tuple[str, str, str]],
+    validation_fraction: float,
+    test_fraction: float,
+    seed: int,
+    hold_out: str = "auto",
+) -> dict[tuple[str, str, str], str]:
+    """Every simulation's side; no class goes untrained, no friction is tested more than another.
+
+    With replicates, the last ones of every (material, friction) pair are held out (they differ by
+    seeded perturbations only, so which ones does not matter): every pair trains and is tested on
+    an independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
+    materials and frictions: the network has seen each, never both together. They are
+    divided between validation and test for each friction separately, cycling through the materials.
+
+    Parameters
+    ----------
+    simulations : iterable of (material_id, friction_id, replicate_id)
+    validation_fraction, test_fraction : float
+        Shares of the replicates (or materials) of each pair (or friction); rounded, at least one
+        is held out and at least one trains.
+    seed : int
+        Where the rounds of the materials start.
+    hold_out : {"auto", "replicate", "pair"}
+        "auto": replicates if every pair has two at least.
+
+    Returns
+    -------
+    dict
+        The simulation's triple -> train, validation or test.
+
+    Raises
+    ------
+    BadInput
+        If holding out would leave a material or a friction coefficient without training.
+    """
+    everything = sorted(set(simulations))
+    materials = sorted({material for material, _, _ in everything})
+    frictions = sorted({friction for _, friction, _ in everything})
+    replicates: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for material, friction, replicate in everything:
+        replicates[material, friction].append(replicate)
+    fewest = min(map(len, replicates.values()), default=0)
+    if hold_out == "auto":
+        hold_out = "replicate" if fewest >= 2 else "pair"
+    if hold_out == "replicate" and fewest < 2:
+        raise BadInput(
+            "by_simulation cannot hold out replicates: a (material, friction) pair has only "
+            f"{fewest} (grid.replicates must be at least 2)"
+        )
+
+    held_fraction = validation_fraction + test_fraction
+    first = int(np.random.default_rng(seed).integers(max(1, len(materials))))
+    sides = dict.fromkeys(everything, "train")
+    for row, friction in enumerate(frictions):
+        turn = first + row
+        if hold_out == "pair":
+            held_materials = _held(len(materials), held_fraction)
+            turn = first + row * held_materials
+        around = [materials[(turn + step) % len(materials)] for step in range(len(materials))]
+        if hold_out == "pair":
+            pool = [
+                [(material, friction, replicate) for replicate in replicates[material, friction]]
+                for material in around[:held_materials]
+            ]
+        else:
+            by_age: dict[int, list] = defaultdict(list)  # all pairs' last but one, then their last
+            for material in around:
+                names = replicates[material, friction]
+                for age, name in enumerate(names[-_held(len(names), held_fraction) :]):
+                    by_age[age].append([(material, friction, name)])
+            pool = [group for age in sorted(by_age) for group in by_age[age]]
+        validations = int(len(pool) * validation_fraction / held_fraction + 1e-9)
+        for place, group in enumerate(pool):
+            for simulation in group:
+                sides[simulation] = "validation" if place < validations else "test"
+
+    if "test" not in sides.values():
+        raise BadInput(
+            f"by_simulation has nothing to hold out in {len(materials)} material(s) with one "
+            "replicate each: at least 2 replicates are needed, or 2 materials"
+        )
+    trained = [simulation for simulation, side in sides.items() if side == "train"]
+    for position, kind, names in ((0, "material", materials), (1, "friction", frictions)):
+        untrained = sorted(set(names) - {simulation[position] for simulation in trained})
+        if untrained:
+            raise BadInput(
+                f"by_simulation would leave {kind} {untrained[0]} without any training simulation: "
+                "at least 2 replicates are needed, or 2 materials with 2 friction coefficients"
+            )
+    return sides
+
+
+def _held(count: int, fraction: float) -> int:
+    """Number of held-out items of `count`: at least one, never all."""
+    return min(max(1, round(count * fraction)), max(0, count - 1))
+
+
+def check_no_simulation_on_both_sides(simulations: Sequence[str], sides: Sequence[str]) -> None:
+    """Refuse a split that tests (or validates) on a simulation that it trains on.
+
+    Raises
+    ------
+    BadInput
+        Names the first such simulation.
+    """
+    found: dict[str, set[str]] = defaultdict(set)
+    for simulation, side in zip(simulations, sides, strict=True):
+        found[simulation].add(side)
+    leaking = sorted(name for name, where in found.items() if len(where) > 1)
+    if leaking:
+        where = " and ".join(side for side in SIDES if side in found[leaking[0]])
+        raise BadInput(
+            f"the split by simulation leaks: {leaking[0]} is in {where} "
+            f"({len(leaking)} of {len(found)} simulations on more than one side)"
+        )

@@ -1,0 +1,175 @@
+"""Calibration boards: their geometry, and their detection in an image.
+
+Coordinates on a board, in metres: the origin is the outer corner of its first square, x runs along
+its width, y along its height so that (x, y) looks as in the image of the board, y downwards; z
+points into the board. A checkerboard's first square is the dark one at a corner from which the
+width runs along x: with one odd and one even number of squares there is exactly one.
+"""
+
+import re
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+
+from slipstitch.base.errors import BadInput
+
+_SEARCH_PX = 1000  # a board that cannot be seen in an image of this width is not there
+_FEWEST_CORNERS = 12
+_MOST_SQUARES = 100  # along a side
+_WITHIN_SQUARE = 0.4  # as far from a corner, no edge but its own is seen
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A board's corners in one image.
+
+    Attributes
+    ----------
+    points_m : ndarray (N, 3) float32
+        On the board.
+    corners_px : ndarray (N, 2) float32
+        In the image; the centre of the first pixel is (0, 0).
+    """
+
+    points_m: np.ndarray
+    corners_px: np.ndarray
+
+
+@dataclass(frozen=True)
+class Board:
+    """A checkerboard, or a ChArUco board if it has markers.
+
+    Attributes
+    ----------
+    squares : tuple of int
+        Along its width and its height.
+    square_m : float
+    marker_m : float, optional
+    dictionary : str, optional
+        OpenCV's name of the set of markers.
+    """
+
+    squares: tuple[int, int]
+    square_m: float
+    marker_m: float | None = None
+    dictionary: str | None = None
+
+    @classmethod
+    def named(
+        cls, kind: str, squares: str, square_mm: float, marker_mm: float | None, dictionary: str
+    ) -> "Board":
+        """A board from the words of the command line.
+
+        Raises
+        ------
+        BadInput
+            If no such board exists.
+        """
+        found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", squares)
+        size = (int(found[1]), int(found[2])) if found else (0, 0)
+        if min(size) < 4 or max(size) > _MOST_SQUARES:
+            raise BadInput(
+                f"--squares: {squares!r}; must be width x height, at least 4x4, e.g. 10x7, at most "
+                f"{_MOST_SQUARES}x{_MOST_SQUARES}"
+            )
+        if not 0.1 < square_mm <= 1000:
+            raise BadInput(f"--square-mm: {square_mm:g}; must be greater than 0.1 and at most 1000")
+        if kind == "checkerboard":
+            if marker_mm is not None:
+                raise BadInput("--marker-mm: requires --board charuco")
+            if sum(size) % 2 == 0:
+                raise BadInput(
+                    f"--squares: {squares}; a checkerboard needs one odd and one even number; "
+                    "otherwise it looks the same upside down"
+                )
+            return cls(size, square_mm / 1e3)
+        if marker_mm is None or not 0 < marker_mm < square_mm:
+            raise BadInput("--marker-mm: required for a ChArUco board, smaller than its squares")
+        if not dictionary.startswith("DICT_") or not hasattr(cv2.aruco, dictionary):
+            raise BadInput(
+                f"--dictionary: {dictionary!r} is not an OpenCV dictionary; use e.g. DICT_5X5_100"
+            )
+        return cls(size, square_mm / 1e3, marker_mm / 1e3, dictionary)
+
+    def record(self) -> dict:
+        """Description of the board for the camera file."""
+        return asdict(self)
+
+    def find(self, grey: np.ndarray) -> Sighting | None:
+        """The board in a grey image (H, W) uint8, None if it is not there."""
+        if self.marker_m and self.dictionary:
+            return self._find_charuco(grey, self.marker_m, self.dictionary)
+        return self._find_checkerboard(grey)
+
+    def _find_checkerboard(self, grey: np.ndarray) -> Sighting | None:
+        columns, rows = self.squares[0] - 1, self.squares[1] - 1
+        # The thorough search takes seconds on a large image without a board: look in a small one.
+        shrink = min(1.0, _SEARCH_PX / grey.shape[1])
+        small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+        found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=flags)
+        if not found:
+            return None
+        corners = _refine(grey, (corners.reshape(-1, 2) + 0.5) / shrink - 0.5, _WITHIN_SQUARE)
+        corners = corners.reshape(rows, columns, 2)
+        # As the board is seen from its front, x to y turns clockwise in the image.
+        along, down = corners[0, -1] - corners[0, 0], corners[-1, 0] - corners[0, 0]
+        if along[0] * down[1] - along[1] * down[0] < 0:
+            corners = corners[:, ::-1]
+        if _first_square_is_light(grey, corners):
+            corners = corners[::-1, ::-1]
+        y, x = np.mgrid[1 : rows + 1, 1 : columns + 1] * self.square_m
+        points = np.stack([x, y, np.zeros_like(x)], axis=-1)
+        return Sighting(
+            points.reshape(-1, 3).astype(np.float32),
+            np.ascontiguousarray(corners.reshape(-1, 2), dtype=np.float32),
+        )
+
+    def _find_charuco(self, grey: np.ndarray, marker_m: float, dictionary: str) -> Sighting | None:
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+        try:
+            board = cv2.aruco.CharucoBoard(self.squares, self.square_m, marker_m, markers)
+        except cv2.error:
+            raise BadInput(
+                f"--dictionary: {self.dictionary} has too few markers for "
+                f"{self.squares[0]}x{self.squares[1]} squares"
+            ) from None
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+        if ids is None or len(ids) < _FEWEST_CORNERS:
+            return None
+        points = np.asarray(board.getChessboardCorners())[ids.ravel()]
+        # This detector, unlike the rest of OpenCV, counts from the first pixel's corner.
+        margin = (1 - marker_m / self.square_m) / 2
+        corners = _refine(grey, corners.reshape(-1, 2) - 0.5, margin)
+        return Sighting(points.astype(np.float32), corners)
+
+
+def _refine(grey: np.ndarray, corners: np.ndarray, share: float) -> np.ndarray:
+    """Corners (N, 2) moved to where the edges cross that lie around within a share of a square."""
+    apart = np.linalg.norm(corners[:, None] - corners, axis=-1)
+    near = apart[apart > 0].min()
+    # The wider, the less the noise, as long as no other edge comes in.
+    reach = int(np.clip(share * near, 2, 15))
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+    flat = np.ascontiguousarray(corners.reshape(-1, 1, 2), dtype=np.float32)
+    return cv2.cornerSubPix(grey, flat, (reach, reach), (-1, -1), until).reshape(-1, 2)
+
+
+def _first_square_is_light(grey: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether the square at the first inner corners is lighter than the one beside it."""
+
+    def middle(row: int, column: int) -> float:
+        x, y = corners[row : row + 2, column : column + 2].reshape(-1, 2).mean(axis=0)
+        return float(grey[round(y), round(x)])
+
+    # Squares between inner corners, averaged over the board: shadows do not decide then.
+    difference = np.mean(
+        [
+            middle(row, column) - middle(row, column + 1)
+            for row in range(0, len(corners) - 1, 2)
+            for column in range(0, len(corners[0]) - 2, 2)
+        ]
+    )
+    # Square (1, 1) of the board, the first between inner corners, is as dark as square (0, 0).
+    return bool(difference > 0)

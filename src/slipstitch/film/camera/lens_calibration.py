@@ -1,0 +1,291 @@
+"""From views of a board to a camera: lens, reprojection error, and position at the stage.
+
+The model is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole with two focal
+lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
+"""
+
+from dataclasses import asdict, dataclass, replace
+
+import cv2
+import numpy as np
+
+from slipstitch.base.errors import BadInput
+from slipstitch.film.camera.board import Board
+from slipstitch.film.camera.views import View
+from slipstitch.images.camera_file import DISTORTION
+
+FEWEST_VIEWS = 5
+# With less tilt, or an uncertainty (relative) above this, the views are too much alike.
+_LEAST_TILT_DEG = 10.0
+_FOCAL_UNCERTAINTY = 0.01
+# A view this many times worse than the median one is a mistaken sighting.
+_OUTLIER = 4.0
+_OUTLIER_PX = 0.5
+_FOLDS = 3
+_AS_GOOD = 1.001
+
+# From the stiffest lens model to the most flexible one.
+_MODELS = {
+    "k1 k2": cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3,
+    "k1 k2 p1 p2": cv2.CALIB_FIX_K3,
+    "k1 k2 p1 p2 k3": 0,
+}
+
+
+@dataclass(frozen=True)
+class FloorPlace:
+    """Position of the board on the floor: its first corner, its width's direction, its height."""
+
+    x_mm: float
+    y_mm: float
+    angle_deg: float
+    thickness_mm: float
+
+    def record(self) -> dict:
+        return asdict(self)
+
+    def on_stage(self, points_m: np.ndarray) -> np.ndarray:
+        """Points of the board (N, 3) in the stage's coordinates; the board's face looks up."""
+        angle = np.radians(self.angle_deg)
+        across = np.array([np.cos(angle), np.sin(angle), 0.0])
+        # Seen from above, y of the board is a quarter turn clockwise from its x.
+        down = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        origin = np.array([self.x_mm, self.y_mm, self.thickness_mm]) / 1e3
+        return origin + points_m[:, :1] * across + points_m[:, 1:2] * down
+
+
+@dataclass(frozen=True)
+class StagePose:
+    """The camera's place at the stage.
+
+    Attributes
+    ----------
+    rotation : ndarray (3, 3)
+        Stage to camera.
+    translation_m : ndarray (3,)
+    position_uncertainty_m : float
+        Standard deviation of the camera's place, from the scatter of the residuals.
+    rms_px : float
+    view : str
+    place : FloorPlace
+    """
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    position_uncertainty_m: float
+    rms_px: float
+    view: str
+    place: FloorPlace
+
+    def summary(self) -> str:
+        x, y, z = -self.rotation.T @ self.translation_m * 1e3
+        return (
+            f"; position ({x:.0f}, {y:.0f}, {z:.0f}) mm, "
+            f"to {1e3 * self.position_uncertainty_m:.1g} mm"
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A camera's lens and how well it explains the views.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width, height.
+    matrix : ndarray (3, 3)
+    distortion : ndarray (5,)
+        k1, k2, p1, p2, k3.
+    uncertainty : ndarray (9,)
+        Standard deviations of fx, fy, cx, cy and of the distortion.
+    model : str
+        Which distortion coefficients are not zero.
+    views : list of View
+        Those that were used.
+    residuals_px : list of ndarray (N, 2)
+        Found minus reprojected corners, view by view.
+    tilt_deg : float
+        Largest angle between the board's normals in two views.
+    left_out : dict
+        Name -> rms (px) of views that fitted no camera.
+    """
+
+    size_px: tuple[int, int]
+    matrix: np.ndarray
+    distortion: np.ndarray
+    uncertainty: np.ndarray
+    model: str
+    views: list[View]
+    residuals_px: list[np.ndarray]
+    tilt_deg: float
+    left_out: dict[str, float]
+
+    @property
+    def rms_px(self) -> float:
+        """Root of the mean squared distance between found and reprojected corners."""
+        return _rms(np.concatenate(self.residuals_px))
+
+    def summary(self) -> str:
+        """The result in one line."""
+        focal_x, focal_y = self.matrix[0, 0], self.matrix[1, 1]
+        return (
+            f"{len(self.views)} views, reprojection error {self.rms_px:.3f} px, focal length "
+            f"{focal_x:.1f} x {focal_y:.1f} px (to {self.uncertainty[:2].max():.2g} px), "
+            f"distortion {self.model}"
+        )
+
+    def stand(self, grey: np.ndarray, board: Board, place: FloorPlace, name: str) -> StagePose:
+        """Position of the camera, from one image of the board lying on the floor.
+
+        Raises
+        ------
+        BadInput
+            If the image has another size, or no board found in it.
+        """
+        if grey.shape[::-1] != self.size_px:
+            raise BadInput(
+                f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels; the other images have "
+                f"{self.size_px[0]}x{self.size_px[1]}"
+            )
+        seen = board.find(grey)
+        if seen is None:
+            raise BadInput(f"{name}: no board found in it")
+        points = place.on_stage(seen.points_m.astype(np.float64))
+        lens = (self.matrix, self.distortion)
+        corners = seen.corners_px.astype(np.float64)
+        _, rvec, tvec = cv2.solvePnP(points, corners, *lens, flags=cv2.SOLVEPNP_ITERATIVE)
+        projected, jacobian = cv2.projectPoints(points, rvec, tvec, *lens)
+        residuals = corners - projected.reshape(-1, 2)
+        rotation, translation = cv2.Rodrigues(rvec)[0], tvec.ravel()
+        if (-rotation.T @ translation)[2] <= 0:
+            raise BadInput(f"{name}: the camera would be below the floor; is the image mirrored?")
+        variance = (residuals**2).sum() / (residuals.size - 6)
+        covariance = variance * np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
+        moved = _place_derivative(rvec, tvec)
+        spread = moved @ covariance @ moved.T
+        return StagePose(
+            rotation, translation, float(np.sqrt(np.trace(spread))), _rms(residuals), name, place
+        )
+
+
+def _rms(residuals_px: np.ndarray) -> float:
+    return float(np.sqrt((residuals_px**2).sum(axis=1).mean()))
+
+
+def _place_derivative(rvec: np.ndarray, tvec: np.ndarray) -> np.ndarray:
+    """Derivatives (3, 6) of the camera's place with respect to rotation vector and translation."""
+    rotation, turn = cv2.Rodrigues(rvec)
+    # OpenCV gives the derivative of the nine entries of R, row by row.
+    by_entry = turn.reshape(3, 3, 3)
+    by_turn = -np.einsum("kij,il->jk", by_entry, tvec)
+    return np.hstack([by_turn, -rotation.T])
+
+
+def calibrate(views: list[View]) -> Calibration:
+    """The camera that saw these views.
+
+    Of three lens models the simplest is taken that predicts views it was not fitted to within 0.1 %
+    of the best one, so that a coefficient that the views do not ask for stays zero. Views that fit
+    four times worse than the median one are left out.
+
+    Raises
+    ------
+    BadInput
+        With fewer than five views, or views so much alike that the focal length stays open.
+    """
+    _need(views, {})
+    best = _fit(views, _simplest(views))
+    errors = np.array([_rms(residuals) for residuals in best.residuals_px])
+    bad = errors > max(_OUTLIER * np.median(errors), _OUTLIER_PX)
+    left_out = {views[k].name: float(errors[k]) for k in np.flatnonzero(bad)}
+    if left_out:
+        kept = [view for view in views if view.name not in left_out]
+        _need(kept, left_out)
+        best = replace(_fit(kept, _simplest(kept)), left_out=left_out)
+    relative = best.uncertainty[:2] / np.diag(best.matrix)[:2]
+    if best.tilt_deg < _LEAST_TILT_DEG or not (relative < _FOCAL_UNCERTAINTY).all():
+        raise BadInput(
+            f"the {len(best.views)} views are too similar to determine the focal length: the "
+            f"board rotates by only {best.tilt_deg:.0f} degrees between them; tilt it more, in "
+            "both directions"
+        )
+    return best
+
+
+def _need(views: list[View], left_out: dict[str, float]) -> None:
+    if len(views) < FEWEST_VIEWS:
+        mistaken = f" (excluded as outliers: {', '.join(left_out)})" if left_out else ""
+        raise BadInput(
+            f"the board was found in only {len(views)} usable view(s); at least {FEWEST_VIEWS} "
+            f"are required, from different directions{mistaken}"
+        )
+
+
+def _simplest(views: list[View]) -> str:
+    """The simplest lens model that predicts unseen views about as well as any."""
+    everything = set(range(len(views)))
+    errors = {}
+    for name in _MODELS:
+        squares, count = 0.0, 0
+        for fold in range(_FOLDS):
+            unseen = set(range(fold, len(views), _FOLDS))
+            camera = _fit([views[k] for k in sorted(everything - unseen)], name)
+            for k in unseen:
+                points, corners = views[k].sighting.points_m, views[k].sighting.corners_px
+                lens = (camera.matrix, camera.distortion)
+                _, rvec, tvec = cv2.solvePnP(points, corners, *lens)
+                seen = cv2.projectPoints(points, rvec, tvec, *lens)[0].reshape(-1, 2)
+                squares, count = squares + ((corners - seen) ** 2).sum(), count + len(points)
+        errors[name] = np.sqrt(squares / count)
+    return next(name for name in _MODELS if errors[name] <= _AS_GOOD * min(errors.values()))
+
+
+def _fit(views: list[View], model: str) -> Calibration:
+    """The camera with one lens model."""
+    size = views[0].size_px
+    points = [view.sighting.points_m for view in views]
+    corners = [view.sighting.corners_px for view in views]
+    _, matrix, distortion, rvecs, tvecs, spread, _, _ = cv2.calibrateCameraExtended(
+        points, corners, size, None, None, flags=_MODELS[model]
+    )
+    residuals = [
+        seen - cv2.projectPoints(on_board, rvec, tvec, matrix, distortion)[0].reshape(-1, 2)
+        for on_board, seen, rvec, tvec in zip(points, corners, rvecs, tvecs, strict=True)
+    ]
+    normals = np.array([cv2.Rodrigues(rvec)[0][:, 2] for rvec in rvecs])
+    tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min()))
+    coefficients, uncertainty = distortion.ravel()[:5], spread.ravel()[:9]
+    return Calibration(
+        size, matrix, coefficients, uncertainty, model, views, residuals, float(tilt), {}
+    )
+
+
+def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> dict:
+    """The content for `slipstitch.images.camera_file.write_camera_file`."""
+    per_view = {
+        view.name: _rms(residuals)
+        for view, residuals in zip(result.views, result.residuals_px, strict=True)
+    }
+    matrix, spread = result.matrix, result.uncertainty
+    return {
+        "image_size_px": list(result.size_px),
+        "focal_px": [matrix[0, 0], matrix[1, 1]],
+        "principal_point_px": [matrix[0, 2], matrix[1, 2]],
+        "distortion": dict(zip(DISTORTION, result.distortion, strict=True)),
+        "rotation": stage and stage.rotation.tolist(),
+        "translation_m": stage and stage.translation_m.tolist(),
+        "uncertainty": {
+            "focal_px": spread[:2].tolist(),
+            "principal_point_px": spread[2:4].tolist(),
+            "distortion": spread[4:].tolist(),
+            "position_m": stage and stage.position_uncertainty_m,
+        },
+        "reprojection_error_px": {
+            "rms": result.rms_px,
+            "views": per_view,
+            "stage_view": stage and stage.rms_px,
+        },
+        "views_left_out": result.left_out,
+        "board": board.record(),
+        "board_on_floor": stage and stage.place.record(),
+    }

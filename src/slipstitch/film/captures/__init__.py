@@ -1,0 +1,1 @@
+"""Scores of the networks on captured films."""

@@ -1,0 +1,135 @@
+"""The page of the captures: tables and cumulative error, compared with the paper's real videos."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from slipstitch.base.page.figures import new_figure, png_uri, styled, svg_uri
+from slipstitch.base.page.palette import INK, SERIES
+from slipstitch.base.page.templates import render
+from slipstitch.base.page.wording import evenly, number, seeds_in_words
+from slipstitch.dataset.images import read_frames
+from slipstitch.film.captures.scores import Predictions, pair_medians, subsets, what_they_are
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.cumulative import draw_cumulative
+from slipstitch.learning.evaluation.metrics import CAPTURES, metrics_of
+
+_TEMPLATE = Path(__file__).with_name("captures.html.j2")
+_DASHES = {"all": "-", "matte": "--", "reflective": ":"}
+_FRAMES_SHOWN = 10
+
+
+def captures_page(
+    dataset: Path,
+    known: Sequence[Mapping[str, Any]],
+    found: Sequence[Predictions],
+    metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
+    step: float,
+) -> str:
+    """The page as HTML; it needs no other file.
+
+    Parameters
+    ----------
+    dataset : path
+        Of the captures, for their pictures.
+    known, found, metrics
+        See `slipstitch.film.captures.evaluation`.
+    step : float
+        Of the grid of friction.
+    """
+    whole = np.ones(len(known), bool)
+    columns = metrics_of(CAPTURES)
+    return render(
+        _TEMPLATE,
+        first_line=what_they_are(known),
+        metrics=metrics,
+        columns=columns,
+        paper=paper,
+        paper_cells={
+            subset: paper.captures_cells(subset, [metric.name for metric in columns])
+            for subset in paper.CAPTURES
+        },
+        seeds_in_words=seeds_in_words,
+        plot=svg_uri(_cumulative(known, found, step)),
+        models=[
+            {
+                "label": f"{predictions.label}, seed {predictions.seed}".replace("_", " "),
+                "rows": pair_medians(known, predictions, whole, step),
+            }
+            for predictions in _first_by(found, lambda one: one.label)
+        ],
+        strips=[_strip(dataset, row) for row in _first_by(known, lambda row: row["pair"])],
+        captures=len(known),
+        pairs=len({row["pair"] for row in known}),
+        notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
+    )
+
+
+def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
+    """The first item of every value of a key."""
+    first: dict[str, Any] = {}
+    for item in items:
+        first.setdefault(key(item), item)
+    return list(first.values())
+
+
+@styled
+def _cumulative(known, found: Sequence[Predictions], step: float) -> Figure:
+    """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
+    figure = new_figure(7.6, 3.6)
+    axes = figure.subplots()
+    groups: dict[str, list[Predictions]] = {}
+    for predictions in found:
+        groups.setdefault(predictions.label, []).append(predictions)
+    off = {
+        label: {
+            name: np.array(
+                [
+                    pair["error"]
+                    for seed in members
+                    for pair in pair_medians(known, seed, chosen, step)
+                ]
+            )
+            for name, chosen in subsets(known).items()
+        }
+        for label, members in groups.items()
+    }
+    largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
+    for colour, (label, of_label) in zip(SERIES, off.items(), strict=False):
+        for name, errors in of_label.items():
+            kind = name.split("_")[1]
+            draw_cumulative(
+                axes,
+                errors,
+                largest,
+                color=colour,
+                linestyle=_DASHES[kind],
+                label=label.replace("_", " ") if kind == "all" else None,
+                linewidth=1.8 if kind == "all" else 1.1,
+            )
+    axes.set(xlim=(0, largest), ylim=(0, 1.02))
+    axes.set_xlabel("distance of a pair’s median µ from the reference interval")
+    axes.set_ylabel("share of pairs")
+    colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
+    kinds = [name.split("_")[1] for name in subsets(known)]
+    if len(kinds) > 1:  # two short legends for a long one: colours, dashes
+        lines = [Line2D([], [], color=INK, ls=_DASHES[kind], label=kind) for kind in kinds]
+        axes.add_artist(colours)
+        axes.legend(handles=lines, fontsize=7.5, frameon=False, loc="center right")
+    return figure
+
+
+def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Some frames of a capture as the networks see them."""
+    file = dataset / f"{row['video'].rsplit('_', 2)[0]}.parquet"
+    images = [png for _, _, png in read_frames(file)]
+    reference = number(row["mu_ref"], row["mu_ref_error"])
+    mirrors = ", reflective" if row["reflective"] else ""
+    return {
+        "title": f"{row['material']} on {row['substrate']}, µ = {reference}{mirrors}",
+        "images": [png_uri(image) for image in evenly(images, _FRAMES_SHOWN)],
+    }

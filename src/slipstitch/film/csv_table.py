@@ -1,0 +1,197 @@
+"""CSV tables filled in by users: every cell is checked, errors are reported in one line."""
+
+import csv
+import difflib
+import io
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.page.wording import shortened
+
+_LARGEST_BYTES = 20_000_000
+_LONGEST_NAME = 80
+#: What a spreadsheet takes for a formula when it opens the file.
+FORMULA = ("=", "+", "@", "\t", "\r")
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table.
+
+    Attributes
+    ----------
+    name : str
+    read : callable
+        A cell's text -> its value; raises ValueError saying what is allowed.
+    needed : bool
+        Whether the table must have it.
+    may_be_empty : bool
+        Whether single cells may be empty: their value is None.
+    """
+
+    name: str
+    read: Callable[[str], Any]
+    needed: bool = True
+    may_be_empty: bool = False
+
+
+def name(cell: str) -> str:
+    """A name: printable, not long."""
+    if len(cell) > _LONGEST_NAME or not cell.isprintable():
+        raise ValueError(f"must be a printable name of at most {_LONGEST_NAME} characters")
+    return cell
+
+
+def number(
+    low: float = -math.inf, high: float = math.inf, open_ends: bool = False
+) -> Callable[[str], float]:
+    """Reader of numbers between two bounds, which belong to the range unless `open_ends`."""
+    if math.isfinite(high):
+        allowed = f"must be a number {'above' if open_ends else 'from'} {low:g} "
+        allowed += f"{'and below' if open_ends else 'to'} {high:g}"
+    else:
+        allowed = f"must be a number {'above' if open_ends else 'of at least'} {low:g}"
+
+    def read(cell: str) -> float:
+        try:
+            value = float(cell)
+        except ValueError:
+            raise ValueError(allowed) from None
+        inside = low < value < high if open_ends else low <= value <= high
+        if not (math.isfinite(value) and inside):
+            raise ValueError(allowed)
+        return value
+
+    return read
+
+
+def whole_number(high: int) -> Callable[[str], int]:
+    """Reader of whole numbers from 0 to `high`."""
+
+    def read(cell: str) -> int:
+        if not (cell.isascii() and cell.isdigit() and len(cell) < 10 and int(cell) <= high):
+            raise ValueError(f"must be a whole number from 0 to {high}")
+        return int(cell)
+
+    return read
+
+
+def yes_or_no(cell: str) -> bool:
+    """yes or no."""
+    if cell.lower() not in ("yes", "no"):
+        raise ValueError("must be yes or no")
+    return cell.lower() == "yes"
+
+
+def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
+    """Reader of names of files in a folder, or below; no path leads out of it."""
+
+    def read(cell: str) -> Path:
+        path = Path(cell)
+        if path.is_absolute() or ".." in path.parts or not cell.isprintable():
+            raise ValueError(f"must be a path below {folder}, without ..")
+        whole = Path(folder) / path
+        if not whole.is_file():
+            raise ValueError(f"no such file below {folder}")
+        if not whole.resolve().is_relative_to(Path(folder).resolve()):
+            raise ValueError(f"must not be a link to outside {folder}")
+        return whole
+
+    return read
+
+
+def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
+    """Rows of a CSV file (UTF-8, commas, a line of column names first).
+
+    Parameters
+    ----------
+    path : path
+    columns : sequence of TableColumn
+        All that it may have.
+
+    Returns
+    -------
+    list of dict
+        Column -> value; ``line`` is the row's number in the file. A column that is not there is
+        None in all rows.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, not CSV, lacks a column or has another, or a cell cannot be read or
+        begins like a formula.
+    """
+    header, rows = cells_of(path)
+    known = {column.name: column for column in columns}
+    for cell in header:
+        if cell not in known:
+            close = difflib.get_close_matches(cell, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
+            raise BadInput(f"{path}: unknown column {cell[:40]!r}; {hint}")
+        if header.count(cell) > 1:
+            raise BadInput(f"{path}: column {cell!r} is duplicated")
+    for column in columns:
+        if column.needed and column.name not in header:
+            raise BadInput(
+                f"{path}: no column {column.name!r}; required: "
+                f"{', '.join(known.name for known in columns if known.needed)}"
+            )
+    read = []
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise BadInput(f"{path} line {line}: {len(cells)} cells, the header has {len(header)}")
+        row: dict[str, Any] = dict.fromkeys(known)
+        for title, cell in zip(header, cells, strict=True):
+            row[title] = _value(known[title], cell.strip(" "), f"{path} line {line}, {title}")
+        read.append({"line": line, **row})
+    if not read:
+        raise BadInput(f"{path}: contains no rows")
+    return read
+
+
+def cells_of(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The header and the rows that are not empty, with their line numbers.
+
+    Raises
+    ------
+    BadInput
+        If the file is no table.
+    """
+    try:
+        if Path(path).stat().st_size > _LARGEST_BYTES:
+            raise BadInput(f"{path}: larger than {_LARGEST_BYTES / 1e6:g} MB")
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path}: not a text file in UTF-8") from None
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows = []
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((reader.line_num, cells))
+    except csv.Error as error:
+        raise BadInput(f"{path} line {reader.line_num}: not CSV: {error}") from None
+    if not rows:
+        raise BadInput(f"{path}: empty; must begin with a line of column names")
+    return [cell.strip() for cell in rows[0][1]], rows[1:]
+
+
+def _value(column: TableColumn, cell: str, where: str) -> Any:
+    if not cell:
+        if column.may_be_empty:
+            return None
+        raise BadInput(f"{where}: empty")
+    shown = shortened(cell, 60)
+    if cell.startswith(FORMULA):
+        raise BadInput(f"{where}: {shown!r} looks like a formula; must be a plain value")
+    try:
+        return column.read(cell)
+    except ValueError as problem:
+        raise BadInput(f"{where}: {shown!r}; {problem}") from None

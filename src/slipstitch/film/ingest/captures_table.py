@@ -1,0 +1,193 @@
+"""The table of captures: content and reference friction of each video."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest
+from slipstitch.film.csv_table import (
+    TableColumn,
+    cells_of,
+    file_below,
+    name,
+    number,
+    read_table,
+    whole_number,
+    yes_or_no,
+)
+
+LARGEST_FRICTION = 10.0
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One video of one pair of fabric and substrate.
+
+    Attributes
+    ----------
+    id : str
+        ``c00_r01``: the pair's number in the table and the repeat.
+    video, camera : path
+    material, substrate : str
+    repeat : int
+    mu_ref, mu_ref_error : float
+        Friction measured by other means, and half the width of its interval.
+    reflective : bool
+        Whether the substrate is reflective.
+    start_s : float, optional
+        Time in the video at which the stage starts; found in the frames if None.
+    frame_rate_hz : float, optional
+        Of the camera, where the file's own times are wrong; None: those are taken.
+    surrogate : bool
+        True for simulated videos, which are never called real.
+    """
+
+    id: str
+    video: Path
+    camera: Path
+    material: str
+    substrate: str
+    repeat: int
+    mu_ref: float
+    mu_ref_error: float
+    reflective: bool
+    start_s: float | None = None
+    frame_rate_hz: float | None = None
+    surrogate: bool = False
+
+    @property
+    def pair(self) -> str:
+        """Id of the pair."""
+        return self.id.split("_")[0]
+
+
+def read_references(path: str | os.PathLike) -> dict[tuple[str, str], tuple[float, float]]:
+    """(material, substrate) -> (mu, error) of what `slipstitch capture reference` wrote as CSV."""
+    friction = number(0, LARGEST_FRICTION)
+    columns = [TableColumn("material", name), TableColumn("substrate", name)]
+    columns += [TableColumn("mu", friction), TableColumn("error", friction)]
+    others = ("standard_error", "position_sd", "bench_error", "positions", "orientations",
+              "measurements", "position_p", "orientation_p")  # fmt: skip
+    columns += [TableColumn(title, number(), needed=False, may_be_empty=True) for title in others]
+    found = {}
+    for row in read_table(path, columns):
+        key = (row["material"], row["substrate"])
+        if key in found:
+            raise BadInput(f"{path} line {row['line']}: {_words(key)} is duplicated")
+        found[key] = (row["mu"], row["error"])
+    return found
+
+
+def read_captures(
+    path: str | os.PathLike, reference: str | os.PathLike | None = None
+) -> list[Capture]:
+    """The captures of a table, in its order.
+
+    Parameters
+    ----------
+    path : path
+        CSV; paths in it are relative to its folder and stay below it.
+    reference : path, optional
+        What `slipstitch capture reference` wrote; fills empty cells of mu_ref and its error.
+
+    Raises
+    ------
+    BadInput
+        If a cell is wrong, a file is missing, a repeat or a video is duplicated, or the rows of a
+        pair contradict one another.
+    """
+    below = file_below(Path(path).parent)
+    friction = number(0, LARGEST_FRICTION)
+    rows = read_table(
+        path,
+        [
+            TableColumn("video", below),
+            TableColumn("material", name),
+            TableColumn("substrate", name),
+            TableColumn("repeat", whole_number(99)),
+            TableColumn("mu_ref", friction, may_be_empty=reference is not None),
+            TableColumn("mu_ref_error", friction, may_be_empty=reference is not None),
+            TableColumn("reflective", yes_or_no),
+            TableColumn("camera", below),
+            TableColumn("start_s", number(0, 86400), needed=False, may_be_empty=True),
+            TableColumn("frame_rate_hz", number(0, 1000, open_ends=True), False, True),
+            TableColumn("surrogate", yes_or_no, needed=False),
+        ],
+    )
+    known = read_references(reference) if reference else {}
+    pairs: dict[tuple[str, str], str] = {}
+    captures: list[Capture] = []
+    for row in rows:
+        key = (row["material"], row["substrate"])
+        _fill(row, key, known, path, reference)
+        pair = pairs.setdefault(key, f"c{len(pairs):02d}")
+        fields = {title: row[title] for title in row if title != "line"}
+        fields["surrogate"] = bool(fields["surrogate"])
+        captures.append(Capture(id=f"{pair}_r{row['repeat']:02d}", **fields))
+    _check_no_duplicates(path, rows, captures)
+    _check_pairs_agree(path, rows, captures)
+    if len({capture.surrogate for capture in captures}) > 1:
+        raise BadInput(f"{path}: must not mix surrogate and real captures")
+    return captures
+
+
+def files_named(path: str | os.PathLike) -> list[str]:
+    """Videos and camera files of a table that are there; what is wrong, `read_captures` says."""
+    try:
+        header, rows = cells_of(path)
+    except BadInput:
+        return []
+    cells = {
+        cell.strip()
+        for _, row in rows
+        for title, cell in zip(header, row, strict=False)
+        if title in ("video", "camera")
+    }
+    named = {str(Path(path).parent / cell) for cell in cells}
+    return sorted(file for file in named if os.path.isfile(file))
+
+
+def _words(key: tuple[str, str]) -> str:
+    return f"{key[0]} on {key[1]}"
+
+
+def _fill(row: dict[str, Any], key, known, path, reference) -> None:
+    if (row["mu_ref"] is None) != (row["mu_ref_error"] is None):
+        raise BadInput(f"{path} line {row['line']}: mu_ref and mu_ref_error must be given together")
+    if row["mu_ref"] is None:
+        if key not in known:
+            raise BadInput(
+                f"{path} line {row['line']}, mu_ref: empty, and {reference} has no {_words(key)}"
+            )
+        row["mu_ref"], row["mu_ref_error"] = known[key]
+
+
+def _check_no_duplicates(path, rows, captures: list[Capture]) -> None:
+    lines: dict[str, int] = {}
+    digests: dict[str, int] = {}
+    for row, capture in zip(rows, captures, strict=True):
+        if capture.id in lines:
+            raise BadInput(
+                f"{path} line {row['line']}: repeat {capture.repeat} of {capture.material} on "
+                f"{capture.substrate} duplicates line {lines[capture.id]}"
+            )
+        digest = file_digest(capture.video)
+        if digest in digests:
+            raise BadInput(
+                f"{path} line {row['line']}, video: the same content as in line {digests[digest]}"
+            )
+        lines[capture.id] = digests[digest] = row["line"]
+
+
+def _check_pairs_agree(path, rows, captures: list[Capture]) -> None:
+    first: dict[str, tuple[int, tuple]] = {}
+    for row, capture in zip(rows, captures, strict=True):
+        reference = (capture.mu_ref, capture.mu_ref_error, capture.reflective)
+        line, before = first.setdefault(capture.pair, (row["line"], reference))
+        if reference != before:
+            raise BadInput(
+                f"{path} line {row['line']}: {capture.material} on {capture.substrate} differs "
+                f"in mu_ref, mu_ref_error or reflective from line {line}"
+            )

@@ -1,0 +1,203 @@
+"""Captures as a dataset: the same files as for simulated videos, and the data on each video."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import provenance_record, read_parquet, start_clock, write_parquet
+from slipstitch.config import Config
+from slipstitch.dataset.images import pixels_digest, write_frames
+from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
+from slipstitch.design.grid import material_id
+from slipstitch.film.ingest.captures_table import Capture, read_captures
+from slipstitch.film.schedule import Schedule
+from slipstitch.film.videos import StageVideo, read_stage_video
+from slipstitch.images.camera_file import read_camera_file
+from slipstitch.images.encoding import encode_png
+from slipstitch.physics.fabric import fabric_names
+
+CAPTURES = "captures.parquet"
+CAPTURES_SCHEMA = pa.schema(
+    [
+        ("video", pa.string()),
+        ("pair", pa.string()),
+        ("material", pa.string()),
+        ("substrate", pa.string()),
+        ("repeat", pa.int32()),
+        ("mu_ref", pa.float64()),
+        ("mu_ref_error", pa.float64()),
+        ("reflective", pa.bool_()),
+        ("surrogate", pa.bool_()),
+        ("start_s", pa.float64()),
+        ("start_found", pa.bool_()),
+        ("start_residual_m", pa.float64()),
+        ("stage_speed", pa.float64()),
+        ("frame_interval_s", pa.float64()),
+        ("longest_gap_s", pa.float64()),
+        ("view_angle_deg", pa.float64()),
+        ("notes", pa.string()),
+        ("dataset_digest", pa.string()),
+    ]
+)
+# No texture and no viewpoint of the catalogue: both are the bench's own.
+_TEXTURE, _VIEW = "t00", "v00"
+
+
+def ingest(
+    config: Config,
+    table: str | os.PathLike,
+    out_dir: str | os.PathLike,
+    reference: str | os.PathLike | None = None,
+    progress=iter,
+) -> list[dict[str, Any]]:
+    """Bring the videos of a captures table into a dataset.
+
+    Parameters
+    ----------
+    config : Config
+        Of the dataset that the networks were trained on: frames, pixels, crop, viewpoint.
+    table, reference : path
+        See `slipstitch.film.ingest.captures_table.read_captures`.
+    out_dir : path
+        ``{capture}.parquet``, ``manifest.parquet`` as `slipstitch sample` writes them, and
+        ``captures.parquet``.
+    progress : callable
+        Wraps the list of captures.
+
+    Returns
+    -------
+    list of dict
+        Rows of ``captures.parquet``.
+
+    Raises
+    ------
+    BadInput
+        If the table, a camera file or a video cannot be used.
+    """
+    started = start_clock()
+    captures = read_captures(table, reference)
+    schedule = Schedule.of(config.simulation, config.render, config.sample)
+    lenses = {path: read_camera_file(path) for path in {capture.camera for capture in captures}}
+    manifest, known = [], []
+    for capture in progress(captures):
+        video = read_stage_video(
+            capture.video,
+            lenses[capture.camera],
+            schedule,
+            start_s=capture.start_s,
+            frame_rate_hz=capture.frame_rate_hz,
+        )
+        manifest.append(_write_video(config, capture, video, schedule, Path(out_dir)))
+        known.append(_known(capture, video))
+    digest = dataset_digest(manifest)
+    inputs = [table, *filter(None, [reference]), *lenses, *(capture.video for capture in captures)]
+    record = _record(config, inputs, started)
+    write_manifest(manifest, out_dir, record)
+    rows = [{**row, "dataset_digest": digest} for row in known]
+    table_of = pa.Table.from_pylist(rows, schema=CAPTURES_SCHEMA)
+    write_parquet(table_of, Path(out_dir) / CAPTURES, {}, record)
+    return rows
+
+
+def _record(config: Config, inputs: Sequence, started) -> dict[str, Any]:
+    keys = config.model_dump(mode="json", include={"simulation", "render", "sample"})
+    return provenance_record("capture", inputs=inputs, config=keys, started=started)
+
+
+def _write_video(
+    config: Config, capture: Capture, video: StageVideo, schedule: Schedule, out_dir: Path
+) -> dict[str, Any]:
+    """Write one capture's frames; return its row of the manifest."""
+    started = start_clock()
+    name = f"{capture.id}_{_TEXTURE}_{_VIEW}"
+    same = {
+        "video": name,
+        "simulation": capture.id,
+        "texture": _TEXTURE,
+        "viewpoint": _VIEW,
+        "material": capture.material,
+        "friction": capture.mu_ref,
+    }
+    images = [
+        {
+            **same,
+            "position": k,
+            "frame": int(schedule.frame[k]),
+            "time_s": float(video.time_s[k]),
+            "stage_x_m": float(video.stage_x_m[k]),
+            "image": {"bytes": encode_png(image), "path": f"{name}_{schedule.frame[k]:04d}.png"},
+        }
+        for k, image in enumerate(video.frames)
+    ]
+    file = f"{capture.id}.parquet"
+    write_frames(images, out_dir / file, _record(config, [capture.video, capture.camera], started))
+    known = capture.material in fabric_names()
+    return {
+        "video": name,
+        "simulation": capture.id,
+        "material_id": material_id(capture.material) if known else "other",
+        "friction_id": capture.pair,
+        "replicate_id": f"r{capture.repeat:02d}",
+        "texture_id": _TEXTURE,
+        "viewpoint_id": _VIEW,
+        "material": capture.material,
+        "friction": capture.mu_ref,
+        "texture": "its own",
+        "viewpoint": "calibrated",
+        "material_role": "test",
+        "friction_role": "test",
+        "texture_role": "test",
+        "viewpoint_role": "test",
+        "floor_role": "test",
+        "viewpoint_turn_deg": 0.0,
+        **{f"pose_{name}": value for name, value in video.pose.items()},
+        "floor": capture.substrate,
+        "floor_reflectance": None,
+        "floor_roughness": None,
+        "interpolated": False,
+        "split_by_video": "test",
+        "split_by_simulation": "test",
+        "frames": len(images),
+        "pixels": schedule.pixels,
+        "pixels_sha256": pixels_digest(video.frames),
+        "file": file,
+    }
+
+
+def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
+    return {
+        "video": f"{capture.id}_{_TEXTURE}_{_VIEW}",
+        "pair": capture.pair,
+        "material": capture.material,
+        "substrate": capture.substrate,
+        "repeat": capture.repeat,
+        "mu_ref": capture.mu_ref,
+        "mu_ref_error": capture.mu_ref_error,
+        "reflective": capture.reflective,
+        "surrogate": capture.surrogate,
+        "start_s": video.start.time_s,
+        "start_found": video.start.found,
+        "start_residual_m": video.start.residual_m,
+        "stage_speed": video.time_base and video.time_base.rate,
+        "frame_interval_s": video.frame_interval_s,
+        "longest_gap_s": video.longest_gap_s,
+        "view_angle_deg": video.view_angle_deg,
+        "notes": "; ".join(video.notes),
+    }
+
+
+def read_known(dataset: str | os.PathLike) -> list[dict[str, Any]]:
+    """Rows of ``captures.parquet``, by video; BadInput if they are of another dataset."""
+    path = Path(dataset) / CAPTURES
+    rows = read_parquet(path, CAPTURES_SCHEMA.names).to_pylist()
+    manifest, digest = read_manifest(dataset)
+    videos = sorted(row["video"] for row in manifest)
+    if sorted(row["video"] for row in rows) != videos or {
+        row["dataset_digest"] for row in rows
+    } != {digest}:
+        raise BadInput(f"{path}: does not belong to the dataset in the same folder")
+    return sorted(rows, key=lambda row: row["video"])

@@ -1,0 +1,333 @@
+"""Measurement of videos: results of the instrument and its input frames."""
+
+import math
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from slipstitch.base.errors import BadInput, Damaged
+from slipstitch.base.provenance import file_digest
+from slipstitch.config import load_config
+from slipstitch.config.train import REFLECTIVE
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.stage_path import StagePath
+from slipstitch.film.measure import SHIPPED
+from slipstitch.film.schedule import Schedule
+from slipstitch.film.videos import StageVideo, problem_of_view, read_stage_video, seen_shares
+from slipstitch.images.bench_camera import relative_pose
+from slipstitch.images.camera_file import LensCamera, read_camera_file
+from slipstitch.images.pose import POSE
+from slipstitch.learning.instrument import Instrument, Measurement, load_instrument
+from slipstitch.learning.instrument.distribution import quantiles
+from slipstitch.learning.instrument.poses import just_beyond, outside
+
+# Within one standard deviation, were the distribution normal.
+_STANDARD_SHARE = 0.6827
+_OUTSIDE = "the pose of the camera is outside the training range of the instrument"
+
+
+@dataclass(frozen=True)
+class MeasuredVideo:
+    """A measurement with the frames that it rests on.
+
+    Attributes
+    ----------
+    name : str
+        Of the video file.
+    video : StageVideo
+    measurement : Measurement
+    uncertainty : float
+        Half the width of the middle 68 % of the distribution, stretched as its interval is.
+    instrument : str
+        What identifies the instrument: the digest of its weights, if its card has one.
+    stage_path : StagePath
+        As the instrument's configuration has it.
+    without_error_bar : str
+        Why the interval is the whole grid; empty where it is not.
+    caveats : tuple of str
+        What an error bar of the instrument does not cover.
+    outside : tuple of str
+        Where the camera's pose is outside the training range, in words.
+    floors : tuple of str
+        Floors of the training.
+    pose_range : dict, optional
+        Least and largest of each number of the training poses.
+    points_px : ndarray, shape (frames, points, 2), optional
+        Where the instrument sees points of the cloth in the frames, if it learnt to.
+    """
+
+    name: str
+    video: StageVideo
+    measurement: Measurement
+    uncertainty: float
+    instrument: str
+    stage_path: StagePath
+    without_error_bar: str = ""
+    caveats: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
+    floors: tuple[str, ...] = ()
+    pose_range: dict[str, list[float]] | None = None
+    points_px: np.ndarray | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be known of the video and of the instrument."""
+        return [*self.video.notes, *self.caveats]
+
+    @property
+    def alarm_reason(self) -> str:
+        """Why the numbers are not reliable: the images, the camera's pose; empty without alarm."""
+        pose = f"{_OUTSIDE}: {'; '.join(self.outside)}" if self.outside else ""
+        return "; ".join(filter(None, (self.measurement.alarm_reason, pose)))
+
+    @property
+    def fabric(self) -> tuple[str, float]:
+        """The likeliest fabric and its probability."""
+        return max(self.measurement.material_probabilities.items(), key=lambda item: item[1])
+
+    def lines(self) -> list[str]:
+        """The result for a terminal."""
+        measured = self.measurement
+        low, high = measured.interval_90
+        fabric, share = self.fabric
+        error_bar = f" ± {self.uncertainty:.3f}, 90 % interval {low:.3f} ... {high:.3f}"
+        lines = [
+            f"friction {measured.friction_coefficient:.3f}"
+            + (f", {self.without_error_bar}" if self.without_error_bar else error_bar),
+            f"most similar fabric {fabric} ({100 * share:.0f} %)",
+        ]
+        lines += [f"note: {note}" for note in self.notes]
+        if self.alarm_reason:
+            lines.append(f"ALARM: {self.alarm_reason}: these numbers are not reliable")
+        else:
+            lines.append("no alarm")
+        return lines
+
+    def numbers(self) -> dict[str, Any]:
+        """The result for a program."""
+        measured, video = self.measurement, self.video
+        return {
+            "video": self.name,
+            "friction_coefficient": measured.friction_coefficient,
+            "uncertainty": None if self.without_error_bar else self.uncertainty,
+            "interval_90": list(map(float, measured.interval_90)),
+            "distribution": [np.asarray(part).tolist() for part in measured.distribution],
+            "material_probabilities": measured.material_probabilities,
+            "alarm": bool(self.alarm_reason),
+            "alarm_reason": self.alarm_reason,
+            "alarm_of_images": bool(measured.alarm),
+            "frame_time_s": video.time_s.tolist(),
+            "moments": np.asarray(measured.attention_weights).tolist(),
+            "stage_start_s": video.start.time_s,
+            "stage_start_found": video.start.found,
+            "stage_speed": video.time_base and video.time_base.rate,
+            "stage_speed_sd": video.time_base and video.time_base.rate_sd,
+            "without_error_bar": self.without_error_bar,
+            "notes": self.notes,
+            "instrument": self.instrument,
+        }
+
+
+@dataclass(frozen=True)
+class MeasuringBench:
+    """An instrument behind a camera: what all videos of one place share.
+
+    Attributes
+    ----------
+    lens : LensCamera
+    instrument : Instrument
+    config_path : path
+        The configuration that told which frames to take.
+    schedule : Schedule
+    floors : tuple of str
+        Floors of the training.
+    """
+
+    lens: LensCamera
+    instrument: Instrument
+    config_path: Path
+    schedule: Schedule
+    floors: tuple[str, ...]
+
+    @property
+    def pose_range(self) -> dict[str, list[float]] | None:
+        """Least and largest of each number of the training poses, if the instrument knows them."""
+        return self.instrument.card.get("pose_range")
+
+    @property
+    def pose(self) -> dict[str, float]:
+        """Pose of the camera relative to the calibrated viewpoint."""
+        return relative_pose(*self.lens.pose, self.schedule.pose)
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Where the camera's pose is outside the training range, in words."""
+        return tuple(outside(self.pose, self.pose_range)) if self.pose_range else ()
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """What an error bar does not cover here."""
+        beyond = just_beyond(self.pose, self.pose_range) if self.pose_range else ""
+        return (*self.instrument.caveats, *filter(None, [beyond]))
+
+    def measure(
+        self,
+        path: str | os.PathLike,
+        *,
+        start_s: float | None = None,
+        frame_rate_hz: float | None = None,
+    ) -> MeasuredVideo:
+        """Measure one video.
+
+        Parameters
+        ----------
+        path : path
+        start_s, frame_rate_hz : float, optional
+            See `slipstitch.film.videos.read_stage_video`.
+
+        Raises
+        ------
+        BadInput
+            If the video cannot be used, or does not show the protocol.
+        """
+        video = read_stage_video(
+            path,
+            self.lens,
+            self.schedule,
+            start_s=start_s,
+            frame_rate_hz=frame_rate_hz,
+            note_far_view=self.pose_range is None,
+        )
+        pose = np.array([video.pose[name] for name in POSE])
+        measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
+        grid, probability = map(np.asarray, measured.distribution)
+        factor = self.instrument.factor
+        return MeasuredVideo(
+            Path(path).name,
+            video,
+            measured,
+            _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0),
+            str(self.instrument.card.get("weights_sha256") or "unknown"),
+            self.schedule.path,
+            self.instrument.without_error_bar,
+            self.caveats,
+            self.outside,
+            self.floors,
+            self.pose_range,
+            self._points_px(video, measured),
+        )
+
+    def _points_px(self, video: StageVideo, measured: Measurement) -> np.ndarray | None:
+        """The cloth's points as the instrument sees them, in the frames."""
+        if measured.points_m is None:
+            return None
+        places_m = measured.points_m.copy()
+        places_m[..., 0] += video.stage_x_m[:, None]
+        return np.stack(
+            [
+                self.schedule.crop(float(time_s)).project(places)
+                for time_s, places in zip(video.time_s, places_m, strict=True)
+            ]
+        )
+
+
+def measuring_bench(
+    camera: str | os.PathLike,
+    model: str | os.PathLike | None = None,
+    config: str | os.PathLike | None = None,
+    threads: int = 2,
+    force: bool = False,
+) -> MeasuringBench:
+    """Read the camera, the instrument and what it was trained with.
+
+    Parameters
+    ----------
+    camera : path
+        The camera file.
+    model : path, optional
+        The instrument's folder; by default the instrument that comes with Slipstitch.
+    config : path, optional
+        What the instrument was trained with; by default the nearest ``config.json`` above it.
+    threads : int
+    force : bool
+        Measure although the camera stands where the instrument was never tried; with an alarm.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be used, or the camera stands outside the poses of the training, or does
+        not see the track, or too coarsely.
+    """
+    lens = read_camera_file(camera)
+    model = model or SHIPPED
+    instrument = load_instrument(model)
+    config_path, schedule, floors = trained_with(instrument, model, config)
+    bench = MeasuringBench(lens, instrument, config_path, schedule, floors)
+    if bench.outside and not force:
+        raise BadInput(
+            f"{camera}: {_OUTSIDE}: {'; '.join(bench.outside)}; see `slipstitch capture check`; "
+            "--force measures anyway, with an alarm"
+        )
+    # Before any film is read: in one, such a camera would find no start of the stage's motion.
+    if problem := problem_of_view(lens, schedule, seen_shares(lens, schedule)):
+        raise BadInput(f"{camera}: {problem}; see `slipstitch capture check`")
+    # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
+    # which takes longer than the measurement.
+    torch.set_num_threads(threads)
+    return bench
+
+
+def trained_with(
+    instrument: Instrument, model: str | os.PathLike, config: str | os.PathLike | None
+) -> tuple[Path, Schedule, tuple[str, ...]]:
+    """The configuration that an instrument was trained with, its frames and its floors."""
+    config_path = _config_of(model, config)
+    settings = load_config(config_path)
+    frames, sampled = int(instrument.card["frames"]), settings.sample.frames
+    if frames > sampled:
+        raise BadInput(
+            f"{config_path}: sample.frames is {sampled}, the instrument in {model} was trained "
+            f"with {frames}; give its configuration with --config"
+        )
+    schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
+    schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
+    floors = list(settings.render.floors)
+    if instrument.card.get("split") == REFLECTIVE:
+        floors += settings.render.reflective_floors
+    return config_path, schedule, tuple(dict.fromkeys(floors))
+
+
+def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
+    if given is not None:
+        return Path(given)
+    folder = Path(model).resolve()
+    for above in (folder, *folder.parents):
+        found = above / "config.json"
+        if found.is_file():
+            _check_listed(found)
+            return found
+    raise BadInput(
+        f"{model}: no config.json in a folder above it; give the configuration with --config"
+    )
+
+
+def _check_listed(config_path: Path) -> None:
+    """Damaged if the ``SHA256SUMS`` beside a configuration, where there is one, has another."""
+    sums = config_path.with_name("SHA256SUMS")
+    text = sums.read_text(encoding="utf-8", errors="replace") if sums.is_file() else ""
+    named = ([config_path.name], [f"*{config_path.name}"])  # sha256sum, sha256sum -b
+    digests = [line.split()[0] for line in text.splitlines() if line.split()[1:] in named]
+    if digests and file_digest(config_path) not in digests:
+        raise Damaged(config_path, f"altered or damaged: not the file listed in {sums.name}")
+
+
+def _half_width(grid: np.ndarray, probability: np.ndarray) -> float:
+    """Half the width of the middle 68 % of a distribution."""
+    tails = (1 - _STANDARD_SHARE) / 2
+    low, high = quantiles(probability[None], grid, np.array([tails, 1 - tails]))[0]
+    return float(high - low) / 2

@@ -1,0 +1,150 @@
+"""A surrogate video: simulated, rendered, distorted by a lens, exposed, compressed."""
+
+import os
+from collections.abc import Iterator
+from fractions import Fraction
+
+import cv2
+import numpy as np
+
+from slipstitch.base.provenance import atomic_path, provenance_record, start_clock, write_sidecar
+from slipstitch.config import Config
+from slipstitch.film.surrogate.bench import (
+    Film,
+    film_size,
+    surrogate_simulation,
+    surroundings,
+    true_camera,
+)
+from slipstitch.images.augmentation import Augmentation
+from slipstitch.images.camera import Camera
+from slipstitch.images.camera_file import LensCamera
+from slipstitch.images.composition import compose_light, join
+from slipstitch.images.packing import render_shadings
+from slipstitch.images.shots import Shot
+from slipstitch.images.surroundings import generator
+from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+from slipstitch.physics.simulation.trajectory import Trajectory
+
+# The cloth hangs still for this long; the stage's start is filmed at the full rate for that long.
+_REST_S = 3.4
+_START_S = 3.0
+# What the lens pulls in from beyond the pinhole's image.
+_MARGIN = 1.12
+_CLOCK = Fraction(1, 90000)
+
+
+def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter) -> int:
+    """Simulate and render one capture.
+
+    Parameters
+    ----------
+    config : Config
+    film : Film
+    out : path
+        Video, MP4.
+    progress : callable
+        Wraps the list of frames that are rendered.
+
+    Returns
+    -------
+    int
+        Frames of the film.
+
+    Raises
+    ------
+    NotConverged
+        If the simulation cannot be solved.
+    """
+    started = start_clock()
+    settings = surrogate_simulation(config)
+    trajectory, _ = simulate_drop_and_drag(film.pair.material, film.friction, film.seed, settings)
+    images = _lens_images(config, film, trajectory, progress)
+    with atomic_path(out) as temporary:
+        count = _write(config, film, images, temporary)
+    record = provenance_record(
+        "capture",
+        config={"simulation": settings, "captures": config.captures, "film": film.id},
+        seed=film.seed,
+        started=started,
+    )
+    # Every surrogate video is labelled.
+    write_sidecar(out, {**record, "surrogate": True})
+    return count
+
+
+def _lens_images(
+    config: Config, film: Film, trajectory: Trajectory, progress
+) -> Iterator[tuple[float, np.ndarray]]:
+    """Time and linear light (rows, columns, 3) of the recorded frames, as projected by the lens."""
+    lens = true_camera(config, film.id)
+    pinhole, place = _pinhole(lens)
+    dense = trajectory.time_s <= _START_S
+    later = (np.arange(len(trajectory.frame)) % config.captures.later_every == 0) | dense
+    shots = [Shot(int(row), int(trajectory.frame[row]), pinhole) for row in np.flatnonzero(later)]
+    render = config.render.model_copy(update={"pixels": pinhole.pixels})
+    frames = render_shadings(trajectory, progress(shots), render, surroundings(config, film.pair))
+    for shot, shading, sight in frames:
+        (light,) = compose_light(join(shading, sight), [film.pair.texture])
+        seen = cv2.remap(light.astype(np.float32), place, None, cv2.INTER_CUBIC)
+        yield float(trajectory.time_s[shot.row]), np.maximum(seen, 0)
+
+
+def _pinhole(lens: LensCamera) -> tuple[Camera, np.ndarray]:
+    """A square pinhole image that holds the lens's, and where in it the lens looks."""
+    camera = lens.camera
+    side = round(_MARGIN * camera.pixels)
+    matrix = camera.matrix.copy()
+    # One focal length: what the renderer draws has square pixels.
+    matrix[1, 1] = matrix[0, 0]
+    matrix[0, 2] += (side - camera.pixels) / 2
+    matrix[1, 2] += (side - (camera.rows or camera.pixels)) / 2
+    pinhole = Camera(camera.rotation, camera.translation_m, matrix, side)
+    y, x = np.mgrid[: camera.rows, : camera.pixels].astype(np.float64)
+    pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    at = cv2.undistortPointsIter(pixels, camera.matrix, lens.distortion, None, matrix, until)
+    return pinhole, at.reshape(camera.rows, camera.pixels, 2).astype(np.float32)
+
+
+def _write(config: Config, film: Film, images, path) -> int:
+    """The video: rest, then frames with drifting exposure, sensor noise and H.264 compression."""
+    import av
+
+    settings = config.captures
+    rng = generator(config.seed, "surrogate", film.id, "camera")
+    red, blue = 1 + settings.colour_cast * rng.uniform(-1, 1, 2)
+    drift, phase = settings.exposure_drift_stops * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
+    duration_s = config.simulation.recorded_s + _REST_S
+
+    def photograph(light: np.ndarray, time_s: float) -> np.ndarray:
+        share = time_s / duration_s
+        stops = drift * share + 0.2 * settings.exposure_drift_stops * np.sin(9 * share + phase)
+        camera = Augmentation(float(stops), float(red), float(blue), settings.noise)
+        return camera.photograph(light, rng)
+
+    count = 0
+    with av.open(str(path), "w", format="mp4") as container:
+        options = {"crf": str(settings.quality_crf), "preset": "medium", "threads": "1"}
+        stream = container.add_stream("libx264", rate=30, options=options)
+        stream.width, stream.height = film_size(settings)
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = stream.codec_context.time_base = _CLOCK
+        container.metadata["comment"] = "Slipstitch surrogate capture: simulated, not real"
+
+        def add(light: np.ndarray, time_s: float) -> None:
+            nonlocal count
+            image = np.ascontiguousarray(photograph(light, time_s))
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts, frame.time_base = round(time_s / _CLOCK), _CLOCK
+            container.mux(stream.encode(frame))
+            count += 1
+
+        rest = int(_REST_S * settings.frame_rate_hz)
+        for time_s, light in images:
+            if time_s == 0:
+                for k in range(rest):
+                    add(light, k / settings.frame_rate_hz)
+            add(light, rest / settings.frame_rate_hz + time_s)
+        container.mux(stream.encode())
+    return count

@@ -1,0 +1,314 @@
+"""Verification of a video's clock: the stage's known motion, tracked over the whole video.
+
+A film whose frame rate is stated wrong, or whose stage runs at another speed, shows every moment of
+the protocol too early or too late, and friction is then read off the wrong moments. The upper edge
+of the cloth moves with the clamps. It is looked for along the track in a frame a second, and the
+speed of the stage in the video's time is fitted to all positions found.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.film.stage_start import vertex_of_parabola
+from slipstitch.images.camera import Camera
+from slipstitch.images.camera_file import LensCamera
+from slipstitch.images.rectification import bounds, in_stage_plane
+
+#: Seconds between the frames that are looked at.
+INTERVAL_S = 1.0
+# So much of it may lie between two frames, if that saves decoding.
+_EARLIEST, _LATEST = 0.7, 1.5
+# The part of the stage plane that is followed: around the cloth's upper edge, on a grid this fine.
+_HALF_WIDTH_M = SIDE_M / 2 + 0.015
+_ABOVE_M, _BELOW_M = 0.010, 0.026
+_GRID_M = 0.002
+# The image is projected at places this far apart, and linear between them (to 0.01 pixels).
+_KNOT_M = 0.02
+# How far it is looked for: this much, and as far as a clock wrong by this share would put it.
+_REACH_M, _REACH_RATE = 0.012, 0.08
+_RATES = np.arange(0.93, 1.0701, 0.0005)
+# The template is taken where the stage rests between drop and drag, give or take this.
+_REST_S, _REST_FRAMES = 0.35, 3
+# A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans
+# and is little like its edge at rest: that the places follow a path says more than likeness.
+_LEAST_LIKENESS = 0.2
+_NEAR_M = 0.012
+_MOST_SCATTER_M = 0.003
+_SCALE_M = 0.0015
+# The start is known to this from the drop.
+_START_SD_S = 0.03
+# Errors of places this near in time are not independent: the cloth keeps its shape.
+_BLOCK_S = 10.0
+_FEWEST_PLACES = 12
+# What images this many seconds apart differ by more than images one second apart: noise and flicker
+# cancel. Where the stage moves, it is 0.4 of the most or more (surrogate films); where it stands,
+# 0.01 or less, with noise of 12 of 255 and 5 % flicker too.
+_STILL_SHARE, _LAG, _THUMBNAIL_PX = 0.15, 4, 48
+# An edge this near to the fitted path is on it.
+_ON_PATH_M = 0.004
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """The clock of a video relative to the stage.
+
+    Attributes
+    ----------
+    rate : float
+        Speed of the stage in the video's time, relative to the protocol's.
+    rate_sd : float
+        Standard deviation of `rate`.
+    time_s, offset_m : ndarray (n,)
+        Moments in the film's time from the start, and how far the stage stood ahead (along the
+        track) of where the fitted path has it.
+    """
+
+    rate: float
+    rate_sd: float
+    time_s: np.ndarray
+    offset_m: np.ndarray
+
+    def worst_offset_m(self) -> float:
+        """The largest median offset over 10 s (a cut in the video is a jump)."""
+        return max(
+            (abs(float(np.median(self.offset_m[block]))) for block in _full_blocks(self.time_s)),
+            default=0.0,
+        )
+
+
+class StageFollower:
+    """Finds the cloth's upper edge along the track, frame by frame.
+
+    Parameters
+    ----------
+    lens : LensCamera
+        The real camera.
+    crop : Camera
+        Of the calibrated viewpoint at the start.
+    path : StagePath
+    """
+
+    def __init__(self, lens: LensCamera, crop: Camera, path: StagePath):
+        height = path.start_height_m - path.drop_m
+        rows = np.arange(_ABOVE_M, -_BELOW_M, -_GRID_M)
+        columns = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _GRID_M)
+        points = in_stage_plane(crop, columns[None, :], (height + rows)[:, None])
+        self._path = path
+        reach_m = self._reach_m(path.duration_s)
+        self._x_m = np.arange(-reach_m, path.stroke_m + reach_m, _GRID_M)
+        self._knots_m = np.arange(self._x_m[0], self._x_m[-1] + _KNOT_M, _KNOT_M)
+        shifted = points.reshape(1, -1, 3) + self._knots_m[:, None, None] * [1.0, 0, 0]
+        places = lens.project(shifted.reshape(-1, 3)).astype(np.float32)
+        self._knots = places.reshape(len(self._knots_m), *points.shape[:2], 2)
+        step_px = np.linalg.norm(np.diff(self._knots[len(self._knots) // 2], axis=1), axis=-1)
+        # What is finer than the grid would alias.
+        self._blur_px = 0.6 * float(np.median(step_px))
+        self._rest: list[np.ndarray] = []
+        self._seen: list[tuple[float, np.ndarray]] = []
+        self._thumbnails: list[np.ndarray] = []
+
+    def wants(self, time_s: float) -> bool:
+        """Whether a frame at a time from the start is to be added."""
+        rest_s = time_s - self._path.drop_duration_s
+        if rest_s < -_REST_S:
+            return False
+        if abs(rest_s) <= _REST_S:
+            return len(self._rest) < _REST_FRAMES
+        last_s = self._seen[-1][0] if self._seen else -np.inf
+        return bool(self._rest) and time_s - last_s >= INTERVAL_S - 1e-3
+
+    def choose(self, time_s: np.ndarray, is_entry: np.ndarray) -> list[int]:
+        """Which of a film's frames to add, where all their times are known: few to be decoded.
+
+        Parameters
+        ----------
+        time_s : ndarray (n,)
+            From the start.
+        is_entry : ndarray (n,) bool
+            Whether a frame can be decoded without those before it: such a one is taken in place of
+            the frame that is due, if it is near.
+        """
+        rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= _REST_S)
+        chosen = list(map(int, rest[:_REST_FRAMES]))
+        if not chosen:
+            return []
+        last_s, entries = float(time_s[rest[-1]]), np.flatnonzero(is_entry)
+        while (due := int(np.searchsorted(time_s, last_s + INTERVAL_S - 1e-3))) < len(time_s):
+            entry = np.searchsorted(time_s[entries], last_s + _EARLIEST * INTERVAL_S)
+            if entry < len(entries) and time_s[entries[entry]] < last_s + _LATEST * INTERVAL_S:
+                due = int(entries[entry])
+            last_s = float(time_s[due])
+            if last_s > self._path.duration_s:
+                break
+            chosen.append(due)
+        return chosen
+
+    def add(self, time_s: float, image: np.ndarray) -> None:
+        """Look for the edge in a frame (rows, columns, 3) uint8 at a time from the start."""
+        away_m = abs(self._x_m - self._commanded_m(time_s))
+        near = np.flatnonzero(away_m <= self._reach_m(time_s))
+        grey, maps = self._part(image, self._maps(self._x_m[near]))
+        x, y = maps[..., 0], maps[..., 1]
+        patches = np.stack(
+            [cv2.remap(grey, x[k], y[k], cv2.INTER_LINEAR) for k in range(len(maps))]
+        )
+        if abs(time_s - self._path.drop_duration_s) <= _REST_S:
+            self._rest.append(patches[np.argmin(abs(self._x_m[near]))])
+            return
+        likeness = np.full(len(self._x_m), np.nan, np.float32)
+        likeness[near] = _correlation(patches, np.mean(self._rest, axis=0))
+        self._seen.append((time_s, likeness))
+        self._thumbnails.append(_thumbnail(image))
+
+    def still_from_s(self, time_base: TimeBase | None) -> float | None:
+        """When, in the film's time from the start, everything began to stand still; None if never.
+
+        Not where the edge was seen on its path: something else that moves can hide its motion.
+        """
+        if len(self._thumbnails) < _FEWEST_PLACES + _LAG:
+            return None
+        time_s = np.array([one for one, _ in self._seen])[_LAG:]
+        images = np.array(self._thumbnails)
+        one, several = (
+            np.mean((images[_LAG:] - images[_LAG - back : len(images) - back]) ** 2, axis=(1, 2))
+            for back in (1, _LAG)
+        )
+        blocks = _full_blocks(time_s)
+        moved = np.array([np.median((several - one)[block]) for block in blocks])
+        seen = np.zeros(0)
+        if time_base is not None:
+            seen = time_base.time_s[np.abs(time_base.offset_m) < _ON_PATH_M]
+        followed = np.array([np.isin(time_s[block], seen).mean() for block in blocks])
+        slow = moved <= _STILL_SHARE * moved.max(initial=0.0)
+        still = np.flatnonzero(slow & (followed < 0.5))
+        return float(time_s[blocks[still[0]][0]]) if len(still) else None
+
+    def _reach_m(self, time_s: float) -> float:
+        return _REACH_M + _REACH_RATE * self._path.speed_m_s * time_s
+
+    def _maps(self, x_m: np.ndarray) -> np.ndarray:
+        """Image position of the tracked part with the stage at `x_m` (n,)."""
+        position = (x_m - self._knots_m[0]) / _KNOT_M
+        below = np.clip(position.astype(int), 0, len(self._knots) - 2)
+        share = (position - below).astype(np.float32)[:, None, None, None]
+        return (1 - share) * self._knots[below] + share * self._knots[below + 1]
+
+    def _commanded_m(self, time_s: float | np.ndarray) -> np.ndarray:
+        return self._path.position_m(time_s)[0]
+
+    def _part(self, image: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The part of a frame that the maps reach, grey and smooth, and the maps into it."""
+        margin = int(3 * self._blur_px) + 2
+        rows, columns = image.shape[:2]
+        low, high = bounds(maps)
+        low = np.floor(low).astype(int) - margin
+        high = np.ceil(high).astype(int) + margin
+        low = np.clip(low, 0, (columns - 1, rows - 1))
+        high = np.clip(high, low + 1, (columns, rows))
+        part = cv2.cvtColor(image[low[1] : high[1], low[0] : high[0]], cv2.COLOR_BGR2GRAY)
+        if self._blur_px > 0.3:
+            part = cv2.GaussianBlur(part, (0, 0), self._blur_px)
+        return part.astype(np.float32), maps - low.astype(np.float32)
+
+    def time_base(self) -> TimeBase | None:
+        """The clock that explains the places best; None if too few were recognised."""
+        if len(self._seen) < _FEWEST_PLACES:
+            return None
+        time_s = np.array([one for one, _ in self._seen])
+        likeness = np.array([one for _, one in self._seen])
+        scores = [np.nanmean(self._at(likeness, rate * time_s)) for rate in _RATES]
+        rate = float(_RATES[int(np.argmax(scores))])
+        place_m, best = self._peaks(likeness, self._commanded_m(rate * time_s))
+        good = best > _LEAST_LIKENESS
+        if good.sum() < max(_FEWEST_PLACES, 0.3 * len(good)):
+            return None
+        found = _fit(time_s[good], place_m[good], rate, self._path)
+        scatter_m = 1.4826 * float(np.median(np.abs(found.offset_m)))
+        return found if scatter_m < _MOST_SCATTER_M else None
+
+    def _at(self, likeness: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        """The likeness (frames,) at the places where a clock has the stage."""
+        position = (self._commanded_m(time_s) - self._x_m[0]) / _GRID_M
+        below = np.clip(position.astype(int), 0, len(self._x_m) - 2)
+        share = position - below
+        row = np.arange(len(likeness))
+        return (1 - share) * likeness[row, below] + share * likeness[row, below + 1]
+
+    def _peaks(self, likeness: np.ndarray, expected_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Place (m) and height of the best likeness near the expected places."""
+        far = abs(self._x_m[None, :] - expected_m[:, None]) > _NEAR_M
+        near = np.where(far | np.isnan(likeness), -1.0, likeness)
+        peak = np.clip(near.argmax(axis=1), 1, near.shape[1] - 2)
+        row = np.arange(len(near))
+        before, at, after = (near[row, peak + k] for k in (-1, 0, 1))
+        shift = vertex_of_parabola(before, at, after)
+        inner = (before > -1) & (after > -1)
+        return self._x_m[peak] + np.clip(shift, -1, 1) * _GRID_M, np.where(inner, at, -1.0)
+
+
+def _thumbnail(image: np.ndarray) -> np.ndarray:
+    """A small grey picture of a frame (rows, columns, 3), relative to its mean brightness."""
+    rows = round(_THUMBNAIL_PX * image.shape[0] / image.shape[1])
+    size = (min(_THUMBNAIL_PX, image.shape[1]), max(min(rows, image.shape[0]), 1))
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return small / max(float(small.mean()), 1.0)
+
+
+def _correlation(patches: np.ndarray, template: np.ndarray) -> np.ndarray:
+    """Normalised cross-correlation of patches (n, rows, columns) with one of their size."""
+    flat = patches.reshape(len(patches), -1)
+    flat = flat - flat.mean(axis=1, keepdims=True)
+    wanted = template.ravel() - template.mean()
+    norm = np.linalg.norm(flat, axis=1) * np.linalg.norm(wanted)
+    return flat @ wanted / np.maximum(norm, 1e-6)
+
+
+def _blocks(time_s: np.ndarray) -> list[np.ndarray]:
+    number = (time_s // _BLOCK_S).astype(int)
+    return [np.flatnonzero(number == one) for one in np.unique(number)]
+
+
+def _full_blocks(time_s: np.ndarray) -> list[np.ndarray]:
+    """Those with half of their frames at least: a median of one or two says nothing of 10 s."""
+    return [block for block in _blocks(time_s) if len(block) >= 0.5 * _BLOCK_S / INTERVAL_S]
+
+
+def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) -> TimeBase:
+    """Rate, delay and a lean of the cloth to either side, by robust least squares.
+
+    The cloth leans back from the clamps, forward and back alike by an amount of its own, which
+    shifts where its upper edge is recognised: a constant each way, fitted along.
+    """
+    stroke = ((rate * time_s - path.drop_duration_s) // path.stroke_duration_s).astype(int)
+    back = stroke % 2 == 1
+
+    whole = _parameters(time_s, place_m, back, rate, path)
+    parts = []
+    for block in _blocks(time_s):
+        kept = np.setdiff1d(np.arange(len(time_s)), block)
+        parts.append(_parameters(time_s[kept], place_m[kept], back[kept], rate, path)[0])
+    # Blocks of time are independent, the places within one are not: the jackknife over blocks.
+    rate_sd = float(np.std(parts) * np.sqrt(len(parts) - 1))
+    offset_m = _offsets_m(whole, time_s, place_m, back, path)
+    return TimeBase(float(whole[0]), rate_sd, time_s, offset_m)
+
+
+def _offsets_m(parameters, time_s, place_m, back, path: StagePath) -> np.ndarray:
+    """Residuals of the positions (m) for rate, delay (s) and the leans ahead and back (m)."""
+    rate, late_s, ahead_m, behind_m = parameters
+    expected_m, _ = path.position_m(rate * (time_s - late_s))
+    return place_m - expected_m - np.where(back, behind_m, ahead_m)
+
+
+def _parameters(time_s, place_m, back, rate: float, path: StagePath) -> np.ndarray:
+    def left_over(parameters: np.ndarray) -> np.ndarray:
+        offset_m = _offsets_m(parameters, time_s, place_m, back, path)
+        return np.append(offset_m / _SCALE_M, parameters[1] / _START_SD_S)
+
+    scales = [1e-3, 0.01, 1e-3, 1e-3]
+    return least_squares(left_over, [rate, 0, 0, 0], x_scale=scales, loss="soft_l1").x

@@ -1,0 +1,120 @@
+"""Camera files: a real camera's lens and position at the stage, as written by calibration.
+
+A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
+same pinhole (`slipstitch.images.rectification`).
+"""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import reading, write_json
+from slipstitch.images.camera import AIM_M, Camera
+
+FORMAT = "slipstitch camera 1"
+CONVENTION = (
+    "OpenCV: x_camera = rotation x_stage + translation_m; x right, y down, z forward; the centre "
+    "of the first pixel is (0, 0); stage: x along the drag from under the clamps' first place, "
+    "y along the cloth's upper edge, z up from the floor"
+)
+#: Terms of the distortion in OpenCV's order.
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+# From the middle of the track: at it no direction is defined, and a bench stands in a room.
+_NEAREST_M, _FARTHEST_M = 0.1, 100.0
+
+
+@dataclass(frozen=True)
+class LensCamera:
+    """A real camera: a pinhole behind a lens that distorts.
+
+    Attributes
+    ----------
+    camera : Camera
+        The pinhole at the size of the camera's own images.
+    distortion : ndarray (5,)
+        k1, k2, p1, p2, k3 of OpenCV.
+    """
+
+    camera: Camera
+    distortion: np.ndarray
+
+    @property
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation and translation, stage to camera."""
+        return self.camera.rotation, self.camera.translation_m
+
+    def project(self, points_m: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) of the real image at which points of the stage (N, 3) appear."""
+        turn, _ = cv2.Rodrigues(self.camera.rotation)
+        place = self.camera.translation_m
+        points = np.ascontiguousarray(points_m, dtype=np.float64)
+        image, _ = cv2.projectPoints(points, turn, place, self.camera.matrix, self.distortion)
+        return image.reshape(-1, 2)
+
+
+def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> None:
+    """Write what `read_camera_file` reads, atomically; numbers with all their digits."""
+    whole = {"format": FORMAT, "convention": CONVENTION, **content}
+    write_json(path, whole, default=float)
+
+
+def read_camera_file(path: str | os.PathLike) -> LensCamera:
+    """A camera that can be rendered from.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, no camera file, or does not say where the camera stands, or a place
+        that no camera of a bench has.
+    """
+    with reading(path, "JSON file"):
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise BadInput(f"{path}: not a camera file: its format is not {FORMAT!r}")
+    if content.get("rotation") is None or content.get("translation_m") is None:
+        raise BadInput(
+            f"{path}: does not contain the position of the camera; calibrate it with --stage-view"
+        )
+    size = _numbers(path, content, "image_size_px", (2,))
+    focal = _numbers(path, content, "focal_px", (2,))
+    middle = _numbers(path, content, "principal_point_px", (2,))
+    rotation = _numbers(path, content, "rotation", (3, 3))
+    if (size < 1).any() or (size % 1 != 0).any() or (focal <= 0).any():
+        raise BadInput(f"{path}: image_size_px or focal_px is not positive")
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
+        raise BadInput(f"{path}: rotation is not a rotation matrix")
+    terms = content.get("distortion")
+    if not isinstance(terms, dict) or set(terms) != set(DISTORTION):
+        raise BadInput(f"{path}: distortion must contain {', '.join(DISTORTION)}")
+    matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
+    translation = _numbers(path, content, "translation_m", (3,))
+    # hypot, because the square of a large number would overflow
+    distance_m = math.hypot(*(rotation @ AIM_M + translation))
+    if not _NEAREST_M <= distance_m <= _FARTHEST_M:
+        raise BadInput(
+            f"{path}: translation_m: the camera is {distance_m:g} m from the middle of the track; "
+            f"must be {_NEAREST_M:g} to {_FARTHEST_M:g} m"
+        )
+    camera = Camera(rotation, translation, matrix, int(size[0]), int(size[1]))
+    ordered = {"distortion": [terms[name] for name in DISTORTION]}
+    return LensCamera(camera, _numbers(path, ordered, "distortion", (5,)))
+
+
+def _numbers(path, content: dict, key: str, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.array(content[key], dtype=np.float64)
+    except KeyError:
+        raise BadInput(f"{path}: no {key!r}") from None
+    except (TypeError, ValueError):
+        raise BadInput(f"{path}: {key} must contain numbers") from None
+    if array.shape != shape or not np.isfinite(array).all():
+        raise BadInput(f"{path}: {key} must contain {'x'.join(map(str, shape))} finite numbers")
+    return array

@@ -1,0 +1,160 @@
+"""From a real camera's image to the image that the calibrated viewpoint would have.
+
+The lens's distortion is taken out, and what lies on a surface, the mean cloth and the floor, is put
+where a camera at the calibrated viewpoint sees it. If the real camera stands there, this holds for
+every point. If it stands elsewhere, points off the surface are shifted by their parallax; of the
+surfaces that were tried this one shifts cloth least (docs/capture.md).
+"""
+
+import math
+
+import cv2
+import numpy as np
+
+from slipstitch.images.camera import Camera
+from slipstitch.images.camera_file import LensCamera
+from slipstitch.images.encoding import LINEAR, encode_srgb
+from slipstitch.images.mean_cloth import Surface, across_the_track
+
+# Averaging more source pixels than this along a side of an image's pixel changes nothing visible.
+_MOST_RAYS = 8
+
+
+def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of the upright plane through the clamps at the stage's start, by their place.
+
+    Across the track; for a camera that looks across the track, along it.
+
+    Parameters
+    ----------
+    crop : Camera
+    sideways_m, height_m : ndarray
+        From the middle between the clamps, and above the floor; broadcast against each other.
+    """
+    along = np.array([0.0, 1.0, 0.0] if across_the_track(crop) else [-1.0, 0.0, 0.0])
+    return sideways_m[..., None] * along + height_m[..., None] * [0, 0, 1.0]
+
+
+def source_pixels(
+    lens: LensCamera, crop: Camera, surface: Surface, along: np.ndarray | None = None
+) -> np.ndarray:
+    """Position in the real image of each pixel of a crop.
+
+    Parameters
+    ----------
+    lens : LensCamera
+        The real camera.
+    crop : Camera
+        Cut from the calibrated viewpoint.
+    surface : Surface
+        What the crop's pixels are taken to show.
+    along : ndarray (n,), optional
+        Places along either side of the crop; the pixels' centres by default.
+
+    Returns
+    -------
+    ndarray (n, n, 2) float64
+        x, y; NaN where the crop looks past the surface or the real camera cannot see it.
+    """
+    along = np.arange(crop.pixels) if along is None else along
+    size = len(along)
+    y, x = (part.ravel() for part in np.meshgrid(along, along, indexing="ij"))
+    rays = np.column_stack([x, y, np.ones(size * size)]) @ np.linalg.inv(crop.matrix).T
+    rays = rays @ crop.rotation
+    eye = -crop.rotation.T @ crop.translation_m
+    points = surface.seen(eye, rays)
+    real = points @ lens.camera.rotation.T + lens.camera.translation_m
+    seen = real[:, 2] > 0  # not where it is NaN
+    found = np.full((size * size, 2), np.nan)
+    if seen.any():
+        found[seen] = lens.project(points[seen])
+    return found.reshape(size, size, 2)
+
+
+def fine_source_pixels(lens: LensCamera, crop: Camera, surface: Surface) -> np.ndarray:
+    """`source_pixels`, so close together that no pixel of the real image is jumped over.
+
+    Returns
+    -------
+    ndarray (rays pixels, rays pixels, 2) float32
+    """
+    rays = _rays_per_side(lens, crop, surface)
+    # Between the corners of a pixel the place is as good as linear.
+    corners = source_pixels(lens, crop, surface, np.arange(crop.pixels + 1) - 0.5)
+    fine = ((np.arange(crop.pixels * rays) + 0.5) / rays).astype(np.float32)
+    return cv2.remap(corners.astype(np.float32), *np.meshgrid(fine, fine), cv2.INTER_LINEAR)
+
+
+def rectify(
+    image: np.ndarray, lens: LensCamera, crop: Camera, surface: Surface
+) -> tuple[np.ndarray, float]:
+    """The crop, each pixel the mean of the light that falls on it.
+
+    Parameters
+    ----------
+    image : ndarray (rows, columns, 3) uint8
+        The real image, sRGB, in any order of colours.
+    lens, crop, surface
+        As for `source_pixels`.
+
+    Returns
+    -------
+    ndarray (pixels, pixels, 3) uint8
+        Beyond the real image its border is repeated; black where the crop looks past the surface.
+    float
+        Share of the crop that lies in the real image.
+    """
+    return resample(image, fine_source_pixels(lens, crop, surface), crop.pixels)
+
+
+def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndarray, float]:
+    """As `rectify`, from what `fine_source_pixels` gave, for the images of one moment and camera.
+
+    Parameters
+    ----------
+    image : ndarray (rows, columns, 3) uint8
+    place : ndarray (rays pixels, rays pixels, 2) float32
+    pixels : int
+        Side of the crop.
+    """
+    rows, columns = image.shape[:2]
+    inside = in_image(place, columns, rows)
+    if not inside.any():
+        return np.zeros((pixels, pixels, 3), np.uint8), 0.0
+    # Only the part of the image that is used is turned into linear light.
+    low, high = bounds(place[inside])
+    low = np.maximum(np.floor(low).astype(int) - 2, 0)
+    high = np.ceil(high).astype(int) + 3
+    part = LINEAR[image[low[1] : high[1], low[0] : high[0]]]
+    known = np.isfinite(place[..., 0]) & np.isfinite(place[..., 1])
+    at = np.where(known[..., None], np.nan_to_num(place) - low, -1e4).astype(np.float32)
+    light = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    light[~known] = 0
+    light = cv2.resize(light, (pixels, pixels), interpolation=cv2.INTER_AREA)
+    return encode_srgb(light), float(inside.mean())
+
+
+def in_image(place: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Whether an image has these pixels (..., 2), bool of shape (...); not where they are NaN."""
+    x, y = place[..., 0], place[..., 1]
+    with np.errstate(invalid="ignore"):
+        return (x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)
+
+
+def bounds(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest x and y, shape (2,) each, of pixels (..., 2).
+
+    One coordinate at a time: over all axes but a last one of length 2, NumPy takes 30 times
+    as long.
+    """
+    x, y = place[..., 0], place[..., 1]
+    return np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+
+
+def _rays_per_side(lens: LensCamera, crop: Camera, surface: Surface) -> int:
+    """So many that no pixel of the real image is jumped over."""
+    coarse = crop.at_resolution(16)
+    place = source_pixels(lens, coarse, surface)
+    steps = np.concatenate([np.diff(place, axis=k).reshape(-1, 2) for k in (0, 1)])
+    longest = np.nanmax(np.linalg.norm(steps, axis=1), initial=0.0) * 16 / crop.pixels
+    return int(np.clip(math.ceil(longest), 1, _MOST_RAYS))

@@ -1,0 +1,134 @@
+"""Surroundings of a rendered simulation: appearance of the floor and position of the lamp.
+
+Drawn once a fabric and replicate from the configuration's seed, the same for all viewpoints,
+textures and friction coefficients: adding a viewpoint or a simulation changes no other, and no
+look tells a coefficient. In the second training set a floor is drawn for each viewpoint besides.
+A camera of the family ``bench_1`` ... has a floor and a lamp of its own in every simulation.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from slipstitch.config.catalogue import FLOORS, VIEWPOINTS
+from slipstitch.config.render import RenderSettings
+from slipstitch.design.grid import bench_of
+
+# Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
+# so that neither is drawn through the other.
+_FLOOR_BELOW_M = 0.0004
+#: Corners of the substrate.
+FLOOR_M = np.array(
+    [(x, y, -_FLOOR_BELOW_M) for x, y in ((-0.34, -0.3), (0.64, -0.3), (0.64, 0.3), (-0.34, 0.3))]
+)
+#: Where the lamp hangs, unless it is moved.
+LAMP_POSITION_M = (0.80, -0.50, 1.00)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Floor and lamp of one simulation.
+
+    Attributes
+    ----------
+    floor : str
+        Name in the catalogue.
+    albedo, reflectance, roughness : float
+        As drawn, see `slipstitch.config.catalogue.Floor`.
+    lamp_position_m : tuple of float
+    """
+
+    floor: str = "matte"
+    albedo: float = 0.22
+    reflectance: float = 0.0
+    roughness: float = 0.0
+    lamp_position_m: tuple[float, float, float] = LAMP_POSITION_M
+
+    @property
+    def reflects(self) -> bool:
+        """Whether the floor is reflective."""
+        return self.reflectance > 0
+
+    def record(self) -> dict:
+        """The values as a mapping."""
+        return asdict(self)
+
+
+#: The floor and lamp of a configuration that varies neither.
+MATTE = Surroundings()
+
+
+def generator(seed: int, *names: str) -> np.random.Generator:
+    """Random numbers that depend on the configuration's seed and on these names only."""
+    text = "|".join([str(seed), *names])
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
+
+
+def of_a_family(viewpoint: str) -> bool:
+    """Whether a viewpoint of the catalogue is another bench's, with a camera of its own."""
+    return viewpoint in VIEWPOINTS and VIEWPOINTS[viewpoint].drawn
+
+
+def drawn_by(simulation: str, viewpoint: str) -> str:
+    """What the looks of a simulation's videos from a viewpoint are drawn by.
+
+    The bench (fabric and replicate), so that no look tells the coefficient. For a camera of the
+    family ``bench_1`` ... the whole simulation: as many benches as there are films, so that none
+    tells its fabric. That a look is then of one coefficient does no harm where whole simulations
+    are held out, the only split that the configuration allows with such cameras.
+
+    Parameters
+    ----------
+    simulation : str
+        Its id.
+    viewpoint : str
+        Name in the catalogue.
+    """
+    return simulation if of_a_family(viewpoint) else bench_of(simulation)
+
+
+def draw_surroundings(
+    settings: RenderSettings, seed: int, simulation: str, viewpoint_id: str = "v00"
+) -> Surroundings:
+    """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
+
+    A camera of the family ``bench_1`` ... is another bench in every simulation (`drawn_by`).
+
+    Parameters
+    ----------
+    settings : RenderSettings
+        Floors to draw from, and how far the lamp may move.
+    seed : int
+        The configuration's.
+    simulation : str
+        Its id.
+    viewpoint_id : str
+        Of the family, one of the second training set, or any other: these share floor and lamp.
+    """
+    view = settings.viewpoint_ids().get(viewpoint_id, "")
+    bench = drawn_by(simulation, view)
+    rng = generator(seed, bench, *([view] if of_a_family(view) else []), "surroundings")
+    floor = _draw_floor(settings.floors, rng)
+    moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
+    x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
+    if settings.reflective(viewpoint_id):
+        own = generator(seed, bench, view, "reflective floor")
+        floor = _draw_floor(settings.reflective_floors, own)
+    return Surroundings(*floor, (x, y, z))
+
+
+def _draw_floor(names: Sequence[str], rng: np.random.Generator) -> tuple[str, float, float, float]:
+    """A floor's name, albedo, reflectance and roughness."""
+    name = names[int(rng.integers(len(names)))]
+    return name, *draw_look(name, rng)
+
+
+def draw_look(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Albedo, reflectance and roughness of a floor of the catalogue."""
+    floor = FLOORS[name]
+    albedo, reflectance, roughness = (
+        float(rng.uniform(*limits)) for limits in (floor.albedo, floor.reflectance, floor.roughness)
+    )
+    return albedo, reflectance, roughness

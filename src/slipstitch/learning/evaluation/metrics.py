@@ -1,0 +1,299 @@
+"""The metrics of the tables: name, unit, computation and formatting.
+
+`METRICS` is the only place that lists them. What a model says of videos, beside what is true, comes
+as `PredictionsAndTruth`; pages and terminal take headings and numbers from the rows of the list.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.page.wording import number, percent
+from slipstitch.learning.instrument.conformal import covered
+
+TEST_SETS, CAPTURES = "test sets", "captures"
+
+
+@dataclass(frozen=True)
+class PredictionsAndTruth:
+    """Predictions of a trained model for n videos, with the true values; None where not predicted.
+
+    Attributes
+    ----------
+    step : float
+        Grid step of mu, 0.1 in the paper.
+    friction, reference : ndarray, shape (n,), optional
+        Predicted and true friction coefficients.
+    reference_error : ndarray, shape (n,), or float
+        The reference is an interval of this half width; 0 of simulated videos.
+    intervals : ndarray, shape (n, 2), optional
+        Of the prediction.
+    groups : sequence of str, length n, optional
+        Videos of one group are right or wrong together; by default each is its own.
+    alarms : ndarray of bool, shape (n,), optional
+    pair_errors, pair_agrees : ndarray, shape (p,), optional
+        Of each pair of captures: error of the median, whether the repeats are told equal.
+    fabric_rank : ndarray of int, shape (m,), optional
+        Place of the true fabric among the guesses, 0 the first, of videos whose fabric is known.
+    """
+
+    step: float
+    friction: np.ndarray | None = None
+    reference: np.ndarray | None = None
+    reference_error: np.ndarray | float = 0.0
+    intervals: np.ndarray | None = None
+    groups: Sequence[str] | None = None
+    alarms: np.ndarray | None = None
+    pair_errors: np.ndarray | None = None
+    pair_agrees: np.ndarray | None = None
+    fabric_rank: np.ndarray | None = None
+
+    @cached_property
+    def off(self) -> np.ndarray:
+        """Distance of the predictions from the references' intervals."""
+        return distance(self.friction, self.reference, self.reference_error)
+
+    def share_off(self, errors: np.ndarray, steps: int) -> float:
+        """Share of errors of at most so many grid steps."""
+        return float((steps_off(errors, np.zeros_like(errors), self.step) <= steps).mean())
+
+    @cached_property
+    def coverage(self) -> tuple[float, float]:
+        """Share of references that their intervals meet, each group counting once; its error."""
+        low, high = self.intervals.T
+        each = [str(place) for place in range(len(low))]
+        return covered(
+            low - self.reference_error,
+            high + self.reference_error,
+            self.reference,
+            each if self.groups is None else self.groups,
+        )
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One row of the list.
+
+    Attributes
+    ----------
+    name : str
+        Its key in metrics.json.
+    kind : {"friction", "capture", "fabric", "interval"}
+        What it is computed from; ``capture`` has what only captures have: references with errors
+        and pairs.
+    unit : {"%", "µ"}
+        Shares are 0 ... 1 in files and shown in %.
+    compute : callable
+        `PredictionsAndTruth` -> float.
+    heading : str
+        Of a column of a page.
+    tables : set of {TEST_SETS, CAPTURES}
+        Where it is shown. Those of TEST_SETS make up an entry of evaluate/metrics.json.
+    column : str
+        Of the terminal's table; empty where it is not in it.
+    title : str
+        In words, for a row of its own.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    compute: Callable[[PredictionsAndTruth], float]
+    heading: str
+    tables: frozenset[str] | set[str]
+    column: str = ""
+    title: str = ""
+
+    def shown(self, scores: Mapping[str, Any], spread: Mapping[str, Any] | None = None) -> str:
+        """Its mean ± spread over seeds, of entries that may lack it."""
+        write = percent if self.unit == "%" else number
+        return write(scores.get(self.name), (spread or {}).get(self.name))
+
+
+def _within_a_tenth(errors: np.ndarray) -> float:
+    return float((errors <= 0.1 + 1e-9).mean())
+
+
+# fmt: off
+METRICS = (
+    Metric("friction_lt_0.1", "friction", "%", lambda a: a.share_off(a.off, 0),
+           "< 0.1", {TEST_SETS, CAPTURES}, "< 0.1", "Friction, error < 0.1"),
+    Metric("friction_lt_0.2", "friction", "%", lambda a: a.share_off(a.off, 1),
+           "< 0.2", {TEST_SETS, CAPTURES}, "< 0.2", "Friction, error < 0.2"),
+    Metric("within_0.1", "capture", "%", lambda a: _within_a_tenth(a.off),
+           "within 0.1", {CAPTURES}),
+    # From the reference itself, not from its interval.
+    Metric("mean_absolute_error", "friction", "µ",
+           lambda a: float(np.abs(a.friction - a.reference).mean()),
+           "|error|", {TEST_SETS, CAPTURES}, "|error|"),
+    Metric("mean_distance", "capture", "µ", lambda a: float(a.off.mean()),
+           "distance", frozenset()),
+    Metric("median_error", "capture", "µ", lambda a: float(a.pair_errors.mean()),
+           "error of medians", {CAPTURES}, "medians"),
+    Metric("median_lt_0.1", "capture", "%", lambda a: a.share_off(a.pair_errors, 0),
+           "medians < 0.1", {CAPTURES}),
+    # As the paper counts real films: five equal answers or, else, their median.
+    Metric("median_within_0.1", "capture", "%", lambda a: _within_a_tenth(a.pair_errors),
+           "medians within 0.1", {CAPTURES}),
+    Metric("equal_predictions", "capture", "%", lambda a: float(a.pair_agrees.mean()),
+           "all repeats equal", {CAPTURES}, "equal"),
+    Metric("material_top1", "fabric", "%", lambda a: float((a.fabric_rank < 1).mean()),
+           "fabric, first", {TEST_SETS, CAPTURES}, "top-1", "Material, top 1"),
+    Metric("material_top2", "fabric", "%", lambda a: float((a.fabric_rank < 2).mean()),
+           "first two", {TEST_SETS}, "top-2", "Material, top 2"),
+    Metric("coverage_90", "interval", "%", lambda a: a.coverage[0],
+           "in 90 % interval", {TEST_SETS, CAPTURES}, "cover"),
+    Metric("interval_width", "interval", "µ",
+           lambda a: float((a.intervals[:, 1] - a.intervals[:, 0]).mean()),
+           "its width", {TEST_SETS, CAPTURES}, "width"),
+    Metric("alarms", "interval", "%", lambda a: float(a.alarms.mean()),
+           "alarms", {CAPTURES}),
+)
+# fmt: on
+BY_NAME = {metric.name: metric for metric in METRICS}
+
+
+def metrics_of(table: str, *kinds: str) -> list[Metric]:
+    """Rows of the list that a table shows; those of some kinds only, if kinds are given."""
+    return [
+        metric
+        for metric in METRICS
+        if table in metric.tables and (not kinds or metric.kind in kinds)
+    ]
+
+
+# Every entry of metrics.json has all of these; null where the model does not give the quantity.
+FIELDS = ("n", *(metric.name for metric in metrics_of(TEST_SETS)), "seeds")
+
+
+def scores_of(
+    answers: PredictionsAndTruth, *kinds: str, table: str | None = None
+) -> dict[str, float]:
+    """Name -> score of all metrics of some kinds, of one table's if it is given."""
+    return {
+        metric.name: metric.compute(answers)
+        for metric in METRICS
+        if metric.kind in kinds and (table is None or table in metric.tables)
+    }
+
+
+def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
+    """Refuse arrays that are no predictions: wrong shape, not finite, not summing to one.
+
+    Parameters
+    ----------
+    probabilities : ndarray, shape (n, classes)
+    truth : ndarray of int, shape (n,)
+
+    Raises
+    ------
+    BadInput
+    """
+    if probabilities.ndim != 2 or truth.shape != probabilities.shape[:1] or not len(truth):
+        raise BadInput(
+            f"predictions of shape {probabilities.shape} do not match {truth.shape} true classes"
+        )
+    if (
+        not np.isfinite(probabilities).all()
+        or probabilities.min() < 0
+        or abs(probabilities.sum(1) - 1).max() > 1e-4
+    ):
+        raise BadInput("predictions must be probabilities: finite, non-negative, with sum 1")
+    if truth.min() < 0 or truth.max() >= probabilities.shape[1]:
+        raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
+
+
+def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.ndarray:
+    """Distance of predictions from the intervals reference +- error."""
+    return np.maximum(np.abs(np.subtract(friction, reference)) - error, 0.0)
+
+
+def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarray:
+    """Error in grid steps: |predicted - true| / step rounded half up, int64.
+
+    The paper's "error < 0.1" on its grid of 0.1 is 0 steps (the exact class), "error < 0.2" at most
+    1 step (the class or a neighbour), so that off the grid |error| < 0.05 and < 0.15 count.
+    """
+    return np.floor(np.abs(predicted - true) / step + 0.5 + 1e-9).astype(np.int64)
+
+
+def rank_of_truth(probabilities: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Place of every row's true class among its classes from the likeliest on, 0 the first."""
+    order = np.argsort(-probabilities, axis=1, kind="stable")
+    return (order == truth[:, None]).argmax(axis=1)
+
+
+def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dict[str, float]:
+    """Scores of predicted friction coefficients, on the grid or off it.
+
+    Parameters
+    ----------
+    predicted, true : ndarray, shape (n,)
+    step : float
+        Grid step, 0.1 in the paper.
+
+    Returns
+    -------
+    dict
+        ``friction_lt_0.1``, ``friction_lt_0.2`` (shares in 0 ... 1), ``mean_absolute_error``.
+    """
+    return scores_of(PredictionsAndTruth(step, predicted, true), "friction")
+
+
+def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """``material_top1`` and ``material_top2``, shares in 0 ... 1."""
+    check_probabilities(probabilities, truth)
+    answers = PredictionsAndTruth(np.nan, fabric_rank=rank_of_truth(probabilities, truth))
+    return scores_of(answers, "fabric")
+
+
+def chance(truth: np.ndarray, classes: int) -> dict[str, float]:
+    """Chance levels: a uniform random guess, and always the test set's largest class."""
+    return {
+        "uniform": 1.0 / classes,
+        "majority": float(np.bincount(truth, minlength=classes).max() / len(truth)),
+    }
+
+
+def constant_error(true: np.ndarray) -> float:
+    """Least mean absolute error of one coefficient said of every video: that of the median."""
+    return float(np.abs(true - np.median(true)).mean())
+
+
+def confusion(probabilities: np.ndarray, truth: np.ndarray) -> list[list[int]]:
+    """Counts: row = true class, column = predicted class."""
+    classes = probabilities.shape[1]
+    counts = np.zeros((classes, classes), np.int64)
+    np.add.at(counts, (truth, probabilities.argmax(1)), 1)
+    return counts.tolist()
+
+
+def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Score -> its values, of those that all trainings have."""
+    names = [name for name in scores[0] if all(name in of_seed for of_seed in scores)]
+    return {name: [of_seed[name] for of_seed in scores] for name in names}
+
+
+def mean_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    """The mean of every score over trainings that differ by the seed."""
+    return {name: float(np.mean(values)) for name, values in _common(scores).items()}
+
+
+def spread_over_seeds(scores: Sequence[Mapping[str, float | None]]) -> dict[str, float] | None:
+    """Standard deviation (n - 1) of every score over the seeds; None of one seed only."""
+    if len(scores) < 2:
+        return None
+    return {name: float(np.std(values, ddof=1)) for name, values in _common(scores).items()}
+
+
+def entry(n: int, seeds: list[int], *scores: dict[str, float]) -> dict[str, Any]:
+    """An entry of metrics.json: every field of `FIELDS`, None where no score is given."""
+    known: dict[str, Any] = {"n": n, "seeds": seeds}
+    for score in scores:
+        known |= score
+    return {name: known.get(name) for name in FIELDS}

@@ -1,0 +1,369 @@
+"""Several trainings of the instrument as one, with error bars of their own.
+
+Its networks differ only in their seed. What they say is averaged (`measuring.Instrument`), and the
+error bars and the alarm are calibrated for the average, on the videos that calibrated each of them.
+Its intervals may be stretched further by what it reads on other benches.
+"""
+
+import dataclasses
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import (
+    file_digest,
+    provenance_record,
+    read_provenance,
+    start_clock,
+    write_sidecar,
+)
+from slipstitch.config.train import split_of
+from slipstitch.dataset.manifest import MANIFEST
+from slipstitch.dataset.videos import Videos, read_videos, takes_part
+from slipstitch.learning.instrument.alarm import Alarm
+from slipstitch.learning.instrument.calibration_answers import (
+    FILE,
+    CalibrationAnswers,
+    from_table,
+    read_answers,
+    write_answers,
+)
+from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
+from slipstitch.learning.instrument.calibration_readings import (
+    CalibrationReadings,
+    kept_readings,
+    read_readings,
+    readings_on,
+    write_readings,
+)
+from slipstitch.learning.instrument.error_bars import answers_on, stretched_by, with_error_bars
+from slipstitch.learning.instrument.measuring import (
+    CARD,
+    NETWORKS_MAX,
+    WEIGHTS,
+    Instrument,
+    halved,
+    load_instrument,
+    restored,
+    save_instrument,
+)
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.torch_setup import set_up_torch
+
+# What is the same for all members; the rest of a card is of one training.
+_COMMON = (
+    "materials",
+    "frames",
+    "pixels",
+    "viewpoints",
+    "pose_range",
+    "split",
+    "frictions",
+    "interpolated_videos",
+    "calibration_simulations",
+    "bfloat16",
+    "settings",
+    "dataset_digest",
+    "training_videos",
+    "training_simulations",
+    "epochs",
+    "chance_loss",
+    "use",
+)
+
+
+def combine_instruments(
+    members: Sequence[str | os.PathLike],
+    dataset: str | os.PathLike,
+    split: str,
+    out_dir: str | os.PathLike,
+    further: Sequence[str | os.PathLike] = (),
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Average trained instruments, calibrate the error bars and the alarm of the average, write it.
+
+    Parameters
+    ----------
+    members : sequence of path
+        Folders of instruments that differ in their seed alone.
+    dataset : path
+        Folder that the sample stage wrote, on which they were trained.
+    split : {"by_video", "by_simulation", "by_video_reflective"}
+        On which they were trained; its validation videos calibrate.
+    out_dir : path
+        Gets ``instrument.safetensors``, ``instrument.json``, ``calibration.parquet``, what the
+        average says of the videos that calibrate it, from which any other error bar can be fitted,
+        and ``readings.parquet``, what it reads of other benches. Members that no video calibrated
+        give an average without error bars.
+    further : sequence of path
+        Datasets of other benches, of which all videos calibrate the intervals too.
+    threads : int
+
+    Returns
+    -------
+    dict
+        The card: as the members' cards where they agree, and ``networks``, their number, and
+        ``seeds``, ``members_sha256``, ``train_loss``, one a member; ``calibration_readings``, a
+        row for each of `further`.
+
+    Raises
+    ------
+    BadInput
+        If the members are fewer than two or do not belong together, the dataset is another one, or
+        a further one is of no use to calibrate.
+    """
+    started = start_clock()
+    set_up_torch(threads)
+    weights = [Path(member) / WEIGHTS for member in members]
+    if not 2 <= len(members) <= NETWORKS_MAX:
+        raise BadInput(f"{len(members)} instrument(s) given; 2 to {NETWORKS_MAX} are combined")
+    trained = [load_instrument(member) for member in members]
+    _check_alike(trained, members, split)
+    networks = tuple(_rounded(instrument) for instrument in trained)
+    card: dict[str, Any] = {name: trained[0].card.get(name) for name in _COMMON}
+    card |= {
+        "networks": len(trained),
+        "seeds": [one.card["seed"] for one in trained],
+        "members_sha256": [file_digest(path) for path in weights],
+        "train_loss": [one.card["train_loss"] for one in trained],
+        "parameters": sum(one.card["parameters"] for one in trained),
+        "multiply_accumulates_per_frame": sum(
+            one.card["multiply_accumulates_per_frame"] for one in trained
+        ),
+    }
+    combined = Instrument(networks, card, None)
+    alarms = [one.error_bars.alarm for one in trained if one.error_bars]
+    held, readings = None, CalibrationReadings([])
+    if alarms:
+        statistics = _statistics(alarms)
+        videos = _held_out(trained[0], dataset, split)
+        answers = answers_on(combined, statistics, videos, np.random.default_rng(0))
+        held = from_table(answers.table())  # rounded as it is kept
+        combined = with_error_bars(combined, statistics, held)
+        readings = _on_datasets(combined, readings, further)
+        combined = _stretched(combined, held, readings)
+    elif further:
+        raise BadInput(
+            f"{members[0]}: has no alarm, as none of its videos calibrated it; further datasets "
+            "cannot calibrate it alone"
+        )
+    record = provenance_record(
+        "instrument",
+        # The manifest has the digest of every video's pixels, with which they are compared.
+        inputs=[*weights, Path(dataset) / MANIFEST],
+        config={"instrument": combined.settings},
+        started=started,
+    )
+    record["inputs"] |= _inputs(further, (), 0)
+    record["threads"] = threads
+    return _write(combined, held, readings, out_dir, record)
+
+
+def recalibrate_instrument(
+    folder: str | os.PathLike,
+    out_dir: str | os.PathLike,
+    further: Sequence[str | os.PathLike] = (),
+    files: Sequence[str | os.PathLike] = (),
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Stretch the intervals of an average by what it reads of other benches too, write it.
+
+    All else stays as it is: medians, spread, fabrics and alarm. With datasets alone the intervals
+    are those that `combine_instruments` gives with these, without its members and images.
+
+    Parameters
+    ----------
+    folder : path
+        That `combine_instruments` wrote.
+    out_dir : path
+        Gets the same files.
+    further : sequence of path
+        Datasets of which all videos calibrate.
+    files : sequence of path
+        Readings by this average (`calibration_readings.read_readings`).
+    threads : int
+
+    Returns
+    -------
+    dict
+        The card; ``recalibrated_from`` has the ``weights_sha256`` and the ``factor`` of before.
+
+    Raises
+    ------
+    BadInput
+        If the instrument is no average or nothing has calibrated it, a file is damaged, or a
+        source calibrates it already or is of no use to calibrate it.
+    """
+    started = start_clock()
+    set_up_torch(threads)
+    before = load_instrument(folder)
+    if len(before.networks) == 1:
+        raise BadInput(f"{folder}: is a single training; averages alone keep what calibrated them")
+    if before.error_bars is None:
+        raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
+    held = read_answers(Path(folder) / FILE)
+    readings = kept_readings(folder)
+    try:
+        inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
+    except FileNotFoundError:
+        raise BadInput(f"{Path(folder) / WEIGHTS}: has no record of what trained it") from None
+    first = len(readings.noted)
+    readings = _on_datasets(before, readings, further)
+    for file in files:
+        readings = _with(before, readings, read_readings(file, before), file)
+    # A card names the weights beside it, which are others now.
+    card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
+    card["recalibrated_from"] = {
+        "weights_sha256": before.card["weights_sha256"],
+        "factor": before.factor if math.isfinite(before.factor) else None,
+    }
+    combined = _stretched(dataclasses.replace(before, card=card), held, readings)
+    record = provenance_record(
+        "instrument", config={"instrument": combined.settings}, started=started
+    )
+    record["inputs"] = inputs | _inputs(further, files, first)
+    record["threads"] = threads
+    return _write(combined, held, readings, out_dir, record)
+
+
+def _inputs(
+    further: Sequence[str | os.PathLike], files: Sequence[str | os.PathLike], first: int
+) -> dict[str, str]:
+    """Digests of what other benches are known from, by names that tell them apart."""
+    paths = [
+        *(("calibration_datasets", Path(folder) / MANIFEST) for folder in further),
+        *(("calibration_readings", Path(file)) for file in files),
+    ]
+    return {
+        f"{kind}/{number}/{path.name}": file_digest(path)
+        for number, (kind, path) in enumerate(paths, first)
+    }
+
+
+def _on_datasets(
+    combined: Instrument, readings: CalibrationReadings, further: Sequence[str | os.PathLike]
+) -> CalibrationReadings:
+    """The readings, and those of all videos of further datasets."""
+    for folder in further:
+        videos = read_videos(
+            folder,
+            lambda row: row["viewpoint"] in combined.card["viewpoints"],
+            combined.settings.pixels,
+        )
+        _check_further(combined, videos, folder)
+        readings = _with(combined, readings, readings_on(combined, videos), folder)
+    return readings
+
+
+def _stretched(
+    combined: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
+) -> Instrument:
+    """By the readings too, with a card that says so."""
+    simulations = len({*held.groups}) + len({*readings.groups})
+    card = combined.card | {"calibration_simulations": simulations}
+    if not readings.rows:
+        return dataclasses.replace(combined, card=card)
+    card["calibration_readings"] = readings.noted
+    return stretched_by(dataclasses.replace(combined, card=card), held, readings)
+
+
+def _with(
+    combined: Instrument,
+    readings: CalibrationReadings,
+    found: CalibrationReadings,
+    path: str | os.PathLike,
+) -> CalibrationReadings:
+    """Readings and more; BadInput if these are of videos that trained, or calibrate already."""
+    if found.known & {combined.card["dataset_digest"], *readings.known}:
+        raise BadInput(f"{path}: trained or calibrates the instrument already")
+    return CalibrationReadings(readings.rows + found.rows)
+
+
+def _check_further(combined: Instrument, videos: Videos, folder: str | os.PathLike) -> None:
+    """BadInput if the videos of a dataset are of no use to calibrate."""
+    frames, wanted = videos.pixels.shape[1], combined.card["frames"]
+    if frames < wanted:
+        raise BadInput(f"{folder}: videos of {frames} frames; the instrument requires {wanted}")
+    largest = max(row["friction"] for row in videos.rows)
+    if largest > combined.settings.friction_max:
+        raise BadInput(
+            f"{folder}: has a coefficient of {largest:g}; the instrument can say at most "
+            f"{combined.settings.friction_max:g}"
+        )
+
+
+def _write(
+    combined: Instrument,
+    held: CalibrationAnswers | None,
+    readings: CalibrationReadings,
+    out_dir: str | os.PathLike,
+    record: dict[str, Any],
+) -> dict[str, Any]:
+    """Write the four files; the card."""
+    out = Path(out_dir)
+    written = save_instrument(combined, out)
+    for name in (WEIGHTS, CARD):
+        write_sidecar(out / name, record)
+    write_answers(held, out / FILE, record)
+    write_readings(readings, out / READINGS, record)
+    return written
+
+
+def _check_alike(
+    trained: Sequence[Instrument], members: Sequence[str | os.PathLike], split: str
+) -> None:
+    """BadInput unless all are single networks, alike but for their seeds."""
+    first = trained[0]
+    seeds: dict[int, str | os.PathLike] = {}
+    for instrument, member in zip(trained, members, strict=True):
+        card = instrument.card
+        if len(instrument.networks) > 1:
+            raise BadInput(f"{member}: is itself combined of {len(instrument.networks)} trainings")
+        if card.get("split") != split:
+            raise BadInput(f"{member}: was trained on the split {card.get('split')}, not {split}")
+        if card["seed"] in seeds:
+            raise BadInput(f"{member}: has seed {card['seed']}, as {seeds[card['seed']]} has")
+        seeds[card["seed"]] = member
+        for name in _COMMON:
+            if card.get(name) != first.card.get(name):
+                raise BadInput(f"{member}: differs from {members[0]} in its {name}")
+
+
+def _held_out(instrument: Instrument, dataset: str | os.PathLike, split: str) -> Videos:
+    """The videos that calibrate; BadInput if the dataset is not the one of the training."""
+    column, views = f"split_{split_of(split)}", instrument.card["viewpoints"]
+    videos = read_videos(
+        dataset,
+        lambda row: (
+            takes_part(row, split) and row[column] == "validation" and row["viewpoint"] in views
+        ),
+        instrument.settings.pixels,
+    )
+    if videos.digest != instrument.card["dataset_digest"]:
+        raise BadInput(f"{dataset}: not the dataset on which the instruments were trained")
+    return videos
+
+
+def _rounded(instrument: Instrument) -> InstrumentNetwork:
+    """The network of an instrument, rounded as it will be stored."""
+    (network,) = instrument.networks
+    state = {name: restored(halved(value)) for name, value in network.state_dict().items()}
+    network.load_state_dict(state)
+    return network
+
+
+def _statistics(alarms: Sequence[Alarm]) -> tuple[np.ndarray, ...]:
+    """Those of the training videos for an alarm over all networks, rounded as they are stored."""
+    # The first three are of the videos alone, and so the same for all.
+    parts = (
+        *alarms[0].statistics[:3],
+        np.concatenate([alarm.embedding_mean for alarm in alarms]),
+        np.concatenate([alarm.embedding_whitening for alarm in alarms]),
+    )
+    return tuple(restored(halved(torch.from_numpy(part))).numpy() for part in parts)

@@ -1,0 +1,439 @@
+"""The instrument: from the frames of a video to mu, its error bar, the fabric and the alarm."""
+
+import math
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.special import softmax
+
+from slipstitch.base.errors import BadInput, first_line
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import split_of
+from slipstitch.dataset.videos import resized
+from slipstitch.images.pose import POSE
+from slipstitch.learning.instrument.alarm import Alarm
+from slipstitch.learning.instrument.augmentation import augmented
+from slipstitch.learning.instrument.conformal import least_groups
+from slipstitch.learning.instrument.distribution import (
+    friction_grid,
+    mixture_cumulative,
+    probabilities_on_grid,
+    quantiles,
+    spread,
+)
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.poses import scaled
+from slipstitch.learning.model_file import read_weights, write_weights
+
+FORMAT = "slipstitch-instrument-3"
+WEIGHTS = "instrument.safetensors"
+CARD = "instrument.json"
+ALARM = "alarm."
+NETWORKS_MAX = 16
+NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Result of the instrument for one video.
+
+    Attributes
+    ----------
+    friction_coefficient : float
+        Median of the distribution.
+    distribution : tuple of ndarray
+        Grid of mu and the probability of each of its points, both of shape (G,).
+    interval_90 : tuple of float
+        Conformal interval, (low, high); the whole grid where too few simulations calibrate it.
+    material_probabilities : dict
+        Fabric -> probability.
+    alarm : bool
+        Whether the video is unlike the training data, so that the rest is not to be believed.
+    alarm_reason : str
+        Why; empty without alarm.
+    attention_weights : ndarray, shape (frames,)
+        Weight of each frame in the decision, sum 1.
+    points_m : ndarray, shape (frames, points, 3), optional
+        Where the instrument sees points of the cloth (`slipstitch.images.marked_points`), if it
+        learnt to.
+    """
+
+    friction_coefficient: float
+    distribution: tuple[np.ndarray, np.ndarray]
+    interval_90: tuple[float, float]
+    material_probabilities: dict[str, float]
+    alarm: bool
+    alarm_reason: str
+    attention_weights: np.ndarray
+    points_m: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Uncalibrated answers for n videos, averaged over augmented views and over the networks.
+
+    Distributions are averaged point by point, as a mixture of the networks' own (a linear pool).
+    The embedding is not averaged: it has those of all networks, one after another.
+    """
+
+    probabilities: np.ndarray
+    material_logits: np.ndarray
+    order: np.ndarray
+    attention_weights: np.ndarray
+    embedding: np.ndarray
+    points_m: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class ErrorBars:
+    """Calibration on held-out simulations.
+
+    Attributes
+    ----------
+    spread : float
+        By which the distributions are spread about their medians.
+    material_temperature : float
+        By which the fabrics' logits are divided.
+    factor : float
+        By which the distribution's own half-intervals are stretched; infinite: not enough
+        simulations to promise anything.
+    alarm : Alarm
+    """
+
+    spread: float
+    material_temperature: float
+    factor: float
+    alarm: Alarm
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One network, or several that are averaged, with its card and, once calibrated, error bars.
+
+    Networks that differ only in their seed err in part independently: their mean errs less than
+    one of them (deep ensembles: Lakshminarayanan, Pritzel & Blundell 2017, arXiv 1612.01474).
+
+    Attributes
+    ----------
+    networks : tuple of InstrumentNetwork
+        At least one; trained on the same videos with the same settings.
+    card : dict
+    error_bars : ErrorBars, optional
+    """
+
+    networks: tuple[InstrumentNetwork, ...]
+    card: dict[str, Any]
+    error_bars: ErrorBars | None
+
+    @property
+    def settings(self) -> InstrumentSettings:
+        """As it was trained."""
+        return self.networks[0].settings
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Grid of mu, float64 of shape (G,)."""
+        # Not the network's, whose end is 1.29999995 in float32 where a truth of 1.3 may lie.
+        return friction_grid(self.settings.friction_max, self.settings.friction_step)
+
+    def answers(
+        self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
+    ) -> Answers:
+        """Uncalibrated answers.
+
+        Parameters
+        ----------
+        videos : ndarray of uint8, shape (n, frames, pixels, pixels, 3)
+        generator : numpy Generator
+            Of the augmentations.
+        poses : ndarray, shape (n, 4), optional
+            How the cameras stand (`slipstitch.images.pose.POSE`); as calibrated by default.
+        """
+        for network in self.networks:
+            network.eval()
+        told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
+        parts = []
+        with torch.inference_mode():
+            for video, pose in zip(videos, told, strict=True):
+                repeated = np.repeat(video[None], self.settings.draws, axis=0)
+                views = augmented(repeated, self.settings, generator)
+                poses_told = pose.expand(self.settings.draws, -1)
+                of_each = [
+                    _answer(network, network(views, self.card["bfloat16"], poses_told))
+                    for network in self.networks
+                ]
+                parts.append(
+                    {
+                        name: np.concatenate(answers)
+                        if name == "embedding"
+                        else np.mean(answers, axis=0)
+                        for name, answers in (
+                            (name, [answer[name] for answer in of_each]) for name in of_each[0]
+                        )
+                    }
+                )
+        return Answers(**{name: np.stack([part[name] for part in parts]) for name in parts[0]})
+
+    def distributions(self, answers: Answers) -> np.ndarray:
+        """Calibrated distributions on the grid, shape (n, G)."""
+        return self.spread_out(answers.probabilities)
+
+    def spread_out(self, probabilities: np.ndarray) -> np.ndarray:
+        """Calibrated distributions on the grid, from those of uncalibrated answers, (n, G)."""
+        bars = self.error_bars
+        return spread(probabilities, self.grid, bars.spread if bars else 1.0)
+
+    def intervals(self, distributions: np.ndarray) -> np.ndarray:
+        """Median, lower and upper end of the intervals, shape (n, 3)."""
+        return stretched(distributions, self.grid, self.settings.coverage, self.factor)
+
+    def needed_stretch(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
+        """Factor at which the interval of each distribution would just hold its truth, (n,)."""
+        return stretch_scores(distributions, self.grid, self.settings.coverage, friction)
+
+    @property
+    def factor(self) -> float:
+        """By which the distribution's own half-intervals are stretched; infinite without bars."""
+        return self.error_bars.factor if self.error_bars else math.inf
+
+    @property
+    def without_error_bar(self) -> str:
+        """Why intervals are the whole grid, as they are then; empty where they are not."""
+        if self.error_bars and math.isfinite(self.error_bars.factor):
+            return ""
+        needed = least_groups(self.settings.coverage)
+        groups = self.card.get("calibration_simulations", 0)
+        of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
+        return f"no error bar: calibrated on {of_them}; {needed} are needed"
+
+    @property
+    def caveats(self) -> list[str]:
+        """What an error bar of this instrument does not cover."""
+        if split_of(self.card.get("split", "")) != "by_video":
+            return []
+        return [
+            "the instrument was trained with the split by video: other videos of the simulations "
+            "that calibrate its error bars trained it; expect larger errors than the interval says"
+        ]
+
+    def measure(
+        self,
+        frames: np.ndarray,
+        generator: np.random.Generator | None = None,
+        pose: np.ndarray | None = None,
+    ) -> Measurement:
+        """Measure one video.
+
+        Parameters
+        ----------
+        frames : ndarray of uint8, shape (frames, height, width, 3)
+            RGB, at regular intervals from the start of the stage's motion, cropped as the
+            training images are: square. Resized to the network's side where they differ.
+        generator : numpy Generator, optional
+            Draws the augmented views that are averaged; by default always the same.
+        pose : ndarray, shape (4,), optional
+            How the camera stands (`slipstitch.images.pose.POSE`); as calibrated by default.
+
+        Raises
+        ------
+        BadInput
+            If the array is of another shape or type.
+        """
+        video = self._fitted(frames)[None]
+        poses = None if pose is None else np.asarray(pose)[None]
+        answers = self.answers(video, generator or np.random.default_rng(0), poses)
+        distribution = self.distributions(answers)
+        median, low, high = self.intervals(distribution)[0]
+        bars = self.error_bars
+        logits = answers.material_logits[0] / (bars.material_temperature if bars else 1.0)
+        reason = NOT_CALIBRATED
+        if bars:
+            scores = bars.alarm.raw(video, answers.embedding, answers.order)
+            reason = bars.alarm.reason(scores[0])
+        return Measurement(
+            friction_coefficient=float(median),
+            distribution=(self.grid, distribution[0]),
+            interval_90=(float(low), float(high)),
+            material_probabilities=dict(
+                zip(self.card["materials"], softmax(logits).tolist(), strict=True)
+            ),
+            alarm=bool(reason),
+            alarm_reason=reason,
+            attention_weights=answers.attention_weights[0],
+            points_m=None if answers.points_m is None else answers.points_m[0],
+        )
+
+    def _fitted(self, frames: np.ndarray) -> np.ndarray:
+        """The frames at the network's size; BadInput if they are no such frames."""
+        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
+        if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 4:
+            raise BadInput(f"the frames are not images: {wanted}")
+        count, height, width, colours = frames.shape
+        if count != self.card["frames"] or height != width or colours != 3 or height < 8:
+            raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
+        side = self.networks[0].pixels
+        return frames if height == side else resized(frames, side)
+
+
+def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """What a network says of a video, averaged over its augmented views: fields of `Answers`."""
+    # In float64: in float32 a distribution's tail would end at five deviations.
+    cumulative = mixture_cumulative(outputs["friction"].double(), network.middles.double())
+    answer = {
+        "probabilities": probabilities_on_grid(cumulative.numpy()).mean(0),
+        "material_logits": outputs["material"].double().mean(0).numpy(),
+    }
+    for name in ("order", "attention_weights", "embedding"):
+        answer[name] = outputs[name].double().mean(0).numpy()
+    if network.points is not None:
+        answer["points_m"] = network.places_m(outputs["points"]).mean(0).numpy()
+    return answer
+
+
+def stretched(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, factor: float
+) -> np.ndarray:
+    """Median and interval whose halves are `factor` times the distribution's own, shape (n, 3).
+
+    Either half is at least one step of the grid before stretching, so that a distribution that is
+    too sure of itself can be stretched at all. Clipped to the grid.
+    """
+    levels = np.array([(1 - coverage) / 2, 0.5, (1 + coverage) / 2])
+    low, median, high = quantiles(distributions, grid, levels).T
+    step = grid[1] - grid[0]
+    if not math.isfinite(factor):
+        return np.stack(
+            [median, np.full_like(median, grid[0]), np.full_like(median, grid[-1])], axis=1
+        )
+    below = median - factor * np.maximum(median - low, step)
+    above = median + factor * np.maximum(high - median, step)
+    return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
+
+
+def stretch_scores(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
+) -> np.ndarray:
+    """Factor by which each interval would have to be stretched to reach its truth, shape (n,)."""
+    return stretch_scores_of_intervals(stretched(distributions, grid, coverage, 1.0), truth)
+
+
+def stretch_scores_of_intervals(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
+    median, low, high = intervals.T
+    half = np.where(truth < median, median - low, high - median)
+    # A half that the grid's end cut off is never too short.
+    return np.abs(truth - median) / np.maximum(half, 1e-9)
+
+
+def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:
+    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written.
+
+    Several networks are stored as `halved`, which must be done before they are calibrated.
+    """
+    networks = instrument.networks
+    tensors = {
+        prefix + name: value
+        for prefix, network in zip(_prefixes(len(networks)), networks, strict=True)
+        for name, value in network.state_dict().items()
+    }
+    card = {"format": FORMAT, **instrument.card, "error_bars": None}
+    bars = instrument.error_bars
+    if bars:
+        card["error_bars"] = {
+            "spread": bars.spread,
+            "material_temperature": bars.material_temperature,
+            "factor": bars.factor if math.isfinite(bars.factor) else None,
+            "alarm_threshold": bars.alarm.threshold,
+        }
+        for field in fields(Alarm):
+            if field.name != "threshold":
+                tensors[ALARM + field.name] = torch.from_numpy(getattr(bars.alarm, field.name))
+    if len(networks) > 1:
+        tensors = {name: halved(value) for name, value in tensors.items()}
+    return write_weights(tensors, card, Path(folder) / WEIGHTS, Path(folder) / CARD)
+
+
+def halved(value: torch.Tensor) -> torch.Tensor:
+    """Matrices in float16, so that several networks take the space of two; the rest as it is."""
+    return value.half() if value.ndim > 1 else value
+
+
+def restored(value: torch.Tensor) -> torch.Tensor:
+    """What `halved` gave, in float32."""
+    return value.float() if value.dtype == torch.float16 else value
+
+
+def _prefixes(count: int) -> list[str]:
+    """Of the names of each network's tensors, of so many."""
+    return [""] if count == 1 else [f"{number}." for number in range(count)]
+
+
+class _Card(BaseModel):
+    """The entries of a card required to build and use the network."""
+
+    model_config = ConfigDict(strict=True)
+
+    settings: InstrumentSettings = Field(strict=False)
+    materials: list[str] = Field(min_length=1)
+    pixels: int = Field(ge=8, le=1024)
+    frames: int = Field(ge=1, le=10_000)
+    bfloat16: bool
+    networks: int = Field(1, ge=1, le=NETWORKS_MAX)
+
+
+def load_instrument(path: str | os.PathLike) -> Instrument:
+    """Read an instrument that `save_instrument` wrote.
+
+    Parameters
+    ----------
+    path : path
+        Its folder, or one of the two files in it.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is of another kind, or is not as it was written.
+    """
+    given = Path(path)
+    folder = given.parent if given.name in (WEIGHTS, CARD) else given
+    weights = folder / WEIGHTS
+    tensors, card = read_weights(weights, folder / CARD, FORMAT)
+    try:
+        known = _Card.model_validate(card)
+        arguments = (known.settings, len(known.materials), known.pixels)
+        learnt = {
+            name: restored(value) for name, value in tensors.items() if not name.startswith(ALARM)
+        }
+        with torch.device("meta"):  # no memory yet for what a card claims
+            shapes = InstrumentNetwork(*arguments).state_dict()
+        prefixes = _prefixes(known.networks)
+        if {
+            prefix + name: value.shape for prefix in prefixes for name, value in shapes.items()
+        } != {name: value.shape for name, value in learnt.items()}:
+            raise BadInput(f"{weights}: weights do not match the card: different sizes")
+        networks = tuple(InstrumentNetwork(*arguments).eval() for _ in prefixes)
+        for prefix, network in zip(prefixes, networks, strict=True):
+            network.load_state_dict({name: learnt[prefix + name] for name in shapes})
+        noted = card["error_bars"]
+        bars = None
+        if noted is not None:
+            arrays = {
+                name.removeprefix(ALARM): restored(value).numpy()
+                for name, value in tensors.items()
+                if name.startswith(ALARM)
+            }
+            bars = ErrorBars(
+                noted["spread"],
+                noted["material_temperature"],
+                math.inf if noted["factor"] is None else noted["factor"],
+                Alarm(**arrays, threshold=noted["alarm_threshold"]),
+            )
+    except (ValidationError, RuntimeError, KeyError, TypeError) as error:
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
+    inside = {key: value for key, value in card.items() if key != "error_bars"}
+    return Instrument(networks, inside, bars)

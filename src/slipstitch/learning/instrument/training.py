@@ -1,0 +1,520 @@
+"""Training the instrument's network, then calibrating its error bars and its alarm."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import start_clock
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import REFLECTIVE
+from slipstitch.dataset.videos import Videos
+from slipstitch.learning.checkpoint import Progress
+from slipstitch.learning.classes import classes_of
+from slipstitch.learning.instrument.augmentation import (
+    augmented,
+    disordered,
+    phase_places,
+    phased,
+    standardised,
+)
+from slipstitch.learning.instrument.distribution import (
+    medians,
+    mixture_cumulative,
+    ranked_probability_score,
+)
+from slipstitch.learning.instrument.error_bars import calibrated
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
+from slipstitch.learning.loop import (
+    Phase,
+    read_training_videos,
+    simulations,
+    train_learner,
+    training_facts,
+    training_identity,
+    write_record,
+)
+from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
+
+DISORDERED = 4  # for so many videos, one is also shown in disorder
+GRADIENT_NORM_MAX = 1.0
+UNKNOWN = -1  # number of a fabric that does not train
+POINTS_SPREAD_MIN_M = 1e-3
+POINT_ERROR_M = 0.005  # the unit of the loss of places: in that of their spread, tails count little
+
+
+def _training_videos(
+    settings: InstrumentSettings,
+    dataset: str | os.PathLike,
+    split: str,
+    viewpoints: Sequence[str],
+    frames: int,
+    uses: Callable[[dict[str, Any]], bool] | None = None,
+) -> tuple[Videos, np.ndarray]:
+    """The videos of some viewpoints that train or calibrate, and which of them train.
+
+    `uses` says of a manifest row whether its video may do either; by default all may.
+
+    Raises
+    ------
+    BadInput
+        If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
+    """
+    videos, training = read_training_videos(
+        dataset,
+        split,
+        lambda row: row["viewpoint"] in viewpoints and (uses is None or uses(row)),
+        settings.pixels,
+    )
+    stored = videos.pixels.shape[1]
+    if stored < frames:
+        raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
+    trained = list(compress(videos.rows, training))
+    for key, least in (("material", 1), ("friction", 2)):
+        found = {row[f"{key}_id"] for row in trained}
+        if len(found) < least:
+            raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
+    if settings.points_weight and videos.points_m is None:
+        raise BadInput(
+            f"{dataset}: has no places of points of the cloth, as instrument.points_weight "
+            "requires: render and sample it again"
+        )
+    # A fabric may be for the error bars alone (sample.validation_materials).
+    absent = [row["friction"] for row in videos.rows if row["friction_id"] not in found]
+    if absent:
+        raise BadInput(f"{dataset}: friction {min(absent)} has no training video")
+    largest = max(row["friction"] for row in videos.rows)
+    if largest > settings.friction_max:
+        raise BadInput(
+            f"{dataset}: friction {largest:g} is above the grid's end, {settings.friction_max:g} "
+            "(instrument.friction_max)"
+        )
+    return videos, training
+
+
+def unit_of_points(points_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean of places (n, frames, points, 3) and mean distance from it, both (points, 3) float64."""
+    points_m = points_m.double()
+    mean_m = points_m.mean((0, 1))
+    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=POINTS_SPREAD_MIN_M)
+
+
+def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
+    """Places of the videos' points in the network's unit, which it is given."""
+    points_m = torch.from_numpy(videos.points_m)
+    mean_m, spread_m = unit_of_points(points_m[training])
+    network.points_mean_m.copy_(mean_m)
+    network.points_spread_m.copy_(spread_m)
+    return (points_m - network.points_mean_m) / network.points_spread_m
+
+
+def points_off(network: InstrumentNetwork, differences: Tensor) -> Tensor:
+    """Distances along the axes of places (..., points, 3) in the network's unit.
+
+    In units of `POINT_ERROR_M`: a millimetre is as wrong at the tail, which moves most and tells
+    friction, as at a point that hardly moves.
+    """
+    return differences.abs() * (network.points_spread_m / POINT_ERROR_M)
+
+
+def chance_score(friction: np.ndarray) -> float:
+    """Ranked probability score, in mu, of always saying the labels' own distribution.
+
+    Half the mean distance of two labels (Gneiting & Raftery 2007, eq. 21).
+    """
+    return float(abs(friction[:, None] - friction[None]).mean() / 2)
+
+
+def losses(
+    network: InstrumentNetwork,
+    views: Tensor,
+    friction: Tensor,
+    material: Tensor,
+    ordered: Tensor,
+    bfloat16: bool,
+    poses: Tensor | None = None,
+    points: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """Mean losses of a batch whose last videos are in disorder.
+
+    Parameters
+    ----------
+    views : float tensor, shape (n, frames, side, side, 3)
+    friction, material : tensor, shape (m,)
+        Of the first m videos; the rest is in disorder and has none.
+    ordered : float tensor, shape (n,)
+        1 for the first m videos, else 0. Both kinds weigh the same.
+    poses : float tensor, shape (n, 4), optional
+    points : float tensor, shape (m, frames, points, 3), optional
+        Places of points in the network's unit, where it learns them.
+
+    Returns
+    -------
+    dict
+        ``friction`` (in mu), ``material``, ``order``, ``points`` (mean distance along an axis, in
+        units of `POINT_ERROR_M`); and ``median_error``, without gradient.
+    """
+    outputs = network(views, bfloat16, poses)
+    count, spoilt = len(friction), len(ordered) - len(friction)
+    cumulative = mixture_cumulative(outputs["friction"][:count], network.middles)
+    score = ranked_probability_score(cumulative, friction, network.grid).mean()
+    with torch.no_grad():
+        median = medians(cumulative, network.grid)
+    off = torch.zeros(())
+    if points is not None:
+        off = points_off(network, outputs["points"][:count] - points).mean()
+    return {
+        "points": off,
+        "friction": score,
+        "material": torch.nn.functional.cross_entropy(outputs["material"][:count], material),
+        "order": torch.nn.functional.binary_cross_entropy_with_logits(
+            outputs["order"], ordered, weight=torch.where(ordered > 0, 1 / count, 1 / spoilt) / 2
+        )
+        * len(ordered),
+        "median_error": (median - friction).abs().mean(),
+    }
+
+
+def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.ndarray:
+    """For every video, one of the same fabric and replicate at the next larger coefficient.
+
+    Itself without one.
+
+    Of videos that train, and only where one of the two lies between simulations itself: there a
+    cloth changes smoothly with the coefficient, so that places between theirs are a cloth's too.
+    """
+    result = np.arange(len(rows))
+    of_cloth: dict[tuple[str, str], list[int]] = {}
+    for number in np.flatnonzero(training):
+        cloth = rows[number]["material_id"], rows[number]["replicate_id"]
+        of_cloth.setdefault(cloth, []).append(int(number))
+    for numbers in of_cloth.values():
+        numbers.sort(key=lambda number: rows[number]["friction"])
+        for place, number in enumerate(numbers):
+            larger = numbers[place + 1 :]
+            friction = rows[number]["friction"]
+            other = next((one for one in larger if rows[one]["friction"] > friction), number)
+            if rows[number].get("interpolated") or rows[other].get("interpolated"):
+                result[number] = other
+    return result
+
+
+def noisy_places(
+    points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
+) -> Tensor:
+    """Places (n, frames, points, 3) in the network's unit as they might be found in images.
+
+    Shifted as a whole, as by the error of a calibration; each point shifted; and in every frame
+    each point again.
+    """
+    videos, _, count, axes = points.shape
+    shapes = (videos, 1, 1, axes), (videos, 1, count, axes), points.shape
+    noise = sum(generator.standard_normal(shape, np.float32) for shape in shapes)
+    return points + noise_m * torch.from_numpy(noise) / spread_m
+
+
+def learning_rate(settings: InstrumentSettings, done: float) -> float:
+    """One cycle: up in the first tenth, then down a cosine; `done` in 0 ... 1."""
+    if done < 0.1:
+        return settings.learning_rate * (0.05 + 0.95 * done / 0.1)
+    return settings.learning_rate * (0.505 + 0.495 * math.cos(math.pi * (done - 0.1) / 0.9))
+
+
+def training_views(
+    pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
+) -> tuple[Tensor, Tensor, np.ndarray, np.ndarray]:
+    """Augmented videos at random phase, then some of them in disorder.
+
+    Returns
+    -------
+    views : float32 tensor, shape (n, frames, side, side, 3)
+    ordered : float tensor, shape (n,)
+        1 for those in order.
+    shown : ndarray of int, shape (n,)
+        For every view, the number of the video that it shows.
+    places : ndarray of int, shape (len(pixels), frames)
+        The frames that those in order show.
+    """
+    places = phase_places(len(pixels), pixels.shape[1], frames, generator)
+    videos = pixels[np.arange(len(pixels))[:, None], places]
+    chosen = generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]
+    spoilt = np.stack([disordered(video, generator) for video in videos[chosen]])
+    whole = np.concatenate([videos, spoilt])
+    ordered = (torch.arange(len(whole)) < len(videos)).float()
+    shown = np.concatenate([np.arange(len(videos)), chosen])
+    return augmented(whole, settings, generator), ordered, shown, places
+
+
+@dataclass
+class InstrumentLearner:
+    """The instrument's network with the videos that it learns from: a `train.loop.Learner`.
+
+    Attributes
+    ----------
+    rows : sequence of dict
+        Of the manifest.
+    pixels : ndarray of uint8, shape (n, stored frames, side, side, 3)
+    frames : int
+        That the network sees of them.
+    friction : float tensor, shape (n,)
+    labels : int64 tensor, shape (n,)
+        Class numbers of the fabrics; `UNKNOWN` for one that does not train.
+    training : ndarray of bool, shape (n,)
+        Which of the videos train; the others validate.
+    poses : float tensor, shape (n, 4)
+        Of the cameras, scaled.
+    points : float tensor, shape (n, stored frames, points, 3), optional
+        Their places in the network's unit, where it learns them.
+    """
+
+    name: str
+    settings: InstrumentSettings
+    network: InstrumentNetwork
+    phases: Sequence[Phase]
+    rows: Sequence[dict[str, Any]]
+    pixels: np.ndarray
+    frames: int
+    friction: Tensor
+    labels: Tensor
+    training: np.ndarray
+    poses: Tensor
+    bfloat16: bool
+    points: Tensor | None = None
+
+    def __post_init__(self):
+        settings = self.settings
+        self.next_friction = next_frictions(self.rows, self.training)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), weight_decay=settings.weight_decay
+        )
+        self.batch_size = settings.batch_size
+        self.gradient_norm_max = GRADIENT_NORM_MAX
+        self.chance_loss = chance_score(self.friction.numpy()[self.training])
+        self.plateau_margin = settings.plateau_margin
+        self.plateau_window = 1
+        self.plateau_epochs = None
+        self.diverged_hint = f"a smaller instrument.learning_rate than {settings.learning_rate:g}"
+        self.plateau_hint = "instrument.epochs, instrument.learning_rate"
+
+    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+        """All: they are in one view."""
+        return np.flatnonzero(self.training), np.flatnonzero(~self.training)
+
+    def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
+        """As the function of this name, by the share of the steps that are done."""
+        steps = -(-videos // self.batch_size)
+        return learning_rate(self.settings, (epoch + step / steps) / phase.epochs)
+
+    def batch_loss(
+        self, batch: np.ndarray, generator: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Weighted sum of the losses; sums of the friction's score and of the median's error."""
+        views, ordered, shown, places = training_views(
+            self.pixels[batch], self.frames, self.settings, generator
+        )
+        friction, labels = self.friction[batch], self.labels[batch]
+        poses = self.poses[batch][shown]
+        points = None if self.points is None else self.points[batch[:, None], places]
+        part = losses(self.network, views, friction, labels, ordered, self.bfloat16, poses, points)
+        loss = (
+            part["friction"] / self.chance_loss
+            + self.settings.material_weight * part["material"]
+            + self.settings.order_weight * part["order"]
+            + self.settings.points_weight * part["points"]
+        )
+        if self.settings.through_points and self.settings.points_videos:
+            loss = loss + self._loss_of_places(generator)
+        kept = {"loss": part["friction"], "error": part["median_error"]}
+        if points is not None:
+            kept["points"] = part["points"]
+        return loss, {f"train_{name}": one.item() * len(batch) for name, one in kept.items()}
+
+    def _loss_of_places(self, generator: np.random.Generator) -> Tensor:
+        """Loss of what is read from simulated places of videos drawn at random, without images."""
+        chosen = generator.choice(np.flatnonzero(self.training), self.settings.points_videos)
+        others = self.next_friction[chosen]
+        places = phase_places(len(chosen), self.pixels.shape[1], self.frames, generator)
+        share = torch.from_numpy(generator.random(len(chosen), np.float32))
+        friction = torch.lerp(self.friction[chosen], self.friction[others], share)
+        points = torch.lerp(
+            self.points[chosen[:, None], places],
+            self.points[others[:, None], places],
+            share[:, None, None, None],
+        )
+        noise_m = self.settings.points_noise_m
+        answers = self.network.of_places(
+            noisy_places(points, self.network.points_spread_m, noise_m, generator)
+        )
+        cumulative = mixture_cumulative(answers["friction"], self.network.middles)
+        score = ranked_probability_score(cumulative, friction, self.network.grid)
+        material = torch.nn.functional.cross_entropy(answers["material"], self.labels[chosen])
+        return score.mean() / self.chance_loss + self.settings.material_weight * material
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Loss, error and accuracy."""
+        names = ["loss", "error", "accuracy"] + ["points"] * (self.points is not None)
+        if not len(numbers):
+            return {f"validation_{name}": math.nan for name in names}
+        self.network.eval()
+        scores, errors, hits, off = [], [], [], []
+        known = self.labels[numbers] != UNKNOWN
+        with torch.inference_mode():
+            for batch in np.array_split(numbers, -(-len(numbers) // 8)):
+                views = standardised(phased(self.pixels[batch], self.frames, None))
+                outputs = self.network(views, self.bfloat16, self.poses[batch])
+                cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
+                truth, grid = self.friction[batch], self.network.grid
+                scores.append(ranked_probability_score(cumulative, truth, grid))
+                errors.append((medians(cumulative, grid) - truth).abs())
+                hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
+                if self.points is not None:
+                    wanted = phased(self.points[batch], self.frames, None)
+                    off.append(points_off(self.network, outputs["points"] - wanted).mean((1, 2, 3)))
+        found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
+        if off:
+            found.append(torch.cat(off))
+        return {
+            f"validation_{name}": float(each.mean())
+            for name, each in zip(names, found, strict=True)
+        }
+
+    def columns(self, phase: Phase) -> dict[str, Any]:
+        """None: there is one phase."""
+        return {}
+
+    def summary(self, row: dict[str, Any]) -> str:
+        """Errors, validation loss, and share of fabrics that are right."""
+        return (
+            f"error {row['train_error']:.3f}, validation loss {row['validation_loss']:.4f}, "
+            f"error {row['validation_error']:.3f}, material {row['validation_accuracy']:.2f}"
+        )
+
+
+def train_instrument(
+    settings: InstrumentSettings,
+    dataset: str | os.PathLike,
+    split: str,
+    seed: int,
+    out_dir: str | os.PathLike,
+    *,
+    viewpoints: Sequence[str],
+    frames: int = 30,
+    uses: Callable[[dict[str, Any]], bool] | None = None,
+    threads: int = 1,
+    after_step: Callable[[Progress], None] | None = None,
+) -> dict[str, Any]:
+    """Train, calibrate and write an instrument.
+
+    Parameters
+    ----------
+    settings : InstrumentSettings
+    dataset : path
+        Folder that the sample stage wrote.
+    split : {"by_video", "by_simulation", "by_video_reflective"}
+        Its validation videos calibrate the error bars and the alarm.
+    seed : int
+        Of weights, order of the videos, augmentation and dropout.
+    out_dir : path
+        Gets ``instrument.safetensors``, ``instrument.json``, ``history.csv`` and, until it is
+        done, ``checkpoint.safetensors``.
+    viewpoints : sequence of str
+        Names of those that it learns from, all seen in the calibrated view.
+    frames : int
+        Frames of a video that it sees; where the dataset has more, at a random phase in training.
+    uses : callable, optional
+        Says of a manifest row whether its video may train or calibrate; by default all may.
+    threads : int
+    after_step : callable, optional
+        Called after every step with the progress; what it raises stops the training.
+
+    Returns
+    -------
+    dict
+        The card.
+
+    Raises
+    ------
+    BadInput
+        If dataset or arguments do not fit.
+    PlateauError
+        If the loss of the last epoch is not below chance by `settings.plateau_margin`.
+    DivergedError
+        If the loss is not finite.
+    """
+    started = start_clock()
+    set_up_torch(threads)
+    videos, training = _training_videos(settings, dataset, split, viewpoints, frames, uses)
+    materials = classes_of(list(compress(videos.rows, training)), "material")
+    numbers = {entry["id"]: number for number, entry in enumerate(materials)}
+    torch.manual_seed(seed)
+    network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
+    points = _points(network, videos, training) if settings.points_weight else None
+    learner = InstrumentLearner(
+        name=f"instrument {split} seed {seed}",
+        settings=settings,
+        network=network,
+        # Twice as many videos, each shown half as often.
+        phases=[Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (split == REFLECTIVE))))],
+        rows=videos.rows,
+        pixels=videos.pixels,
+        frames=frames,
+        friction=torch.tensor([row["friction"] for row in videos.rows]),
+        labels=torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows]),
+        training=training,
+        poses=scaled(poses_of(videos.rows)),
+        bfloat16=computes_bfloat16(settings.precision),
+        points=points,
+    )
+    identity = training_identity(
+        "instrument",
+        learner,
+        videos,
+        network="instrument",
+        split=split,
+        seed=seed,
+        frames=frames,
+        threads=threads,
+    )
+    out = Path(out_dir)
+    history = train_learner(learner, seed, out, identity, after_step)
+    card = {
+        "materials": [entry["name"] for entry in materials],
+        "frames": frames,
+        "pixels": network.pixels,
+        "viewpoints": list(viewpoints),
+        "pose_range": pose_range(poses_of(list(compress(videos.rows, training)))),
+        "split": split,
+        "seed": seed,
+        "frictions": sorted(
+            {row["friction"] for row in videos.rows if not row.get("interpolated")}
+        ),
+        "interpolated_videos": sum(bool(row.get("interpolated")) for row in videos.rows),
+        "calibration_simulations": len(simulations(videos, ~training)),
+        **training_facts(learner, videos, history),
+        "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
+        "videos it should raise its alarm, and its intervals are not valid",
+    }
+    card = save_instrument(calibrated(Instrument((network,), card, None), videos, training), out)
+    write_record(
+        "instrument",
+        out,
+        history,
+        (WEIGHTS, CARD),
+        dataset=dataset,
+        videos=videos,
+        settings=settings,
+        seed=seed,
+        threads=threads,
+        started=started,
+    )
+    return card

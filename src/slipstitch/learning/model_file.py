@@ -1,0 +1,123 @@
+"""Trained networks on disk: weights in safetensors, a model card in JSON, nothing executable."""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+
+from slipstitch.base.errors import BadInput, Damaged, first_line
+from slipstitch.base.provenance import atomic_path, file_digest, write_json
+from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
+from slipstitch.learning.network import build_network
+
+FORMAT = "slipstitch-lrcn-2"
+WEIGHTS = "model.safetensors"
+CARD = "model.json"
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A network with its weights, and its card."""
+
+    network: nn.Module
+    card: dict[str, Any]
+
+    @property
+    def target(self) -> str:
+        """Kind of the classes: material or friction."""
+        return self.card["target"]
+
+
+def write_weights(
+    tensors: dict[str, torch.Tensor], card: dict[str, Any], weights: Path, card_path: Path
+) -> dict[str, Any]:
+    """Write tensors and their card; return the card as written.
+
+    The same tensors and card give the same bytes. The card stands inside the weights file too, and
+    outside with the weights' SHA-256, so that neither can change without the other.
+    """
+    weights.parent.mkdir(parents=True, exist_ok=True)
+    whole = {name: value.contiguous() for name, value in tensors.items()}
+    with atomic_path(weights) as temporary:
+        save_file(whole, temporary, {"card": json.dumps(card, sort_keys=True)})
+    written = {**card, "weights_sha256": file_digest(weights)}
+    write_json(card_path, written, allow_nan=True)
+    return written
+
+
+def read_weights(
+    weights: Path, card_path: Path, form: str
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Tensors and card that `write_weights` wrote.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is not of the format `form`, or is not as it was written.
+    """
+    for path in (weights, card_path):
+        if not path.is_file():
+            raise BadInput(
+                f"{path}: no such file; a model consists of {weights.name} and {card_path.name}"
+            )
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        known = card["format"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise Damaged(card_path, "not a model card of Slipstitch") from None
+    if known != form:
+        raise BadInput(f"{card_path}: model format {known!r}, {form!r} is needed")
+    if file_digest(weights) != card.get("weights_sha256"):
+        raise Damaged(weights, f"altered or damaged: not the weights described by {card_path.name}")
+    try:
+        with safe_open(weights, "pt") as file:
+            inside = json.loads(file.metadata()["card"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, KeyError, TypeError, ValueError):
+        raise Damaged(weights, "not a model of Slipstitch") from None
+    if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
+        raise Damaged(card_path, f"altered: differs from the card inside {weights.name}")
+    return tensors, card
+
+
+def save_model(
+    network: nn.Module, card: dict[str, Any], folder: str | os.PathLike
+) -> dict[str, Any]:
+    """Write ``model.safetensors`` and ``model.json``; return the card as written."""
+    return write_weights(
+        network.state_dict(),
+        {"format": FORMAT, **card},
+        Path(folder) / WEIGHTS,
+        Path(folder) / CARD,
+    )
+
+
+def load_model(folder: str | os.PathLike) -> TrainedModel:
+    """Read a network that `save_model` wrote.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is of another kind, or is not as it was written.
+    """
+    weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
+    tensors, card = read_weights(weights, card_path, FORMAT)
+    try:
+        if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
+            raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
+        settings = TrainSettings.model_validate(card["settings"])
+        network = build_network(
+            settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
+        )
+        network.load_state_dict(tensors)
+    except (ValidationError, RuntimeError, KeyError) as error:
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
+    network.eval()
+    return TrainedModel(network, card)

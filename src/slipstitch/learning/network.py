@@ -1,0 +1,233 @@
+"""The paper's network: a convolutional one for every frame, a recurrent one over the frames.
+
+Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020,
+Table 1: an LRCN (Donahue et al. 2015). What the paper leaves open is a switch of the settings, and
+argued in docs/learning.md.
+
+    frame --> conv1a, conv1b, pool, conv2a, conv2b, pool, conv3a, pool, conv4a --> features
+    material --> FC_s, softmax --> beside the features of every frame
+    features of all frames --> LSTM --> LSTM --> FC, dropout, FC --> softmax
+"""
+
+import torch
+from torch import Tensor, nn
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.train import TrainSettings
+from slipstitch.learning.convolution import Convolution
+
+LSTM_LAYERS = 2
+
+
+def scaled(size: int, width: float) -> int:
+    """A layer's size at a relative width, at least 1."""
+    return max(1, round(size * width))
+
+
+class ConvolutionBlock(nn.Sequential):
+    """3 x 3 convolutions a, b, ... with rectifiers, then 3 x 3 max pooling of stride 2, or none.
+
+    The last rectifier comes after the pooling, with which it commutes, on a quarter of the pixels.
+    """
+
+    def __init__(self, inputs: int, outputs: int, convolutions: int, pool: bool, s: TrainSettings):
+        layers: list[nn.Module] = []
+        batch_norm = s.batch_norm in ("convolutions", "all")
+        padding = 1 if s.padding == "same" else 0
+        for number in range(convolutions):
+            layers.append(Convolution(inputs, outputs, 3, padding=padding, bias=not batch_norm))
+            if batch_norm:
+                layers.append(nn.BatchNorm2d(outputs))
+            if pool and number == convolutions - 1:
+                layers.append(nn.MaxPool2d(3, stride=2, padding=padding))
+            layers.append(nn.ReLU(inplace=True))
+            inputs = outputs
+        super().__init__(*layers)
+
+    def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
+        """Maps of half the side, if they are pooled; `bfloat16` as in `Convolution`."""
+        for layer in self:
+            maps = layer(maps, bfloat16) if isinstance(layer, Convolution) else layer(maps)
+        return maps
+
+
+class LRCN(nn.Module):
+    """Classes from the frames of a video.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+        Layer sizes and switches.
+    classes : int
+    pixels : int
+        Side of the frames.
+    condition_classes : int
+        Materials of which a conditional network is told one; 0: it is told nothing.
+
+    Raises
+    ------
+    BadInput
+        If the frames are too small for the blocks.
+    """
+
+    def __init__(
+        self, settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
+    ):
+        super().__init__()
+        self.settings = settings
+        self.condition_classes = condition_classes
+        self.pixels = pixels
+        # Colour statistics of the training set; part of the model, not learnt.
+        self.register_buffer("mean", torch.zeros(3))
+        self.register_buffer("deviation", torch.ones(3))
+
+        blocks, channels, side, self.multiply_accumulates = [], 3, pixels, 0
+        last = len(settings.channels) - 1
+        lost = 0 if settings.padding == "same" else 2  # pixels of the side, by a 3 x 3 window
+        for number, (size, convolutions) in enumerate(
+            zip(settings.channels, settings.convolutions, strict=True)
+        ):
+            outputs = scaled(size, settings.width)
+            pool = number < last
+            blocks.append(ConvolutionBlock(channels, outputs, convolutions, pool, settings))
+            for _ in range(convolutions):
+                side -= lost
+                self.multiply_accumulates += 9 * channels * outputs * max(side, 0) ** 2
+                channels = outputs
+            if pool:
+                side = (side + 1 - lost) // 2
+        if side < 1:
+            raise BadInput(f"{pixels} pixels are too few for {len(blocks)} blocks of convolutions")
+        self.convolutions = nn.Sequential(*blocks)
+
+        inputs = channels if settings.readout == "pool" else channels * side**2
+        self.feature_norm = (
+            nn.BatchNorm1d(inputs) if settings.batch_norm in ("features", "all") else nn.Identity()
+        )
+        if condition_classes:
+            told = settings.material_units or condition_classes
+            self.material = nn.Sequential(nn.Linear(condition_classes, told), nn.Softmax(-1))
+            inputs += told
+        units = scaled(settings.lstm_units, settings.width)
+        self.lstm = nn.LSTM(inputs, units, LSTM_LAYERS, batch_first=True)
+        hidden = scaled(settings.fc_units, settings.width)
+        self.fully_connected = nn.Sequential(
+            nn.Linear(units, hidden),
+            nn.ReLU(),
+            nn.Dropout(settings.dropout),
+            nn.Linear(hidden, classes),
+        )
+        self.initialise()
+        # Channels last: two to three times faster in bfloat16 on CPUs.
+        self.convolutions.to(memory_format=torch.channels_last)
+
+    def initialise(self) -> None:
+        """Draw the weights anew, as `settings.initialisation` says, from torch's generator.
+
+        he: normal, variance 2 / fan in (He et al. 2015); glorot: uniform, as Keras does by default.
+        Both give the LSTM Glorot input weights, orthogonal recurrent weights and a forget bias of
+        1, Keras' default. pytorch: PyTorch's own, uniform within 1 / sqrt(fan in).
+        """
+        kind = self.settings.initialisation
+        if kind == "pytorch":
+            return
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.Linear):
+                if kind == "he":
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                else:
+                    nn.init.xavier_uniform_(module.weight)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        units = self.lstm.hidden_size
+        for of_input, recurrent, bias, second_bias in self.lstm.all_weights:
+            for gate in range(4):  # input, forget, cell, output; each a matrix of its own
+                rows = slice(gate * units, (gate + 1) * units)
+                with torch.no_grad():
+                    nn.init.xavier_uniform_(of_input[rows])
+                    nn.init.orthogonal_(recurrent[rows])
+            nn.init.zeros_(bias)
+            nn.init.zeros_(second_bias)
+            with torch.no_grad():
+                bias[units : 2 * units] = 1.0
+
+    def forward(
+        self, frames: Tensor, condition: Tensor | None = None, bfloat16: bool = False
+    ) -> Tensor:
+        """Logits.
+
+        Parameters
+        ----------
+        frames : uint8 tensor, shape (videos, frames, pixels, pixels, 3)
+        condition : int64 tensor, shape (videos,), optional
+            Class numbers of the materials.
+        bfloat16 : bool
+            Derive the convolutions in bfloat16; without gradients, compute them so too. The rest
+            stays float32.
+
+        Returns
+        -------
+        float32 tensor, shape (videos, outputs, classes)
+            One output (after the last frame), or one after every frame.
+        """
+        videos, count = frames.shape[:2]
+        maps = self._standardised(frames).permute(0, 3, 1, 2)  # NHWC in memory: channels last
+        for block in self.convolutions:
+            maps = block(maps, bfloat16)
+        maps = maps.float()
+        features = maps.mean((2, 3)) if self.settings.readout == "pool" else maps.flatten(1)
+        features = self.feature_norm(features).view(videos, count, -1)
+        if self.condition_classes:
+            one_hot = nn.functional.one_hot(condition, self.condition_classes).float()
+            told = self.material(one_hot)[:, None].expand(-1, count, -1)
+            features = torch.cat([told, features], dim=2)
+        states, _ = self.lstm(features)
+        if self.settings.outputs == "last":
+            states = states[:, -1:]
+        return self.fully_connected(states)
+
+    def _standardised(self, frames: Tensor) -> Tensor:
+        """Images (n, side, side, 3) from bytes; whole rows at a time, three numbers are slow."""
+        side = frames.shape[2]
+        rows = frames.reshape(-1, side, side * 3).float()
+        rows = rows.sub_(self.mean.repeat(side)).div_(self.deviation.repeat(side))
+        return rows.view(-1, side, side, 3)
+
+
+def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
+    """Categorical cross-entropy, the mean over videos and outputs."""
+    outputs = logits.shape[1]
+    return nn.functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(outputs))
+
+
+def class_probabilities(logits: Tensor) -> Tensor:
+    """Softmax, averaged over outputs: shape (videos, classes)."""
+    return logits.softmax(-1).mean(1)
+
+
+# A network by its name in `train.architecture`, where the setting lists it too. Each is built as
+# `build_network` does, counts its `multiply_accumulates` a frame, has the buffers `mean` and
+# `deviation` for the colours, and gives logits as `LRCN.forward` does.
+ARCHITECTURES: dict[str, type[nn.Module]] = {"lrcn": LRCN}
+
+
+def build_network(
+    settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
+) -> nn.Module:
+    """The network that `settings.architecture` names, its weights drawn from torch's generator.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    classes : int
+    pixels : int
+        Side of the frames.
+    condition_classes : int
+        Materials that a conditional network is told one of; 0: it is told nothing.
+
+    Raises
+    ------
+    BadInput
+        If the frames are too small for the network.
+    """
+    return ARCHITECTURES[settings.architecture](settings, classes, pixels, condition_classes)

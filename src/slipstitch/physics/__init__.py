@@ -1,0 +1,1 @@
+"""The simulator, its friction law, and experiments with known answers."""

@@ -1,0 +1,185 @@
+"""The strip experiment with one numerical setting changed at a time."""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+from tqdm import tqdm
+
+from slipstitch.base.errors import NotConverged
+from slipstitch.base.provenance import provenance_record, start_clock, write_json
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics.gravity import GRAVITY_M_S2
+
+STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
+DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
+
+# What an experiment does not exercise: the grid's mesh, what is recorded, the bench, and the law.
+NOT_NUMERICAL = frozenset(
+    {
+        "vertices_per_side",
+        "frames",
+        "frame_rate_hz",
+        "stage",
+        "pins",
+        "model",
+        "warp",
+        "settle_s",
+        "yaw_sd_deg",
+        "height_sd_m",
+        "fabric_sd_rel",
+        "natural_curl_per_m",
+        "curl_side",
+        "ideal_replicates",
+        "bending_stiffness_at_end",
+        "self_contact",
+        "thickness_m",
+        "layer_friction",
+    }
+)
+
+RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
+
+
+def gamma_of(young_modulus_Pa: float) -> float:
+    """Γ = ρ g L³ / B of the strip, B = E t³/12."""
+    density, thickness, length = DENSITY_THICKNESS_LENGTH
+    return 12 * density * GRAVITY_M_S2 * length**3 / (young_modulus_Pa * thickness**3)
+
+
+def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
+    """The numerical settings that the experiments exercise, as JSON can hold them."""
+    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
+
+
+def base_settings(settings: CalibrateSettings, simulation: SimulationSettings) -> dict[str, Any]:
+    """The configured value of every swept setting."""
+    configured = {key: getattr(simulation, key) for key in KEYS if key != "vertices"}
+    return {key: configured.get(key, settings.strip_vertices) for key in KEYS}
+
+
+def variations(
+    key: str, settings: CalibrateSettings, simulation: SimulationSettings
+) -> list[dict[str, Any]]:
+    """All settings to be tried for one key, others as configured.
+
+    Parameters
+    ----------
+    key : str
+        One of `KEYS`, or ``base`` for the configured settings themselves.
+
+    Returns
+    -------
+    list of dict
+        Complete values of `KEYS`.
+    """
+    base = base_settings(settings, simulation)
+    if key == BASE:
+        return [base]
+    values = getattr(settings, f"sweep_{key}")
+    return [base | {key: value} for value in sorted(set(values)) if value != base[key]]
+
+
+def sweep_inputs(
+    key: str, settings: CalibrateSettings, simulation: SimulationSettings
+) -> dict[str, Any]:
+    """The settings that the runs of one key depend on: they are rerun when one changes."""
+    return {
+        "tried": variations(key, settings, simulation),
+        "frictions": settings.strip_frictions,
+        "young_moduli_Pa": settings.strip_young_moduli_Pa,
+        "simulation": verified_settings(simulation),
+    }
+
+
+def run_settings(
+    tried: Mapping[str, Any],
+    settings: CalibrateSettings,
+    simulation: SimulationSettings,
+    run_protocol: RunProtocol,
+) -> dict[str, Any]:
+    """Push the strip at every friction coefficient and of every fabric, with given settings.
+
+    Returns
+    -------
+    dict
+        ``settings`` and ``runs``: per fabric and friction coefficient what came out, what theory
+        says, the Newton iterations and CPU seconds it took.
+    """
+    numerical = {key: value for key, value in tried.items() if key != "vertices"}
+    with_them = simulation.model_copy(update=numerical)
+    runs = [
+        _run(modulus, friction, int(tried["vertices"]), with_them, run_protocol)
+        for modulus in settings.strip_young_moduli_Pa
+        for friction in settings.strip_frictions
+    ]
+    return {"settings": dict(tried), "runs": runs}
+
+
+def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any]:
+    options = {"friction": friction, "gamma": gamma_of(modulus), "vertices": vertices}
+    began = time.process_time()
+    try:
+        result = dict(run_protocol("strip", options, simulation))
+        failure = None
+    except NotConverged as error:
+        result, failure = {}, str(error)
+    keys = (
+        "slip_strain",
+        "flat_strain",
+        "regime",
+        "friction_read_from_strain",
+        "newton_iterations",
+        "shape_strain",
+    )
+    return {
+        "young_modulus_Pa": modulus,
+        "friction": friction,
+        **{key: result.get(key) for key in keys},
+        "theory_slip_strain": _theory(friction)[0],
+        "theory_regime": _theory(friction)[1],
+        "shape_m": [[round(value, 6) for value in point] for point in result.get("shape_m", [])][
+            ::STEPS_OF_SHAPE
+        ],
+        "failure": failure,
+        "cpu_s": round(time.process_time() - began, 3),
+    }
+
+
+@cache
+def _theory(friction: float) -> tuple[float | None, str]:
+    from slipstitch.physics.experiments.strip import theory_regime
+    from slipstitch.physics.theory import strip_slip_strain
+
+    return strip_slip_strain(friction), theory_regime(friction)
+
+
+def sweep(
+    key: str, settings: CalibrateSettings, simulation: SimulationSettings, run_protocol: RunProtocol
+) -> list[dict[str, Any]]:
+    """Run all settings of one key (see `variations`); one line each on standard error."""
+    tried = variations(key, settings, simulation)
+    results = []
+    for setting in tqdm(tried, unit="setting", disable=not sys.stderr.isatty()):
+        results.append({"key": key} | run_settings(setting, settings, simulation, run_protocol))
+        cpu_s = sum(run["cpu_s"] for run in results[-1]["runs"])
+        shown = "as configured" if key == BASE else f"{key} = {setting[key]:g}"
+        print(f"strip, {shown}: {cpu_s:.1f} CPU s", file=sys.stderr, flush=True)
+    return results
+
+
+def sweep_to_file(config, key: str, out: str | os.PathLike) -> list[dict[str, Any]]:
+    """Try the settings of one key with the strip and write the runs, judged by nobody yet."""
+    from slipstitch.physics.experiments.registry import run_protocol
+
+    started = start_clock()
+    trials = sweep(key, config.calibrate, config.simulation, run_protocol)
+    sections = {"simulation": config.simulation, "calibrate": config.calibrate}
+    record = provenance_record("calibrate.sweep", config=sections, started=started)
+    inputs = sweep_inputs(key, config.calibrate, config.simulation)
+    write_json(out, [trial | {"inputs": inputs} for trial in trials], record, indent=None)
+    return trials

@@ -1,0 +1,25 @@
+"""Cloth with frictional contact: mesh, elasticity, bending, contact, time stepping.
+
+Knows nothing of files, Snakemake or Blender.
+"""
+
+from slipstitch.base.warp_start import start_warp
+
+start_warp()
+
+from slipstitch.physics.cloth.floor_friction import ContactConditions  # noqa: E402
+from slipstitch.physics.cloth.mesh import ClothMesh, rectangle  # noqa: E402
+from slipstitch.physics.cloth.sheets import Sheets, check_device, run_together  # noqa: E402
+from slipstitch.physics.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
+
+__all__ = [
+    "ClothMesh",
+    "ClothSolver",
+    "ContactConditions",
+    "Sheets",
+    "SolverSettings",
+    "StepRecord",
+    "check_device",
+    "rectangle",
+    "run_together",
+]

@@ -1,0 +1,397 @@
+"""Inertia, gravity, and contact with the ground under dry friction (Warp kernels).
+
+The ground is the floor z = 0, or a cylinder about a line along y whose crest is that floor's
+line x = 0 (for the capstan): contact is worked out in coordinates along, across and above it.
+
+Normal contact is a stiff penalty, a pressure that grows with depth (a micrometre or less under the
+cloth's weight).
+Friction is exact, by :mod:`return mapping <cloth.return_mapping>`: a node in contact
+hangs on an anchor; while |Q| is below the friction law's limit the anchor does not move (no creep,
+microslip of about a micrometre that is elastic and returns). Both springs are as stiff as a node's
+area is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
+
+The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
+each (:func:`contact_kernels`). They run over the nodes of all sheets, as those of
+:mod:`slipstitch.physics.cloth.elasticity` over their faces.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from slipstitch.physics.cloth import friction
+from slipstitch.physics.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
+from slipstitch.physics.cloth.tangent import Entries, add_entry
+
+wp.set_module_options({"enable_backward": False})
+
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+
+OPEN = wp.constant(0)
+STICK = wp.constant(1)
+SLIP = wp.constant(2)
+
+LEAST_SLIDE_M = wp.constant(wp.float64(1.0e-3))  # a shorter motion from rest to rest is no slide
+HALF_DIFFERENCE = wp.constant(wp.float64(1.0e-10))  # m, by which contact forces are differenced
+
+
+@wp.struct
+class GroundPoint:
+    """A point as the ground sees it."""
+
+    place: wp.vec2d  # along and across the ground, in m
+    gap: wp.float64  # height above it, in m
+    along: wp.vec3d  # unit vectors; the one across is y
+    normal: wp.vec3d
+
+
+@wp.func
+def ground_point(p: wp.vec3d, curvature: wp.float64) -> GroundPoint:
+    """Coordinates of a point over ground of a given curvature (1/m; 0: the plane z = 0)."""
+    point = GroundPoint()
+    if curvature == ZERO:
+        point.place = wp.vec2d(p[0], p[1])
+        point.gap = p[2]
+        point.along = wp.vec3d(ONE, ZERO, ZERO)
+        point.normal = wp.vec3d(ZERO, ZERO, ONE)
+    else:
+        radius = ONE / curvature
+        up = p[2] + radius
+        distance = wp.sqrt(p[0] * p[0] + up * up)
+        point.place = wp.vec2d(radius * wp.atan2(p[0], up), p[1])
+        point.gap = distance - radius
+        point.along = wp.vec3d(up / distance, ZERO, -p[0] / distance)
+        point.normal = wp.vec3d(p[0] / distance, ZERO, up / distance)
+    return point
+
+
+def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    """Do what `ground_point` does for many points, in NumPy.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, 3)
+    curvature : float
+        Of the ground, in 1/m.
+
+    Returns
+    -------
+    coordinates : ndarray, shape (n, 3)
+        Along, across, above (m).
+    frames : ndarray, shape (n, 3, 3)
+        Rows: unit vectors along, across, above.
+    """
+    frames = np.broadcast_to(np.eye(3), (len(x), 3, 3)).copy()
+    if curvature == 0:
+        return x, frames
+    up = x[:, 2] + 1 / curvature
+    distance = np.hypot(x[:, 0], up)
+    frames[:, 0, 0] = frames[:, 2, 2] = up / distance
+    frames[:, 2, 0] = x[:, 0] / distance
+    frames[:, 0, 2] = -frames[:, 2, 0]
+    angle = np.arctan2(x[:, 0], up)
+    coordinates = np.column_stack([angle / curvature, x[:, 1], distance - 1 / curvature])
+    return coordinates, frames
+
+
+@wp.struct
+class FrictionState:
+    """Quantities of a node available to the friction law; Coulomb's law uses only the coefficient.
+
+    The direction is that of the anchor's pull and the speed that of the step being solved for:
+    both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
+    """
+
+    coefficient: wp.array(dtype=wp.float64)
+    values: wp.array(dtype=wp.float64, ndim=2)  # of the mechanisms' parameters, by sheet
+    area_m2: wp.array(dtype=wp.float64)
+    warp: wp.array(dtype=wp.vec2d)  # the warp's direction on the floor
+    start: wp.array(dtype=wp.vec3d)  # place at the beginning of the step
+    sliding: wp.array(dtype=wp.int32)
+    dwell_s: wp.array(dtype=wp.float64)
+    slid_m: wp.array(dtype=wp.float64)  # path since the last rest
+    repeats: wp.array(dtype=wp.float64)
+    relative_humidity_pct: wp.array(dtype=wp.float64)  # by sheet
+    full_touch_N: wp.array(dtype=wp.float64)  # by sheet: load that makes a node's whole area touch
+
+
+@wp.struct
+class Nodes:
+    """The nodes of all sheets: their inertia, and what of them is solved for."""
+
+    members: wp.array(dtype=wp.int32)  # the sheet of each node
+    mass_kg: wp.array(dtype=wp.float64)
+    target: wp.array(dtype=wp.vec3d)  # where they would go by inertia alone
+    free: wp.array(dtype=wp.vec3d)  # 1 where a coordinate is solved for, 0 where prescribed
+    anchor: wp.array(dtype=wp.vec2d)  # on the ground, what friction remembers
+    gravity_m_s2: wp.array(dtype=wp.vec3d)  # by sheet
+    inverse_step_squared: wp.array(dtype=wp.float64)  # by sheet, in 1/s^2
+
+
+@wp.struct
+class Ground:
+    """What each sheet lies on."""
+
+    curvature: wp.array(dtype=wp.float64)  # in 1/m
+    bedding: wp.array(dtype=wp.float64)  # stiffness per area, along and across, in N/m^3
+
+
+@wp.struct
+class Touch:
+    """A node in contact with the ground."""
+
+    point: GroundPoint
+    normal_force: wp.float64
+    stiffness: wp.float64  # in N/m, along the ground and into it
+    pull: wp.vec2d  # from the anchor, in m
+    limit: wp.float64  # of the tangential force
+
+
+@wp.func
+def coulomb_limit(
+    node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
+) -> wp.float64:
+    """Largest tangential force that contact can bear: Coulomb's mu P."""
+    return law.coefficient[node] * touch.normal_force
+
+
+@cache
+def _law_limit() -> wp.Function:
+    force_limit = friction.force_limit()
+
+    @wp.func
+    def law_limit(
+        node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
+    ) -> wp.float64:
+        """Largest tangential force under an extended law."""
+        member = nodes.members[node]
+        start = ground_point(law.start[node], ground.curvature[member])
+        moved = wp.length(touch.point.place - start.place)
+        warp = law.warp[node]
+        pull = touch.pull
+        direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
+        # A force that the area bears would jump where a node just touches, and leave the step
+        # without a solution: the area comes to bear with the first part of the load.
+        touched = law.area_m2[node] * wp.min(ONE, touch.normal_force / law.full_touch_N[member])
+        return force_limit(
+            law.coefficient[node],
+            law.values[member],
+            law.sliding[node] == 0,
+            touch.normal_force,
+            touched,
+            direction,
+            law.dwell_s[node],
+            moved * wp.sqrt(nodes.inverse_step_squared[member]),
+            law.repeats[node],
+            law.relative_humidity_pct[member],
+            touch.point.place[0],
+        )
+
+    return law_limit
+
+
+class ContactKernels(NamedTuple):
+    """The kernels of one friction law."""
+
+    residual: wp.Kernel
+    stiffness: wp.Kernel
+    move_anchors: wp.Kernel
+    tangent: wp.Kernel
+
+
+@cache
+def contact_kernels(extended: bool) -> ContactKernels:
+    """Kernels under Coulomb's law, or under a law with mechanisms."""
+    limit_of = _law_limit() if extended else coulomb_limit
+    module = __name__ + ("_extended" if extended else "_coulomb")
+
+    @wp.func
+    def touched(
+        node: int, point: GroundPoint, nodes: Nodes, ground: Ground, law: FrictionState
+    ) -> Touch:
+        """What a node bears at a point below the ground's surface."""
+        touch = Touch()
+        touch.point = point
+        touch.stiffness = ground.bedding[nodes.members[node]] * law.area_m2[node]
+        touch.normal_force = -touch.stiffness * point.gap
+        touch.pull = point.place - nodes.anchor[node]
+        touch.limit = limit_of(node, touch, nodes, ground, law)
+        return touch
+
+    @wp.func
+    def ground_force(touch: Touch) -> wp.vec3d:
+        """Force of a node in contact on the ground."""
+        point = touch.point
+        q = returned_force(touch.pull * touch.stiffness, touch.limit)
+        return point.along * q[0] - point.normal * touch.normal_force + wp.vec3d(ZERO, q[1], ZERO)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def node_residual(
+        active: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=wp.vec3d),
+        nodes: Nodes,
+        ground: Ground,
+        law: FrictionState,
+        minus_force: wp.array(dtype=wp.vec3d),
+        residual: wp.array(dtype=wp.vec3d),
+        state: wp.array(dtype=wp.int32),
+    ):
+        """Out-of-balance force of each node; reads and clears ``minus_force``."""
+        i = wp.tid()
+        member = nodes.members[i]
+        if active[member] == 0:
+            return
+        p = x[i]
+        r = minus_force[i] + nodes.mass_kg[i] * (
+            (p - nodes.target[i]) * nodes.inverse_step_squared[member] - nodes.gravity_m_s2[member]
+        )
+        minus_force[i] = wp.vec3d()
+        s = OPEN
+        point = ground_point(p, ground.curvature[member])
+        if point.gap < ZERO:
+            touch = touched(i, point, nodes, ground, law)
+            s = STICK
+            if wp.length(touch.pull * touch.stiffness) > touch.limit:
+                s = SLIP
+            r += ground_force(touch)
+        state[i] = s
+        residual[i] = wp.cw_mul(r, nodes.free[i])
+
+    @wp.func
+    def symmetric_block(
+        node: int, p: wp.vec3d, nodes: Nodes, ground: Ground, law: FrictionState
+    ) -> wp.mat33d:
+        """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
+        block = wp.mat33d()
+        point = ground_point(p, ground.curvature[nodes.members[node]])
+        if point.gap < ZERO:
+            touch = touched(node, point, nodes, ground, law)
+            across = wp.vec3d(ZERO, ONE, ZERO)
+            surface = wp.outer(point.along, point.along) + wp.outer(across, across)
+            pull = wp.length(touch.pull)
+            sideways = (across * touch.pull[0] - point.along * touch.pull[1]) / pull
+            block = returned_stiffness(
+                pull, surface, wp.outer(sideways, sideways), touch.stiffness, touch.limit
+            )
+            block += wp.outer(point.normal, point.normal) * touch.stiffness
+        return block
+
+    @wp.kernel(module=module, enable_backward=False)
+    def node_stiffness(
+        active: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=wp.vec3d),
+        nodes: Nodes,
+        ground: Ground,
+        law: FrictionState,
+        entries: Entries,
+    ):
+        """Add inertia and the symmetric part of contact to the diagonal blocks.
+
+        An element's entries are (xx, yx, yy, zx, zy, zz) of a node's own block.
+        """
+        i = wp.tid()
+        member = nodes.members[i]
+        if active[member] == 0:
+            return
+        inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[member]
+        block = wp.identity(n=3, dtype=wp.float64) * inertia
+        block += symmetric_block(i, x[i], nodes, ground, law)
+        for row in range(3):
+            for column in range(row + 1):
+                place = row * (row + 1) // 2 + column
+                add_entry(entries, member, i, place, block[row, column])
+
+    @wp.kernel(module=module, enable_backward=False)
+    def move_anchors(
+        active: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=wp.vec3d),
+        nodes: Nodes,
+        ground: Ground,
+        law: FrictionState,
+    ):
+        """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
+        i = wp.tid()
+        member = nodes.members[i]
+        if active[member] == 0:
+            return
+        point = ground_point(x[i], ground.curvature[member])
+        if point.gap < ZERO:
+            touch = touched(i, point, nodes, ground, law)
+            kept = kept_pull(wp.length(touch.pull), touch.stiffness, touch.limit)
+            if kept < ONE:
+                nodes.anchor[i] = point.place - touch.pull * kept
+        else:
+            nodes.anchor[i] = point.place
+
+    @wp.kernel(module=module, enable_backward=False)
+    def tangent(
+        x: wp.array(dtype=wp.vec3d),
+        nodes: Nodes,
+        ground: Ground,
+        law: FrictionState,
+        numbers: wp.array(dtype=wp.int32),
+        symmetric: bool,
+        blocks: wp.array(dtype=wp.mat33d),
+    ):
+        """Tangents of the ground's force on some nodes, 3 x 3: exact by central differences.
+
+        ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
+        """
+        k = wp.tid()
+        i = numbers[k]
+        if symmetric:
+            blocks[k] = symmetric_block(i, x[i], nodes, ground, law)
+        else:
+            curvature = ground.curvature[nodes.members[i]]
+            for c in range(3):
+                shift = wp.vec3d()
+                shift[c] = HALF_DIFFERENCE
+                ahead = touched(i, ground_point(x[i] + shift, curvature), nodes, ground, law)
+                behind = touched(i, ground_point(x[i] - shift, curvature), nodes, ground, law)
+                change = ground_force(ahead) - ground_force(behind)
+                change = change / (HALF_DIFFERENCE + HALF_DIFFERENCE)
+                for r in range(3):
+                    blocks[k][r, c] = change[r]
+
+    return ContactKernels(node_residual, node_stiffness, move_anchors, tangent)
+
+
+@wp.kernel(enable_backward=False)
+def advance_friction_state(
+    active: wp.array(dtype=wp.int32),
+    x: wp.array(dtype=wp.vec3d),
+    nodes: Nodes,
+    ground: Ground,
+    law: FrictionState,
+    state: wp.array(dtype=wp.int32),
+):
+    """After an accepted step: who rests and who slides, for how long, how often.
+
+    A slide ends when the node comes to rest or leaves the floor.
+    """
+    i = wp.tid()
+    member = nodes.members[i]
+    if active[member] == 0:
+        return
+    curvature = ground.curvature[member]
+    here = ground_point(x[i], curvature)
+    before = ground_point(law.start[i], curvature)
+    law.start[i] = x[i]
+    if state[i] == SLIP:
+        law.sliding[i] = 1
+        law.dwell_s[i] = ZERO
+        law.slid_m[i] = law.slid_m[i] + wp.length(here.place - before.place)
+    else:
+        if law.slid_m[i] > LEAST_SLIDE_M:
+            law.repeats[i] = law.repeats[i] + ONE
+        law.slid_m[i] = ZERO
+        law.sliding[i] = 0
+        if state[i] == STICK:
+            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(nodes.inverse_step_squared[member])
+        else:
+            law.dwell_s[i] = ZERO

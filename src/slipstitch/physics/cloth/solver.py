@@ -1,0 +1,728 @@
+"""Implicit time stepping of the cloth, every accepted step converged.
+
+Implicit Euler, the full nonlinear step solved by Newton's method with a positive definite
+approximation of the tangent, factored by sparse Cholesky (CHOLMOD) and kept over iterations
+and steps while the corrections shrink fast enough; Deuflhard's natural monotonicity test
+(Newton Methods for Nonlinear Problems, 2004) controls damping of the step. A step is accepted
+when the largest out-of-balance force on any node is a small fraction of the friction force
+that a node of the cloth can bear; a step that does not get there is halved and repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from enum import Enum, auto
+from math import isfinite, sqrt
+from typing import Literal
+
+import numpy as np
+
+from slipstitch.base.errors import NotConverged
+from slipstitch.physics.cloth import bending, contact
+from slipstitch.physics.cloth.batch import Work
+from slipstitch.physics.cloth.floor_friction import ContactConditions, FloorFriction
+from slipstitch.physics.cloth.krylov import flexible_gmres
+from slipstitch.physics.cloth.mesh import ClothMesh
+from slipstitch.physics.cloth.self_contact import SelfContact
+from slipstitch.physics.cloth.sheets import Sheets
+from slipstitch.physics.cloth.tangent import Tangent
+from slipstitch.physics.fabric.law import ElasticTables
+from slipstitch.physics.friction_law import FrictionLaw
+from slipstitch.physics.gravity import GRAVITY_M_S2
+
+FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its whole area
+# Tuning of the nonlinear solver; results do not depend on it, cost does.
+SEARCH_ACCURACY = 0.5  # of the line search: work left over work at the start
+REFACTOR_RATE = 0.6  # a residual that shrinks less than this wants a new factor
+EXACT_BELOW = 1.0  # relative residual from which the exact tangent is used
+PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new factor
+KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
+DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
+EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
+REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
+TRUSTED_AFTER = 3  # iterations from which a step is given up that is clearly too long
+CLEARLY = 1.5  # times the error that is allowed
+FORESEEN_ERROR = 0.5  # of the error allowed: what a step longer than the last one aims at
+LEAST_ERROR_M = 1e-12  # of a step: less is rounding
+COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth known
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """Numerical settings of the time stepping.
+
+    Attributes
+    ----------
+    friction_tolerance : float
+        Largest out-of-balance force on a node, over friction coefficient times nodal weight.
+    friction_floor : float
+        Friction coefficient that the tolerance is taken at when the real one is smaller.
+    newton_iterations_max : int
+        A step that needs more is halved.
+    halvings_max : int
+        More halvings of one step than this are an error.
+    step_error_m : float
+        A step whose time discretisation moves the vertices by more than this (root of the
+        mean square) is halved, up to three times.
+    bending_stiffness_at : {"start", "end", "rising"}
+        The end of the step whose curvature the stiffness of a hinge follows; ``rising``: the end
+        while the moment grows with curvature; where it would fall within the step it is held.
+    damping_s : float
+        Stiffness-proportional damping time.
+    penetration_m : float
+        Depth to which the cloth's weight presses the floor where it lies evenly; also its elastic
+        microslip there at friction coefficient 1.
+    self_contact : bool
+        Whether the cloth's layers touch one another, rather than pass through.
+    thickness_m : float
+        Distance between the middle surfaces of touching layers.
+    layer_penetration_m : float
+        Likewise for one pair of touching parts of the cloth.
+    layer_friction : float or None
+        Friction coefficient between layers; None takes that of the floor.
+    """
+
+    friction_tolerance: float = 1.0e-4
+    friction_floor: float = 0.05
+    newton_iterations_max: int = 30
+    halvings_max: int = 12
+    step_error_m: float = np.inf
+    bending_stiffness_at: Literal["start", "end", "rising"] = "end"
+    damping_s: float = 0.002
+    penetration_m: float = 5.0e-7
+    self_contact: bool = False
+    thickness_m: float = 1.0e-3
+    layer_penetration_m: float = 5.0e-6
+    layer_friction: float | None = None
+
+    @classmethod
+    def of(cls, settings: object) -> SolverSettings:
+        """Take what another settings object has under the same names."""
+        names = [one.name for one in fields(cls) if hasattr(settings, one.name)]
+        return cls(**{name: getattr(settings, name) for name in names})
+
+
+class Outcome(Enum):
+    """Of the attempt at a step."""
+
+    ACCEPTED = auto()
+    INACCURATE = auto()
+    UNSOLVED = auto()
+
+
+class _TooLong(Exception):  # noqa: N818 - not an error: the step is halved
+    """The step under way will not be accurate."""
+
+
+@dataclass
+class StepRecord:
+    """Cost and convergence of the steps, summed since the last reset."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    halvings: int = 0
+    refinements: int = 0
+    largest_residual: float = 0.0  # relative, as in SolverSettings.friction_tolerance
+    solves: int = 0
+    touching_pairs: int = 0  # most at the end of a step
+
+    def add(self, other: StepRecord) -> None:
+        """Add another record to this one."""
+        self.steps += other.steps
+        self.newton_iterations += other.newton_iterations
+        self.factorisations += other.factorisations
+        self.halvings += other.halvings
+        self.refinements += other.refinements
+        self.solves += other.solves
+        self.largest_residual = max(self.largest_residual, other.largest_residual)
+        self.touching_pairs = max(self.touching_pairs, other.touching_pairs)
+
+
+class ClothSolver:
+    """A sheet of cloth over the floor z = 0, or over a cylinder whose crest touches it.
+
+    Parameters
+    ----------
+    mesh : ClothMesh
+    tables : ElasticTables
+    positions_m : ndarray, shape (V, 3)
+        Initial positions; initial velocities are zero.
+    friction : float, ndarray of shape (V,), or FrictionLaw
+        Friction coefficient between cloth and floor, or an extended law.
+    fixed : ndarray of bool, shape (V, 3)
+        Coordinates that are prescribed rather than solved for.
+    settings : SolverSettings
+    gravity_m_s2 : sequence of 3 floats
+        Tilted for an inclined plane.
+    rest_curvature_per_m : float
+        Natural curl of the cloth about the u axis; positive curls towards the face's normal.
+    nodal_force_N : float, optional
+        What a node of the cloth typically bears, which penetration and tolerance refer to: the
+        median nodal weight if not given, the share of the load where something else presses.
+    ground_curvature_per_m : float
+        0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
+    conditions : ContactConditions
+        What an extended friction law needs to know beside the motion.
+    device : str
+        Warp device on which forces and stiffness are evaluated.
+    sheets : Sheets, optional
+        Sheets of the same mesh and held coordinates to be evaluated together, this one among
+        them; it has its own device. Without it the sheet is alone.
+    member : int
+        Which of them this one is.
+    """
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        tables: ElasticTables,
+        positions_m: np.ndarray,
+        *,
+        friction: float | np.ndarray | FrictionLaw,
+        fixed: np.ndarray,
+        settings: SolverSettings | None = None,
+        gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2),
+        rest_curvature_per_m: float = 0.0,
+        nodal_force_N: float | None = None,
+        ground_curvature_per_m: float = 0.0,
+        conditions: ContactConditions | None = None,
+        device: str = "cpu",
+        sheets: Sheets | None = None,
+        member: int = 0,
+    ):
+        self.mesh = mesh
+        self.settings = settings = settings or SolverSettings()
+        self.fixed = np.array(fixed, dtype=bool)
+        self.sheets = sheets = sheets or Sheets(mesh, self.fixed, device=device)
+        if sheets.mesh is not mesh or not np.array_equal(sheets.fixed, self.fixed):
+            raise ValueError("sheets in a batch must share mesh and clamped coordinates")
+        self.member, self.device = member, sheets.device
+        self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
+        self.positions_m = np.array(positions_m, dtype=float)
+        self.velocities_m_s = np.zeros_like(self.positions_m)
+        self.record = StepRecord()
+        self.time_s = 0.0
+        # Asked about the end (V, 3) of an accurate step and its length in s; a no halves the step.
+        self.confirm: Callable[[np.ndarray, float], bool] | None = None
+        self._accurate_step_s = np.inf
+        self._last_step_s = 0.0
+        self._last_error_m = np.inf
+        self._acceleration_m_s2 = np.zeros_like(self.positions_m)
+
+        self.ground_curvature_per_m = ground_curvature_per_m
+        self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
+        self.floor = FloorFriction(
+            mesh,
+            friction,
+            conditions or ContactConditions(),
+            FULL_TOUCH * self.nodal_force_N,
+            sheets.friction,
+            member,
+        )
+        sheets.extended[member] = self.floor.extended
+        self.friction = self.floor.coefficient
+        areas_m2 = mesh.vertex_areas_m2()
+        bedding_N_m3 = self.nodal_force_N / settings.penetration_m / float(np.median(areas_m2))
+        self.contact_stiffness_N_m = bedding_N_m3 * areas_m2  # along the ground and into it
+        self.force_scale_N = (
+            max(float(self.friction.max()), settings.friction_floor) * self.nodal_force_N
+        )
+        sheets.ground.bedding[member : member + 1].fill_(bedding_N_m3)
+        self._upload(tables, gravity_m_s2, rest_curvature_per_m)
+        self._tangent = Tangent(
+            sheets.assembly, mesh.elimination_order, sheets.tangent_values(member)
+        )
+        self._layers = None
+        if settings.self_contact:
+            self._layers = sheets.layers[member] = SelfContact(
+                mesh,
+                thickness_m=settings.thickness_m,
+                stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
+                friction=float(self.friction.max())
+                if settings.layer_friction is None
+                else settings.layer_friction,
+                device=self.device,
+            )
+            self._coupled = -1  # generation of the pairs that the tangent has room for
+
+    # -- set-up ---------------------------------------------------------------------------
+
+    def _upload(self, tables, gravity, rest_curvature) -> None:
+        """Fill in this sheet's part of the device's arrays."""
+        sheets, member = self.sheets, self.member
+        nodes, own = sheets.nodes_of(member), slice(member, member + 1)
+        all_nodes = sheets.nodes
+        self._target, self._anchor = all_nodes.target[nodes], all_nodes.anchor[nodes]
+        self._free, self._gravity = all_nodes.free[nodes], all_nodes.gravity_m_s2[own]
+        self._inverse_step_squared = all_nodes.inverse_step_squared[own]
+        self._damping_ratio = sheets.damping_ratio[own]
+        sheets.place(member, self.positions_m)
+        self._target.assign(self.positions_m)
+        self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
+        all_nodes.mass_kg[nodes].assign(self.mass_kg)
+        self._free.assign((~self.fixed).astype(float))
+        self.set_gravity(gravity)
+        self._inverse_step_squared.fill_(1.0)
+        rule = bending.STIFFNESS_RULES[self.settings.bending_stiffness_at]
+        sheets.hinges.stiffness_rule[own].fill_(rule)
+        sheets.ground.curvature[own].fill_(self.ground_curvature_per_m)
+        hinge_stiffness = bending.hinge_stiffness(self.mesh, tables.bending_N_m)
+        for whole, table in [
+            (sheets.faces.table, tables.stretching_N_m),
+            (sheets.hinges.table, hinge_stiffness),
+            (sheets.hinges.stiffness_before, np.ascontiguousarray(hinge_stiffness[:, 0])),
+        ]:
+            whole[member * len(table) : (member + 1) * len(table)].assign(table)
+        rest_angles = bending.rest_angles(self.mesh, rest_curvature)
+        first = member * len(rest_angles)
+        sheets.hinges.rest_angle[first : first + len(rest_angles)].assign(rest_angles)
+
+    # -- pieces of a step -----------------------------------------------------------------
+
+    def _evaluate(self, x: np.ndarray) -> np.ndarray:
+        """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
+        self.sheets.place(self.member, x)
+        self.sheets.ask(Work.FORCES, self.member)
+        return self.sheets.forces(self.member)
+
+    def _factorise(self) -> None:
+        """Assemble and factor the tangent at the positions last evaluated."""
+        tangent = self._tangent
+        layers = self._layers
+        if layers is not None and self._coupled != layers.generation:
+            if len(layers):
+                self._room = tangent.couple(layers.nodes)
+            else:
+                tangent.uncouple()
+            self._coupled = layers.generation
+        self.sheets.ask(Work.STIFFNESS, self.member)
+        values = tangent.contact_values()
+        if layers is not None and len(layers):
+            place = self.sheets.positions(self.member)
+            layers.add_stiffness(place, self._free, *self._room, values)
+        try:
+            tangent.factorise()
+        except ArithmeticError as error:
+            raise NotConverged(
+                f"at {self.time_s:.4f} s the tangent is not positive definite ({error})"
+            ) from None
+        self.record.factorisations += 1
+        nodes, blocks = self._contact_blocks(symmetric=True)
+        self._factored_blocks = np.zeros((self.mesh.vertex_count, 3, 3))
+        self._factored_blocks[nodes] = blocks
+
+    def _symmetric_solve(self, right: np.ndarray) -> np.ndarray:
+        self.record.solves += 1
+        return self._tangent.solve(right)
+
+    def _contact_blocks(self, symmetric: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Exact tangent of the ground's force: nodes in contact, and their 3 x 3 blocks.
+
+        Not symmetric where a node slips: its friction follows its normal force. ``symmetric``
+        leaves that part out.
+        """
+        place, state = self.sheets.evaluated(self.member)
+        nodes = np.flatnonzero(state)
+        free = ~self.fixed[nodes]
+        free = free[:, :, None] & free[:, None, :]
+        if self.floor.extended:
+            return nodes, self.sheets.contact_tangents(self.member, nodes, symmetric) * free
+        x, frames = contact.ground_coordinates(place[nodes], self.ground_curvature_per_m)
+        offset = x[:, :2] - self._anchor.numpy()[nodes]
+        distance = np.linalg.norm(offset, axis=1)
+        stiffness = self.contact_stiffness_N_m[nodes]
+        growth = self.friction[nodes] * stiffness  # of the limit with depth
+        limit = growth * np.maximum(-x[:, 2], 0.0)
+        blocks = stiffness[:, None, None] * np.eye(3)
+        slip = distance * stiffness > limit
+        distance, limit, growth = (one[slip, None, None] for one in (distance, limit, growth))
+        along = offset[slip, :, None] / distance
+        blocks[slip, :2, :2] = limit / distance * (np.eye(2) - along * along.transpose(0, 2, 1))
+        if not symmetric:
+            blocks[slip, :2, 2:] = -growth * along
+        if self.ground_curvature_per_m:
+            blocks = frames.transpose(0, 2, 1) @ blocks @ frames
+        return nodes, blocks * free
+
+    def _correction(self, residual: np.ndarray) -> np.ndarray:
+        """Newton correction at the positions last evaluated.
+
+        The factor holds the symmetric part of contact as it was when it was made. The
+        difference C to the exact tangent of contact now is solved for by GMRES,
+        preconditioned with the factor: (A + C) A^-1 y = -r needs products with C only.
+        """
+        nodes, blocks = self._contact_blocks()
+        difference = -self._factored_blocks
+        difference[nodes] += blocks
+        changed = np.flatnonzero(np.abs(difference).max(axis=(1, 2)) > 1e-12)
+        if not len(changed):
+            return self._symmetric_solve(-residual.ravel()).reshape(-1, 3)
+        difference = difference[changed]
+
+        def product(y: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+            result = y.copy().reshape(-1, 3)
+            moved = displacement.reshape(-1, 3)[changed]
+            result[changed] += np.einsum("nij,nj->ni", difference, moved)
+            return result.ravel()
+
+        return self._krylov(product, residual, 20)
+
+    def _krylov(self, product, residual: np.ndarray, products_max: int) -> np.ndarray:
+        """Correction d of K d = -r, where product(y, d) is K d for d = A^-1 y."""
+        correction = flexible_gmres(
+            self._symmetric_solve, product, -residual.ravel(), KRYLOV_ACCURACY, products_max
+        )
+        return correction.reshape(-1, 3)
+
+    def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Newton correction with the exact tangent, by a Jacobian-free Krylov method.
+
+        GMRES on J A^-1 y = -r; products with the tangent J are differences of the
+        out-of-balance force (Knoll and Keyes 2004).
+        """
+        self._products = 0
+
+        def product(y: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+            self._products += 1
+            step = DIFFERENCE_M / np.abs(displacement).max()
+            moved = self._evaluate(x + step * displacement.reshape(-1, 3))
+            return (moved - residual).ravel() / step
+
+        return self._krylov(product, residual, 15)
+
+    def _relative(self, residual: np.ndarray) -> float:
+        """Largest nodal out-of-balance force over friction coefficient times nodal weight."""
+        return sqrt(np.einsum("ij,ij->i", residual, residual).max()) / self.force_scale_N
+
+    def _search(self, x, residual, correction):
+        """Move along a correction to where the work of the out-of-balance forces on it is small.
+
+        The line search of Matthies and Strang (1979): a root of residual . correction, which
+        needs no energy and so allows for friction. Beyond a point of instability the work
+        grows; then the full step is taken, downhill.
+        """
+        start = float(np.vdot(residual, correction))
+        low, low_work, high, high_work = 0.0, start, None, None
+        most = self._clear_fraction(x, correction)
+        fraction = min(1.0, most)
+        for _ in range(10):
+            trial = x + fraction * correction
+            residual = self._evaluate(trial)
+            work = float(np.vdot(residual, correction))
+            if start >= 0 or abs(work) <= SEARCH_ACCURACY * -start:
+                break
+            if work > 0:
+                high, high_work = fraction, work
+            else:
+                low, low_work, earlier, earlier_work = fraction, work, low, low_work
+            if high is not None:
+                part = low_work / (low_work - high_work)
+                fraction = low + (high - low) * min(max(part, 0.1), 0.9)
+            elif work > earlier_work:
+                slope = (work - earlier_work) / (fraction - earlier)
+                fraction = min(fraction - work / slope, 4 * fraction)
+            else:
+                fraction *= 4
+            if fraction > most:
+                break
+        return trial, residual
+
+    def _clear_fraction(self, x: np.ndarray, correction: np.ndarray) -> float:
+        """Largest multiple of a correction that may be tried."""
+        if self._layers is None or not len(self._layers):
+            return EXTRAPOLATION_MAX
+        part = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction)
+        return EXTRAPOLATION_MAX * part
+
+    # -- stepping -------------------------------------------------------------------------
+
+    def _try_step(self, step_s, prescribed: Callable | None, may_refine: bool) -> Outcome:
+        """Solve one implicit step; on success the state moves on."""
+        end_s = self.time_s + step_s
+        target = self.positions_m + step_s * self.velocities_m_s
+        self._target.assign(target)
+        self._inverse_step_squared.fill_(1.0 / step_s**2)
+        self._damping_ratio.fill_(self.settings.damping_s / step_s)
+        guess = self._guess(target, step_s)
+        if prescribed is not None:
+            guess[self.fixed] = prescribed(end_s)[self.fixed]
+        self._give_up = None
+        if may_refine:
+            largest_m = CLEARLY * self.settings.step_error_m
+            self._give_up = lambda x: self._step_error_m(x, target) > largest_m
+        try:
+            x, error = self._solve_apart(guess)
+        except _TooLong:
+            self._accurate_step_s = step_s / 2
+            return Outcome.INACCURATE
+        if not error <= self.settings.friction_tolerance:
+            return Outcome.UNSOLVED
+        step_error_m = self._step_error_m(x, target)
+        if step_error_m > self.settings.step_error_m:
+            self._accurate_step_s = step_s / 2
+            if may_refine:
+                return Outcome.INACCURATE
+        elif step_error_m < self.settings.step_error_m / 5:
+            self._accurate_step_s = 2 * step_s
+        if may_refine and self.confirm and not self.confirm(x, step_s):
+            self._accurate_step_s = step_s / 2
+            return Outcome.INACCURATE
+        self.record.largest_residual = max(self.record.largest_residual, error)
+        self._last_error_m = step_error_m
+        self._accept(x, step_s)
+        self.time_s = end_s
+        self.record.steps += 1
+        return Outcome.ACCEPTED
+
+    def _step_error_m(self, x: np.ndarray, target: np.ndarray) -> float:
+        """Of implicit Euler, root mean square: half the squared step times the acceleration."""
+        return 0.5 * sqrt(np.einsum("ij,ij->", x - target, x - target) / len(x))
+
+    def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
+        """Initial guess of the solution, given the purely inertial motion.
+
+        As if the acceleration of the last steps went on: nearer than the target where it does. But
+        nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth
+        of micrometres, extrapolated, is a load many times the cloth's.
+        """
+        guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
+        curvature = self.ground_curvature_per_m
+        gap = contact.ground_coordinates(self.positions_m, curvature)[0][:, 2]
+        place, frames = contact.ground_coordinates(guess, curvature)
+        touching = (gap < 0) | (place[:, 2] < 0)
+        lift = np.minimum(gap[touching], 0.0) - place[touching, 2]
+        guess[touching] += ~self.fixed[touching] * (lift[:, None] * frames[touching, 2])
+        return guess
+
+    def _accept(self, x: np.ndarray, step_s: float) -> None:
+        """Move the state on to positions that were just evaluated."""
+        velocities_m_s = (x - self.positions_m) / step_s
+        if self._last_step_s:
+            apart_s = 0.5 * (step_s + self._last_step_s)
+            self._acceleration_m_s2 = (velocities_m_s - self.velocities_m_s) / apart_s
+        self._last_step_s = step_s
+        self.velocities_m_s = velocities_m_s
+        self.positions_m = x
+        self.sheets.ask(Work.ACCEPT, self.member)
+        if self._layers is not None:
+            touching = self._layers.move_anchors(self.sheets.positions(self.member))
+            self.record.touching_pairs = max(self.record.touching_pairs, touching)
+        if self.floor.extended:
+            place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
+            self.floor.set_directions(place)
+
+    def _solve_apart(self, guess: np.ndarray) -> tuple[np.ndarray, float]:
+        """Solve the step so that no part of the cloth passes through another on the way.
+
+        Returns
+        -------
+        x : ndarray, shape (V, 3)
+        error : float
+            Relative residual; infinite if parts would pass through.
+        """
+        tolerance = self.settings.friction_tolerance
+        layers = self._layers
+        for _ in range(COVERS_MAX):
+            x, error = self._solve_step(self._clear_guess(guess))
+            if layers is None or not error <= tolerance:
+                return x, error
+            if not layers.covers(x):
+                # Farther than the list of near pairs reaches: is it still a solution?
+                layers.cover(self.positions_m, x)
+                error = self._relative(self._evaluate(x))
+            apart = layers.clear_part(self.positions_m, x - self.positions_m) == 1.0
+            if apart and error <= tolerance:
+                return x, error
+        return x, np.inf
+
+    def _clear_guess(self, guess: np.ndarray) -> np.ndarray:
+        """Free coordinates held back to where no listed pair has passed through."""
+        if self._layers is None:
+            return guess
+        move = guess - self.positions_m
+        part = self._layers.clear_part(self.positions_m, move)
+        return np.where(self.fixed, guess, self.positions_m + part * move)
+
+    def _solve_step(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Newton's method from x; where it ends, and the relative residual there."""
+        settings = self.settings
+        residual = self._evaluate(x)
+        error = self._relative(residual)
+        rate = 0.0
+        exact = False
+        self._products = 0
+        for count in range(settings.newton_iterations_max):
+            if count >= TRUSTED_AFTER and self._give_up and self._give_up(x):
+                raise _TooLong
+            if error <= settings.friction_tolerance or not np.isfinite(error):
+                break
+            if (
+                not self._tangent.factored
+                or (rate > REFACTOR_RATE and not exact)
+                or self._products > PRODUCTS_MAX
+            ):
+                self._factorise()
+                self._products = 0
+            exact = error < EXACT_BELOW
+            if exact:
+                correction = self._exact_correction(x, residual)
+                if np.vdot(correction, residual) >= 0:
+                    self._evaluate(x)
+                    correction = self._correction(residual)
+            else:
+                correction = self._correction(residual)
+            x, residual = self._search(x, residual, correction)
+            before, error = error, self._relative(residual)
+            rate = error / before
+            self.record.newton_iterations += 1
+        return x, error
+
+    def start(self, preload_N: np.ndarray | float = 0.0) -> None:
+        """Take the present positions as the beginning of the motion (strains, anchors).
+
+        Parameters
+        ----------
+        preload_N : ndarray, shape (V, 2), or 0
+            Tangential force that the floor's friction bears at the beginning, as the force of
+            the cloth on the floor: what it bears after a slow tilt, say.
+        """
+        self.sheets.place(self.member, self.positions_m)
+        place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
+        anchor = place[:, :2] - preload_N / self.contact_stiffness_N_m[:, None]
+        self._anchor.assign(np.ascontiguousarray(anchor))
+        if self.floor.extended:
+            self.floor.start.assign(self.positions_m)
+            self.floor.set_directions(place)
+        self.sheets.ask(Work.STRAINS, self.member)
+
+    def go_on_from(self, other: ClothSolver) -> None:
+        """Take the state of another solver of the same cloth; layers forget their friction."""
+        self.positions_m, self.velocities_m_s = other.positions_m, other.velocities_m_s
+        self._acceleration_m_s2, self._last_step_s = other._acceleration_m_s2, other._last_step_s
+        self.time_s, self._accurate_step_s = other.time_s, np.inf
+        self.start()
+        self._anchor.assign(other._anchor)
+        self.floor.go_on_from(other.floor)
+
+    def advance(
+        self,
+        duration_s: float,
+        prescribed: Callable[[float], np.ndarray] | None = None,
+        halvings: int = 0,
+    ) -> None:
+        """Move on by one step, halved as often as it takes to converge.
+
+        Parameters
+        ----------
+        duration_s : float
+        prescribed : callable
+            Positions (V, 3) at a time; only the fixed coordinates are read.
+
+        Raises
+        ------
+        NotConverged
+            The step did not converge after the allowed number of halvings.
+        """
+        if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
+            self._halve(duration_s, prescribed, halvings)
+            return
+        outcome = self._try_step(duration_s, prescribed, halvings < REFINEMENTS_MAX)
+        if outcome is Outcome.ACCEPTED:
+            return
+        self._count_failure(outcome)
+        if outcome is Outcome.INACCURATE:
+            self._halve(duration_s, prescribed, halvings)
+            return
+        if halvings >= self.settings.halvings_max:
+            raise NotConverged(
+                f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
+                f"{self.settings.friction_tolerance:g} in {self.settings.newton_iterations_max} "
+                "iterations",
+                {
+                    "time_s": self.time_s,
+                    "positions_m": self.positions_m,
+                    "velocities_m_s": self.velocities_m_s,
+                    "anchors_m": self._anchor.numpy().copy(),
+                    "last_residual_N": self.sheets.forces(self.member),
+                    "last_positions_m": self.sheets.evaluated(self.member)[0].copy(),
+                    "faces": self.mesh.faces,
+                },
+            )
+        self._halve(duration_s, prescribed, halvings)
+
+    def try_step(
+        self, duration_s: float, prescribed: Callable[[float], np.ndarray] | None = None
+    ) -> bool:
+        """Move on by one step if it is accurate and converges; otherwise stay.
+
+        Parameters
+        ----------
+        duration_s, prescribed
+            As for :meth:`advance`.
+
+        Returns
+        -------
+        bool
+            Whether it moved.
+        """
+        outcome = self._try_step(duration_s, prescribed, may_refine=True)
+        self._count_failure(outcome)
+        return outcome is Outcome.ACCEPTED
+
+    def foreseen_step_s(self) -> float:
+        """Longest step to be accurate if the motion goes on as in the last step.
+
+        0 before the first step, and where any error is allowed.
+        """
+        allowed_m = self.settings.step_error_m
+        if not isfinite(allowed_m):
+            return 0.0
+        times = sqrt(FORESEEN_ERROR * allowed_m / max(self._last_error_m, LEAST_ERROR_M))
+        return min(times * self._last_step_s, self._accurate_step_s)
+
+    def _count_failure(self, outcome: Outcome) -> None:
+        if outcome is Outcome.INACCURATE:
+            self.record.refinements += 1
+        elif outcome is Outcome.UNSOLVED:
+            self._tangent.factored = False
+            self.record.halvings += 1
+
+    def _halve(self, duration_s, prescribed, halvings: int) -> None:
+        self.advance(duration_s / 2, prescribed, halvings + 1)
+        self.advance(duration_s / 2, prescribed, halvings + 1)
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Change gravity (a plane that is tilted)."""
+        self._gravity.assign(np.array([gravity_m_s2], dtype=float))
+
+    # -- observables ----------------------------------------------------------------------
+
+    def reactions(self) -> np.ndarray:
+        """Forces that hold the prescribed coordinates, shape (V, 3); zero elsewhere.
+
+        What elastic, gravity and floor forces at the present positions leave over: the force
+        that the holder exerts on the cloth. Inertia is left out: read it at rest or
+        in steady motion.
+        """
+        self._target.assign(self.positions_m)
+        self._damping_ratio.fill_(0.0)
+        free = self._free.numpy().copy()
+        self._free.fill_(1.0)
+        force = self._evaluate(self.positions_m)
+        self._free.assign(free)
+        return np.where(self.fixed, force, 0.0)
+
+    def sticks(self) -> np.ndarray:
+        """Which vertices the ground held in the last step, shape (V,)."""
+        return self.sheets.evaluated(self.member)[1] == contact.STICK
+
+    def floor_forces(self) -> np.ndarray:
+        """Force of the ground on each vertex, shape (V, 3)."""
+        x, frames = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
+        stiffness = self.contact_stiffness_N_m
+        normal = np.maximum(-stiffness * x[:, 2], 0.0)
+        tangential = -stiffness[:, None] * (x[:, :2] - self._anchor.numpy())
+        local = np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
+        return np.einsum("nij,ni->nj", frames, local)

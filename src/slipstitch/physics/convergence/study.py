@@ -1,0 +1,394 @@
+"""What one of them differs by from a finer one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config import Config
+from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.convergence.cases import cases
+from slipstitch.physics.simulation.convergence import (
+    BUT_FOR_ITS_COURSE,
+    BUT_FOR_ITS_MOMENT,
+    CONVERGED,
+    NOT_CONVERGED,
+    worst_verdict,
+)
+from slipstitch.physics.simulation.trajectory import Trajectory
+
+SUMMARISED = (
+    "finest",
+    "mean_m",
+    "mean_largest_m",
+    "worst_m",
+    "shifted_mean_m",
+    "shifted_largest_m",
+    "steady_largest_m",
+    "worst_shift_s",
+)
+SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
+SHIFTED_PLACES = 21  # a side, of the places compared at other times
+CURVE_POINTS_MAX = 120
+SLIP_M = 2e-3  # as far as the lower edge is dragged where it is said to slip
+SLIP_UNSURE_M = 1e-3
+FLIP_SPEED_M_S = 0.02  # mean over vertices; the stage moves at 0.01
+STEADY_SPEED_M_S = 0.001
+STEADY_S = 1.0
+
+
+def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:
+    """Numbers of the vertices of one mesh that lie at places common to several, row by row."""
+    intervals = math.gcd(*(side - 1 for side in sides))
+    line = np.arange(0, side, (side - 1) // intervals)
+    return (line[:, None] * side + line).ravel()
+
+
+def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | None]:
+    """Times of the fast events, in s; None for one that does not happen.
+
+    Returns
+    -------
+    dict
+        ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it
+        is 2 mm or more from where it lay as the stroke began. ``flip``: the cloth rolls over, its
+        vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
+        the stage; the moment when that is fastest. Those of a second stroke are ``slip 2``,
+        ``flip 2``, and so on.
+    """
+    time_s = run.time_s
+    found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
+    for number, part in _strokes(run, path):
+        found[f"slip{number}"], found[f"flip{number}"] = None, None
+        if len(time_s[part]) < 2:
+            continue
+        found[f"slip{number}"] = _for_good(time_s[part], _dragged_m(run, part) - SLIP_M)
+        places = run.positions_m[part].astype(float)
+        places[..., 0] -= run.stage_x_m[part, None]
+        travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1)
+        speed_m_s = travelled / np.diff(time_s[part])
+        fastest = int(speed_m_s.argmax())
+        if speed_m_s[fastest] >= FLIP_SPEED_M_S:
+            found[f"flip{number}"] = float(time_s[part][fastest : fastest + 2].mean())
+    return found
+
+
+def _strokes(run: Trajectory, path: StagePath | None = None) -> Iterator[tuple[str, slice]]:
+    """What names the events of each stroke that was begun, and its frames."""
+    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
+    for stroke in range(max(path.strokes, 1)):
+        begin_s = path.drop_duration_s + stroke * path.stroke_duration_s
+        begun, over = np.searchsorted(run.time_s, [begin_s, begin_s + path.stroke_duration_s])
+        part = slice(begun, over + 1)
+        if stroke and len(run.time_s[part]) < 2:
+            return
+        yield f" {stroke + 1}" if stroke else "", part
+
+
+def _lower_edge_m(run: Trajectory) -> np.ndarray:
+    """Its mean place, shape (T, 3)."""
+    return run.positions_m[:, run.uv[:, 1] == run.uv[:, 1].max()].astype(float).mean(axis=1)
+
+
+def _dragged_m(run: Trajectory, part: slice) -> np.ndarray:
+    """How far the lower edge is from where it was at the beginning of the frames."""
+    along = _lower_edge_m(run)[part, 0]
+    return np.abs(along - along[0])
+
+
+def _slip_shifts(first: Trajectory, second: Trajectory) -> dict[str, float]:
+    """How much later the lower edge slips in the first run, where either's is dragged so far.
+
+    The moments at which the other's is, to within `SLIP_UNSURE_M`: an edge may come to rest, or the
+    run may end, a little short of the distance.
+    """
+    found = {}
+    for number, part in _strokes(first):
+        time_s = first.time_s[part]
+        if len(time_s) < 2:
+            continue
+        beyond = [_dragged_m(run, part) - SLIP_M for run in (first, second)]
+        slips_s = [_for_good(time_s, one) for one in beyond]
+        for sign, one, other in ((1.0, 0, 1), (-1.0, 1, 0)):
+            moments_s = [*time_s[np.abs(beyond[other]) <= SLIP_UNSURE_M], slips_s[other]]
+            shifts_s = [
+                slips_s[one] - at_s for at_s in moments_s if None not in (at_s, slips_s[one])
+            ]
+            if shifts_s:
+                found[f"slip{number}"] = float(sign * min(shifts_s, key=abs))
+                break
+    return found
+
+
+def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
+    """Interpolated time at which a value first becomes positive."""
+    after = np.flatnonzero(value > 0)
+    if not len(after):
+        return None
+    k = int(after[0])
+    if k == 0:
+        return float(time_s[0])
+    share = -value[k - 1] / (value[k] - value[k - 1])
+    return float(time_s[k - 1] + share * (time_s[k] - time_s[k - 1]))
+
+
+def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict[str, Any]:
+    """Distance between two runs, vertex by vertex, at the same times and at shifted ones.
+
+    Parameters
+    ----------
+    run, finest : Trajectory
+        With the same frames; meshes from ``sides``.
+    sides : tuple of int
+        Vertices a side of all meshes that are to be compared at the same places of the cloth.
+
+    Returns
+    -------
+    dict
+        ``mean_m``: mean over vertices and time; ``mean_largest_m``: the largest mean of a moment;
+        ``worst_m``: the worst vertex of any moment; ``shifted_mean_m``, ``shifted_largest_m``:
+        the first two, every moment compared with that moment of the finest, up to 2 s before or
+        after, which is most like it (places relative to the clamps, a straight line from frame to
+        frame; the largest less what that leaves out of a curved way); ``worst_shift_s``: how much
+        later that is, at the moment of the largest mean; ``steady_largest_m``: the largest mean of
+        moments at which both runs are steadily dragged (None: there are none); ``events``: times
+        in both and their difference; ``curve``: thinned out.
+
+    Raises
+    ------
+    BadInput
+        The runs have different frames.
+    """
+    if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
+        raise BadInput("the runs have different frames; regenerate them")
+    first, second = (_places(trajectory, sides) for trajectory in (run, finest))
+    distance = np.linalg.norm(first - second, axis=2)
+    mean, worst = distance.mean(axis=1), distance.max(axis=1)
+    few, others = _fewer(first, second)
+    shifted, shift_s, bend = _least_mean_distance(few, others, run.time_s)
+    shifted = np.minimum(shifted, mean)
+    there, reference, slips = events(run), events(finest), _slip_shifts(run, finest)
+    steady = _is_steady(first, run.time_s) & _is_steady(second, run.time_s)
+    every = -(-len(mean) // CURVE_POINTS_MAX)
+    curve = {"time_s": run.time_s, "mean_m": mean, "worst_m": worst, "shifted_mean_m": shifted}
+    return {
+        "mean_m": float(mean.mean()),
+        "mean_largest_m": float(mean.max()),
+        "worst_m": float(worst.max()),
+        "worst_time_s": float(run.time_s[worst.argmax()]),
+        "shifted_mean_m": float(shifted.mean()),
+        "shifted_largest_m": float((shifted - np.minimum(bend, shifted)).max()),
+        "worst_shift_s": float(shift_s[mean.argmax()]),
+        "steady_largest_m": float(mean[steady].max()) if steady.any() else None,
+        "events": {
+            name: {
+                "time_s": time_s,
+                "finest_s": reference.get(name),
+                "shift_s": slips.get(name, _shift(time_s, other)),
+            }
+            for name, time_s in there.items()
+            if (other := reference.get(name)) is not None or time_s is not None
+        },
+        "curve": {name: np.round(values[::every], 6).tolist() for name, values in curve.items()},
+    }
+
+
+def _places(run: Trajectory, sides: tuple[int, ...]) -> np.ndarray:
+    """Common vertices relative to the clamps, shape (T, N, 3)."""
+    side = math.isqrt(run.positions_m.shape[1])
+    places = run.positions_m[:, common_vertices(side, sides)].astype(float)
+    places[..., 0] -= run.stage_x_m[:, None]
+    return places
+
+
+def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Whether the cloth hardly moves relative to the clamps for a second before and after."""
+    if len(time_s) < 2:
+        return np.zeros(len(time_s), bool)
+    moved_m = np.linalg.norm(np.diff(places_m, axis=0), axis=2).mean(axis=1)
+    fast = np.append(moved_m / np.diff(time_s) > STEADY_SPEED_M_S, False)
+    reach = round(STEADY_S / (time_s[1] - time_s[0]))
+    return ~maximum_filter1d(fast, 2 * reach + 1)
+
+
+def _fewer(*places: np.ndarray) -> list[np.ndarray]:
+    """At most some 21 x 21 of the places."""
+    side = math.isqrt(places[0].shape[1])
+    line = np.arange(0, side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
+    chosen = (line[:, None] * side + line).ravel()
+    return [one[:, chosen] for one in places]
+
+
+def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
+    """Of each moment of the first from the second's way 2 s before and after.
+
+    Returns
+    -------
+    least_m, later_s, bend_m : ndarray, shape (T,)
+        Distance, how much later that is, and what a straight line from frame to frame leaves out of
+        the way there: an eighth of the second difference, if the acceleration is constant.
+    """
+    frames = len(time_s)
+    frame_s = time_s[1] - time_s[0] if frames > 1 else 1.0
+    reach = int(SHIFT_MAX_S / frame_s + 1e-9)
+    least, later_s, bend = np.full(frames, np.inf), np.zeros(frames), np.zeros(frames)
+    way = np.diff(second, axis=0)
+    squared = np.maximum((way**2).sum(axis=(1, 2)), 1e-300)
+    second_difference = np.zeros(frames)
+    second_difference[1:-1] = np.linalg.norm(np.diff(way, axis=0), axis=2).mean(axis=1)
+    for shift in range(-reach, reach):
+        here = np.arange(max(0, -shift), min(frames, frames - 1 - shift))
+        there = here + shift
+        away, along = first[here] - second[there], way[there]
+        part = np.clip((away * along).sum(axis=(1, 2)) / squared[there], 0.0, 1.0)
+        mean = np.linalg.norm(away - part[:, None, None] * along, axis=2).mean(axis=1)
+        nearer = mean < least[here]
+        here, there, part = here[nearer], there[nearer], part[nearer]
+        least[here] = mean[nearer]
+        later_s[here] = (shift + part) * frame_s
+        bend[here] = np.maximum(second_difference[there], second_difference[there + 1]) / 8
+    return least, later_s, bend
+
+
+def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
+    """Interpolated time from which on a value is positive."""
+    not_yet = np.flatnonzero(value <= 0)
+    begun = int(not_yet[-1]) if len(not_yet) else 0
+    return _first(time_s[begun:], value[begun:])
+
+
+def _shift(time_s: float | None, finest_s: float | None) -> float | None:
+    return None if time_s is None or finest_s is None else time_s - finest_s
+
+
+def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str, Any]]:
+    """Every run against the finest of its kind.
+
+    Parameters
+    ----------
+    runs : mapping
+        Trajectories by id of the case; those at the chosen settings, and others that `cases` lists.
+
+    Returns
+    -------
+    list of dict
+        `compare`'s, with ``material``, ``friction``, ``kind`` (time step or mesh),
+        ``time_step_s``, ``vertices_per_side`` and ``finest`` (the id compared with).
+    """
+    study, found = config.convergence, []
+    for chosen in cases(config):
+        if chosen.vertices_per_side != study.vertices_per_side[0] or chosen.halvings:
+            continue
+        if chosen.id not in runs:
+            continue
+        family = [case for case in cases(config) if case.pair == chosen.pair and case.id in runs]
+        steps = [case for case in family if case.vertices_per_side == chosen.vertices_per_side]
+        meshes = [case for case in family if case.halvings == 0]
+        for kind, members in (("time step", steps), ("mesh", meshes)):
+            sides = tuple(dict.fromkeys(case.vertices_per_side for case in members))
+            for case in members[:-1]:
+                run = runs[case.id]
+                found.append(
+                    {
+                        "material": case.material,
+                        "friction": case.friction,
+                        "kind": kind,
+                        "time_step_s": run.metadata["step_s"],
+                        "vertices_per_side": case.vertices_per_side,
+                        "finest": members[-1].id,
+                        **compare(run, runs[members[-1].id], sides),
+                    }
+                )
+    return found
+
+
+def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The summary for the metadata of simulations: the chosen settings, pair by pair.
+
+    Returns
+    -------
+    list of dict
+        ``material, friction, time_step, mesh, verdict``; the third and fourth hold
+        ``finest`` (what was compared with), ``mean_m, mean_largest_m, worst_m, shifted_mean_m,
+        shifted_largest_m, steady_largest_m, worst_shift_s, event_shift_s`` (the largest),
+        ``events_missing`` (those that happen in one of the two runs only) and a ``verdict`` of
+        their own, or are None where not studied. The verdict of both is the worse one, None if
+        nothing speaks against convergence and not both were studied.
+    """
+    demand_m = config.convergence.mean_distance_m
+    rows: dict[tuple[str, float], dict] = {}
+    for comparison in compared:
+        row = rows.setdefault(
+            (comparison["material"], comparison["friction"]),
+            {name: comparison[name] for name in ("material", "friction")}
+            | {"time_step": None, "mesh": None},
+        )
+        key = comparison["kind"].replace(" ", "_")
+        if row[key] is None:  # the first is the one at the chosen settings
+            shifts = {name: event["shift_s"] for name, event in comparison["events"].items()}
+            known = [abs(shift) for shift in shifts.values() if shift is not None]
+            found = row[key] = {
+                **{name: comparison[name] for name in SUMMARISED},
+                "event_shift_s": max(known, default=0.0),
+                "events_missing": [name for name, shift in shifts.items() if shift is None],
+            }
+            found["verdict"] = _verdict(found, demand_m)
+    for row in rows.values():
+        studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
+        row["verdict"] = worst_verdict([found["verdict"] for found in studied])
+        if len(studied) < 2 and row["verdict"] != NOT_CONVERGED:
+            row["verdict"] = None  # what was not studied may speak against it
+    return list(rows.values())
+
+
+def _verdict(found: Mapping[str, Any], demand_m: float) -> str:
+    """Of one kind of refinement: the same; but for when or how it rolls over; something else."""
+    if found["mean_largest_m"] <= demand_m:
+        return CONVERGED
+    steady_m, shifted_m = found["steady_largest_m"], found["shifted_largest_m"]
+    if steady_m is None or steady_m > demand_m or found["events_missing"]:
+        return NOT_CONVERGED
+    shift_s = max(found["event_shift_s"], abs(found["worst_shift_s"]))
+    if shifted_m <= demand_m:
+        return BUT_FOR_ITS_MOMENT.format(shift_s)
+    return BUT_FOR_ITS_COURSE.format(shift_s, 1e3 * shifted_m)
+
+
+def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+    """The study as JSON can hold it: settings, runs and their cost, what is missing, comparisons.
+
+    Raises
+    ------
+    BadInput
+        No run is there, or runs do not belong together.
+    """
+    compared = comparisons(config, runs)
+    here = [case for case in cases(config) if case.id in runs]
+    if not here:
+        raise BadInput(f"no runs of the study found; their ids look like {cases(config)[0].id}")
+    chosen = runs[here[0].id].metadata
+    return {
+        "settings": {
+            "convergence": config.convergence.model_dump(mode="json"),
+            "time_step_s": chosen["step_s"],
+            "simulation": chosen["settings"],
+        },
+        "runs": [
+            {
+                **asdict(case),
+                "time_step_s": runs[case.id].metadata["step_s"],
+                "cpu_s": (runs[case.id].metadata.get("provenance") or {}).get("cpu_s"),
+                "solver": runs[case.id].metadata["solver"],
+            }
+            for case in here
+        ],
+        "missing": [case.id for case in cases(config) if case.id not in runs],
+        "summary": summary(config, compared),
+        "comparisons": compared,
+    }

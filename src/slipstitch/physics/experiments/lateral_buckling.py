@@ -1,0 +1,144 @@
+"""Lateral buckling: a strip clamped at one end, its plane vertical, turns over under its weight.
+
+The mesh is no isotropic plate: a hinge over every edge, all equally stiff, resists twist two to
+four times as much as one (the diagonals bear it). So theory gets the strip's own rigidities,
+measured on the same mesh: bending from a small sag, torsion from a small twist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import theory
+from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.experiments.rest import bring_to_rest
+from slipstitch.physics.experiments.specimen import AREAL_DENSITY_KG_M2, solver_settings
+from slipstitch.physics.fabric import isotropic_tables
+from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.theory.domain import require
+
+LENGTH_M = 0.20
+COLUMNS = 5
+WIDTH_OVER_THICKNESS = 20.0  # 40 times as stiff in its plane as in twist
+WEIGHT_GAMMA = 25.0  # of the strip under gravity; other weights by other gravity
+RIGIDITY_NM = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / WEIGHT_GAMMA
+LONG_STEP_S = 10 * sqrt(WEIGHT_GAMMA * LENGTH_M / GRAVITY_M_S2)
+SIDE_PUSH = 1.0e-3  # sideways over vertical weight, what the strip buckles from
+FAR, NEAR = (0.85, 0.95), (0.96, 0.98)  # of the critical weight as known before
+SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear
+SMALL_TWIST_RAD = 0.02
+NARROWEST, WIDEST = 0.02, 0.5
+
+
+def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> dict[str, Any]:
+    """Weight over rigidity at which the strip buckles sideways.
+
+    A small sideways weight bends the strip by d, amplified by 1/(1 - (Γ/Γ*)²) as the critical
+    weight comes near: Γ/d falls linearly in Γ² to zero at Γ* (Southwell 1932).
+
+    Parameters
+    ----------
+    width_over_length : float
+        0.02 to 0.5; theory is for narrow strips.
+
+    Returns
+    -------
+    dict
+        ``critical_gamma`` and ``theory_critical_gamma``, areal density x gravity x length^3 over
+        the plate's rigidity ke/4; ``bending_over_plate`` and ``torsion_over_plate``, the strip's
+        rigidities over plate rigidity times width.
+    """
+    require("width_over_length", width_over_length, NARROWEST, WIDEST)
+    solver = _strip(settings, width_over_length, held_ends=1)
+    bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))
+    torsion = _torsion(settings, width_over_length)
+    expected = theory.lateral_buckling_of_beam(bending, torsion)
+    # The other modes' share of the bending fades as the weight comes near: refined once.
+    critical = _southwell(solver, _southwell(solver, expected, FAR), NEAR)
+    return {
+        "critical_gamma": critical,
+        "theory_critical_gamma": expected,
+        "bending_over_plate": bending,
+        "torsion_over_plate": torsion,
+    }
+
+
+def _southwell(solver: ClothSolver, estimate: float, fractions: tuple[float, float]) -> float:
+    """Γ*, from the bending at two fractions of an estimate of it."""
+    gammas = np.array(fractions) * estimate
+    over = gammas / [_sideways_m(solver, gamma, SIDE_PUSH, 1.0) for gamma in gammas]
+    slope = (over[1] - over[0]) / (gammas[1] ** 2 - gammas[0] ** 2)
+    return float(sqrt(gammas[1] ** 2 - over[1] / slope))
+
+
+def _strip(settings: SimulationSettings, width_over_length: float, held_ends: int) -> ClothSolver:
+    """The strip along x, its width along z; two clamped rows straddle each clamp."""
+    width_m = width_over_length * LENGTH_M
+    rows = round((COLUMNS - 1) / width_over_length) + 1 + held_ends
+    spacing_m = LENGTH_M / (rows - 1 - 0.5 * held_ends)
+    mesh = rectangle(rows, COLUMNS, (rows - 1) * spacing_m, width_m)
+    across, down = mesh.rest_uv_m.T
+    membrane_N_m = 12 * RIGIDITY_NM * (WIDTH_OVER_THICKNESS / width_m) ** 2
+    # Clear of the floor.
+    start_m = np.column_stack([down - 0.5 * spacing_m, 0 * across, across - width_m / 2 + LENGTH_M])
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[: 2 * COLUMNS] = True
+    if held_ends == 2:
+        fixed[-2 * COLUMNS :] = True
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM),
+        start_m,
+        friction=0.0,
+        fixed=fixed,
+        # Out of balance by no more than 0.1 % of the sideways weight.
+        settings=solver_settings(settings, friction_floor=10 * SIDE_PUSH),
+        gravity_m_s2=(0.0, 0.0, 0.0),
+    )
+    solver.start()
+    return solver
+
+
+def _sideways_m(solver: ClothSolver, gamma: float, side: float, down: float) -> float:
+    """Lateral deflection of the tip's centre at rest; weights sideways and down in units of Γ."""
+    gravity_m_s2 = GRAVITY_M_S2 * gamma / WEIGHT_GAMMA
+    solver.set_gravity((0.0, side * gravity_m_s2, -down * gravity_m_s2))
+    bring_to_rest(solver, LONG_STEP_S)
+    return float(solver.positions_m[-COLUMNS:, 1].mean())
+
+
+def _torsion(settings: SimulationSettings, width_over_length: float) -> float:
+    """GJ over plate rigidity times width: torque over twist per length of the middle half."""
+    solver = _strip(settings, width_over_length, held_ends=2)
+    start_m = solver.positions_m.copy()
+    held = slice(-2 * COLUMNS, None)
+    bring_to_rest(solver, LONG_STEP_S, _turning(start_m, held))
+    lever_m = solver.positions_m[held] - (0.0, 0.0, LENGTH_M)
+    force_N = solver.reactions()[held]
+    torque_Nm = (lever_m[:, 1] * force_N[:, 2] - lever_m[:, 2] * force_N[:, 1]).sum()
+    x = solver.positions_m.reshape(-1, COLUMNS, 3)
+    rows = len(x)
+    first, last = rows // 4, rows - 1 - rows // 4
+    tilt = np.arctan2(x[:, -1, 1] - x[:, 0, 1], x[:, -1, 2] - x[:, 0, 2])
+    length_m = x[last, :, 0].mean() - x[first, :, 0].mean()
+    rate = (tilt[last] - tilt[first]) / length_m
+    return float(abs(torque_Nm / rate) / (RIGIDITY_NM * width_over_length * LENGTH_M))
+
+
+def _turning(start_m: np.ndarray, held: slice) -> Callable[[float], np.ndarray]:
+    """Turn the held end about the strip's axis over the first step."""
+
+    def at(time_s: float) -> np.ndarray:
+        angle = SMALL_TWIST_RAD * min(time_s / LONG_STEP_S, 1.0)
+        x = start_m.copy()
+        lever = start_m[held, 2] - LENGTH_M
+        x[held, 1] = lever * np.sin(angle)
+        x[held, 2] = LENGTH_M + lever * np.cos(angle)
+        return x
+
+    return at

@@ -1,0 +1,20 @@
+"""Fabrics and their data-driven elastic law: measured tables, no solver."""
+
+from slipstitch.physics.fabric.fabrics import (
+    Fabric,
+    fabric_digest,
+    fabric_names,
+    load_fabric,
+    read_fabric_file,
+)
+from slipstitch.physics.fabric.law import ElasticTables, isotropic_tables
+
+__all__ = [
+    "ElasticTables",
+    "Fabric",
+    "fabric_digest",
+    "fabric_names",
+    "isotropic_tables",
+    "load_fabric",
+    "read_fabric_file",
+]

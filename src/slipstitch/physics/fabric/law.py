@@ -1,0 +1,111 @@
+"""Tables that the cloth's kernels interpolate: the fabric law as ARCSim and ARGUS sample it.
+
+Stretching is sampled on a regular grid of Green strain, bending on fold direction and
+curvature. Source: Wang, O'Brien and Ramamoorthi 2011, and the reading of their data by
+ARCSim (Narain, Samii and O'Brien 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipstitch.physics.fabric.fabrics import Fabric
+
+STRAIN_NODES = 30
+NORMAL_STRAIN_MIN = -0.25  # of G00 and G11; |G01| starts at 0
+STRAIN_SPACING = 1.0 / 30.0
+CURVATURE_SPACING_PER_M = 5.0
+FOLD_DIRECTIONS, FOLD_CURVATURES = 3, 5  # of the bending table
+
+
+@dataclass(frozen=True)
+class ElasticTables:
+    """The tables interpolated by the kernels.
+
+    Attributes
+    ----------
+    areal_density_kg_m2 : float
+    stretching_N_m : ndarray, shape (30, 30, 30, 4)
+        k0, k1, k2, k3 over (G00, G11, abs(G01)); nodes at -0.25 + i/30, -0.25 + i/30, j/30.
+    bending_N_m : ndarray, shape (3, 5)
+        Hinge stiffness over fold direction (0, 45, 90 degrees from u) and curvature
+        (0, 5, 10, 15, 20 1/m).
+    """
+
+    areal_density_kg_m2: float
+    stretching_N_m: np.ndarray
+    bending_N_m: np.ndarray
+
+    @classmethod
+    def of_fabric(cls, fabric: Fabric) -> ElasticTables:
+        """Sample the law of a fabric."""
+        return cls(
+            fabric.areal_density_kg_m2,
+            sample_stretching(fabric.stretching_N_m),
+            np.maximum(fabric.bending_N_m, 0.0),
+        )
+
+
+def stretching_stiffness(rows: np.ndarray, G00, G11, G01) -> np.ndarray:
+    """Stiffness k0...k3 of the data-driven law at given Green strains, in N/m.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (6, 4)
+    G00, G11, G01 : array_like
+        Components of the Green strain, broadcast against each other.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+    """
+    C00, C11, C01 = np.broadcast_arrays(
+        1 + 2 * np.asarray(G00, float), 1 + 2 * np.asarray(G11, float), 2 * np.asarray(G01, float)
+    )
+    middle, half = (C00 + C11) / 2, (C00 - C11) / 2
+    stretch = np.sqrt(np.maximum(middle + np.hypot(half, C01), 0.0))
+    # Direction of the largest principal stretch; where there is none, ARCSim reads 0.
+    angle_deg = np.degrees(np.abs(0.5 * np.arctan2(C01, half)))
+    weight = np.clip(6.0 * (stretch - 1.0), 0.0, 1.0)[..., None]
+    position = np.clip(angle_deg / 22.5, 0.0, 4.0)
+    low = np.minimum(position.astype(int), 3)
+    fraction = (position - low)[..., None]
+    directional = (1 - fraction) * rows[1 + low] + fraction * rows[2 + low]
+    return 2.0 * np.maximum((1 - weight) * rows[0] + weight * directional, 0.0)
+
+
+def sample_stretching(rows: np.ndarray) -> np.ndarray:
+    """Sample the law on the nodes that the original samples it on, shape (30, 30, 30, 4)."""
+    normal = NORMAL_STRAIN_MIN + STRAIN_SPACING * np.arange(STRAIN_NODES)
+    shear = STRAIN_SPACING * np.arange(STRAIN_NODES)
+    return stretching_stiffness(
+        rows, normal[:, None, None], normal[None, :, None], shear[None, None, :]
+    )
+
+
+def isotropic_tables(
+    areal_density_kg_m2: float,
+    membrane_stiffness_N_m: float,
+    hinge_stiffness_N_m: float,
+    poisson_ratio: float = 0.0,
+) -> ElasticTables:
+    """Return tables of an isotropic, linear sheet, for comparison with theory.
+
+    Parameters
+    ----------
+    membrane_stiffness_N_m : float
+        Young's modulus times thickness.
+    hinge_stiffness_N_m : float
+        Stiffness ke of the hinges; the plate rigidity is ke/4 where the sheet is held
+        cylindrical.
+    """
+    plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
+    k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])
+    shape = (STRAIN_NODES, STRAIN_NODES, STRAIN_NODES, 4)
+    return ElasticTables(
+        areal_density_kg_m2,
+        np.broadcast_to(k, shape).copy(),
+        np.full((FOLD_DIRECTIONS, FOLD_CURVATURES), hinge_stiffness_N_m),
+    )

@@ -1,0 +1,359 @@
+"""Drop-and-drag: a square of fabric hung by its corners, lowered, dragged back and forth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from math import ceil, cos, pi, radians, sin
+
+import numpy as np
+
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.progress import progress
+from slipstitch.config.section import FRICTION_MAX
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.design.stage_path import SIDE_M, TAB_M, StagePath
+from slipstitch.physics.cloth import (
+    ClothSolver,
+    ContactConditions,
+    Sheets,
+    SolverSettings,
+    StepRecord,
+    rectangle,
+    run_together,
+)
+from slipstitch.physics.fabric import ElasticTables, fabric_digest, load_fabric
+from slipstitch.physics.friction_law import FrictionLaw
+from slipstitch.physics.friction_law.extended_model import ExtendedModel, read_extended_model
+from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.simulation.convergence import measured_convergence
+from slipstitch.physics.simulation.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class BenchPerturbation:
+    """Quantities that vary between replicates on a bench.
+
+    Attributes
+    ----------
+    yaw_deg : float
+        Rotation of the clamps about the vertical.
+    height_m : float
+        Added to the clamps' height.
+    density_factor, stretching_factor, bending_factor : float
+        On the fabric's parameters.
+    natural_curl_per_m : float
+        Signed: positive makes the lower edge lean towards -x, against the first stroke.
+    """
+
+    yaw_deg: float
+    height_m: float
+    density_factor: float
+    stretching_factor: float
+    bending_factor: float
+    natural_curl_per_m: float
+
+
+def draw_perturbation(
+    settings: SimulationSettings, seed: int, replicate: int = 0
+) -> BenchPerturbation:
+    """Draw the perturbation of one replicate; the same seed gives the same numbers."""
+    random = np.random.default_rng(seed)
+    spread = 0.0 if replicate < settings.ideal_replicates else 1.0
+    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3))
+    sides = {"drawn": [-1.0, 1.0], "same": [1.0], "alternating": [-1.0 if replicate % 2 else 1.0]}[
+        settings.curl_side
+    ]
+    return BenchPerturbation(
+        yaw_deg=float(spread * settings.yaw_sd_deg * random.standard_normal()),
+        height_m=float(spread * settings.height_sd_m * random.standard_normal()),
+        density_factor=float(factors[0]),
+        stretching_factor=float(factors[1]),
+        bending_factor=float(factors[2]),
+        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice(sides)),
+    )
+
+
+@dataclass(frozen=True)
+class DropAndDrag:
+    """One run.
+
+    Attributes
+    ----------
+    material : str
+        A fabric of the catalogue.
+    friction : float
+        Friction coefficient between cloth and floor, at least 0.
+    seed : int
+        Of the bench's perturbation; the run itself draws nothing.
+    replicate : int
+        The first may be of an ideal bench, and the curl may change sides from one to the next
+        (`SimulationSettings.ideal_replicates`, ``curl_side``).
+    """
+
+    material: str
+    friction: float
+    seed: int
+    replicate: int = 0
+
+    def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
+        """The fabric's measured data for the record."""
+        return {"fabrics": {self.material: fabric_digest(self.material)}}
+
+
+LANDING_S = 0.1  # after the first touch, in which the cloth buckles to one side
+
+Recorded = tuple[Trajectory, dict[str, np.ndarray]]
+
+
+def simulate_drop_and_drag(
+    material: str,
+    friction: float,
+    seed: int,
+    settings: SimulationSettings,
+    path: StagePath | None = None,
+    device: str = "cpu",
+) -> Recorded:
+    """Simulate one run.
+
+    Parameters
+    ----------
+    material, friction, seed
+        See :class:`DropAndDrag`.
+    settings : SimulationSettings
+    path : StagePath, optional
+        Motion of the clamps; that of the settings by default.
+    device : str
+        Warp device on which forces and stiffness are evaluated.
+
+    Returns
+    -------
+    trajectory : Trajectory
+        World positions at the recorded frames.
+    columns : dict
+        ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
+        the largest relative out-of-balance force of an accepted step.
+
+    Raises
+    ------
+    BadInput
+        An unknown material or device, or a friction coefficient that is negative or not finite.
+    NotConverged
+        A step could not be solved.
+    """
+    (outcome,) = simulate_batch([DropAndDrag(material, friction, seed)], settings, path, device)
+    if isinstance(outcome, NotConverged):
+        raise outcome
+    return outcome
+
+
+def simulate_batch(
+    runs: Sequence[DropAndDrag],
+    settings: SimulationSettings,
+    path: StagePath | None = None,
+    device: str = "cpu",
+) -> list[Recorded | NotConverged]:
+    """Simulate several runs at once, forces and stiffness of all in one go.
+
+    Parameters
+    ----------
+    runs : sequence of DropAndDrag
+    settings, path, device
+        As for :func:`simulate_drop_and_drag`.
+
+    Returns
+    -------
+    list
+        For each run what :func:`simulate_drop_and_drag` returns, to the bit on the CPU; or the
+        error of a run that could not be solved, which leaves the others alone.
+
+    Raises
+    ------
+    BadInput
+        As there, for any of the runs.
+    """
+    path = path or StagePath(**dict(settings.stage))
+    n = settings.vertices_per_side
+    mesh = rectangle(n, n, SIDE_M, SIDE_M)
+    across, down = mesh.rest_uv_m.T
+    inner = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
+    pinned = (down == 0) & ((across <= inner) | (across >= SIDE_M - inner))
+    sheets = Sheets(mesh, np.repeat(pinned[:, None], 3, axis=1), len(runs), device)
+    benches = [_Bench(run, settings, path, sheets, k) for k, run in enumerate(runs)]
+    frames = len(runs) * settings.frames
+    with progress(unit="frame", total=frames) as bar:
+        return run_together(sheets, [partial(bench.record, bar.update) for bench in benches])
+
+
+class _Bench:
+    """A cloth hung up for one run."""
+
+    def __init__(
+        self,
+        run: DropAndDrag,
+        settings: SimulationSettings,
+        path: StagePath,
+        sheets: Sheets,
+        member: int,
+    ):
+        if not 0 <= run.friction <= FRICTION_MAX:  # nor where it is not a number
+            raise BadInput(f"friction {run.friction:g}: must lie between 0 and {FRICTION_MAX:g}")
+        self.run, self.settings, self.path = run, settings, path
+        self.mesh = mesh = sheets.mesh
+        self.model = model = (
+            read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
+        )
+        self.perturbation = perturbation = draw_perturbation(settings, run.seed, run.replicate)
+        fabric = load_fabric(run.material).scaled(
+            perturbation.density_factor * (1 + model.mass_error),
+            perturbation.stretching_factor,
+            perturbation.bending_factor * (1 + model.bending_error),
+        )
+        across, down = mesh.rest_uv_m.T
+        yaw = radians(perturbation.yaw_deg)
+        lateral = across - SIDE_M / 2
+        self.hung_m = hung_m = np.column_stack(
+            [-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down]
+        )
+        hung_m[:, 2] += perturbation.height_m
+        self._new_solver = partial(
+            ClothSolver,
+            mesh,
+            ElasticTables.of_fabric(fabric),
+            hung_m,
+            friction=model.law_at(run.friction),
+            fixed=sheets.fixed,
+            settings=SolverSettings.of(settings.of_fabric(run.material)),
+            gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
+            conditions=ContactConditions(warp_angle_rad=0.0 if settings.warp == "u" else pi / 2),
+            rest_curvature_per_m=perturbation.natural_curl_per_m,
+        )
+        self.solver = self._new_solver(sheets=sheets, member=member)
+        self.solver.confirm = self._lands_on_one_side
+        self._touched_s = np.inf
+        self._probe: ClothSolver | None = None
+
+    def clamps(self, time_s: float) -> np.ndarray:
+        """Positions (V, 3) of which those of the held vertices count, in m."""
+        x, z = self.path.position_m(max(time_s, 0.0))
+        return self.hung_m + np.array([x, 0.0, z - self.path.start_height_m])
+
+    def _lands_on_one_side(self, x: np.ndarray, step_s: float) -> bool:
+        """Whether steps half as long go the same way as a step to x, while the cloth lands.
+
+        Cloth that touches down buckles, to one side or the other, and a step may have a solution on
+        either: one that is nearly too long takes the wrong one without its error telling. The ways
+        of all vertices along x are compared, as vectors: over the landing those of the paper's
+        settings and of steps a quarter as long have cosines from 0.68 up in all fabrics at three
+        coefficients. So less than 0, opposite ways, is another side, unless both ways agree within
+        the error that a step may have. No long step is taken then.
+        """
+        solver = self.solver
+        is_long = step_s > 1.01 * self.settings.step_used_s
+        if x[:, 2].min() < 0:
+            if solver.time_s <= self._touched_s + LANDING_S and is_long:
+                return False
+            self._touched_s = min(self._touched_s, solver.time_s)
+        if solver.time_s > self._touched_s + LANDING_S:
+            solver.confirm = self._probe = None
+        if not self._touched_s <= solver.time_s <= self._touched_s + LANDING_S:
+            return True
+        if self._probe is None:
+            self._probe = self._new_solver(
+                sheets=Sheets(self.mesh, solver.fixed, device=solver.device), member=0
+            )
+        self._probe.go_on_from(solver)
+        try:
+            for _ in range(2):
+                self._probe.advance(step_s / 2, self.clamps, halvings=2)
+        except NotConverged:
+            return True
+        start_m = solver.positions_m[:, 0]
+        way_m, finer_m = x[:, 0] - start_m, self._probe.positions_m[:, 0] - start_m
+        apart_m = float(np.sqrt(np.mean((way_m - finer_m) ** 2)))
+        return np.vdot(way_m, finer_m) >= 0 or apart_m <= self.settings.step_error_m
+
+    def record(self, frame_done) -> Recorded:
+        """Let the cloth settle, then go through the protocol."""
+        solver, settings = self.solver, self.settings
+        solver.start()
+        per_frame = settings.steps_a_frame
+        for _ in self._march(-settings.settle_steps, 0):
+            pass
+        totals, solver.record = solver.record, StepRecord()
+        times_s = np.arange(settings.frames) / settings.frame_rate_hz
+        positions = np.empty((settings.frames, self.mesh.vertex_count, 3), dtype=np.float32)
+        iterations = np.zeros(settings.frames, dtype=np.int32)
+        residuals = np.zeros(settings.frames)
+        positions[0] = solver.positions_m
+        iterations[0], residuals[0] = totals.newton_iterations, totals.largest_residual
+        frame_done()
+        for begun, ended, start_m in self._march(0, settings.recorded_steps):
+            record, solver.record = solver.record, StepRecord()
+            totals.add(record)
+            # The frames that the step belongs to; all but perhaps the last are reached.
+            frames = range(begun // per_frame + 1, ceil(ended / per_frame) + 1)
+            iterations[frames[-1]] += record.newton_iterations
+            for frame in frames:
+                residuals[frame] = max(residuals[frame], record.largest_residual)
+                part = (frame * per_frame - begun) / (ended - begun)
+                if part <= 1:  # within a long step, which is steady, on a straight line
+                    positions[frame] = start_m + part * (solver.positions_m - start_m)
+                    frame_done()
+        trajectory = self._trajectory(times_s, positions, totals)
+        return trajectory, {"newton_iterations": iterations, "residual": residuals}
+
+    def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Advance from one number of time steps to another, by several at once where it is steady.
+
+        Yields
+        ------
+        begun, ended : int
+            Numbers of time steps before and after.
+        start_m : ndarray, shape (V, 3)
+            Positions before.
+        """
+        solver, step_s = self.solver, self.settings.step_used_s
+        at_once = self.settings.steps_at_once
+        while first < last:
+            # Restated, so that rounding does not pile up over thousands of steps.
+            solver.time_s = first * step_s
+            start_m = solver.positions_m
+            most = min(at_once - first % at_once, last - first)
+            steps = min(most, int(solver.foreseen_step_s() / step_s))
+            if steps < 2 or not solver.try_step(steps * step_s, self.clamps):
+                steps = 1
+                solver.advance(step_s, self.clamps)
+            yield first, first + steps, start_m
+            first += steps
+        solver.time_s = last * step_s
+
+    def _trajectory(self, times_s, positions_m, totals: StepRecord) -> Trajectory:
+        run, settings, mesh = self.run, self.settings, self.mesh
+        across, down = mesh.rest_uv_m.T
+        stage_x_m, stage_z_m = self.path.position_m(times_s)
+        return Trajectory(
+            rest_positions_m=np.column_stack([np.zeros(len(down)), across - SIDE_M / 2, -down]),
+            uv=mesh.rest_uv_m / SIDE_M,
+            faces=mesh.faces,
+            pinned=np.flatnonzero(self.solver.fixed[:, 0]),
+            frame=np.arange(settings.frames),
+            time_s=times_s,
+            stage_x_m=stage_x_m,
+            stage_z_m=stage_z_m + self.perturbation.height_m,
+            positions_m=positions_m,
+            metadata={
+                "material": run.material,
+                "friction": run.friction,
+                "seed": run.seed,
+                "settings": settings.model_dump(mode="json"),
+                "perturbation": asdict(self.perturbation),
+                "stage_path": asdict(self.path),
+                "extended_model": asdict(self.model) if settings.model else None,
+                "step_s": settings.step_used_s,
+                "solver": asdict(totals),
+                "device": self.solver.device,
+                "convergence": measured_convergence(run.material, run.friction, settings),
+            },
+        )

@@ -1,1 +1,0 @@
-"""Publish: what of a results folder is kept for readers, without its images."""

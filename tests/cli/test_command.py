@@ -1,0 +1,402 @@
+"""The command line: verbs, exit codes, one line for what is wrong."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import slipstitch.cli.main as command
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.cli import capture
+from slipstitch.report.status.state import SAID_CPU_TIME
+
+ROOT = Path(__file__).parents[2]
+VERB = "doctor"  # any verb that exists; its module is replaced below
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Replace the verb's module; the test says what it does."""
+    module = types.ModuleType("slipstitch.cli.doctor")
+    module.SUMMARY, module.EXAMPLE = "a verb", "slipstitch doctor --size 3"
+    module.configure = lambda parser: parser.add_argument("--size", type=int)
+    module.run = lambda arguments: None
+    monkeypatch.setitem(sys.modules, "slipstitch.cli.doctor", module)
+    return module
+
+
+def test_overview_names_every_verb_with_its_summary(capsys):
+    assert command.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "doctor" in command.VERBS
+    for name in command.VERBS:
+        assert command.summary(name), name
+        assert f"{name} " in shown
+        assert command.summary(name) in shown
+
+
+def test_every_file_beside_the_program_is_a_verb_and_every_verb_has_one():
+    files = {file.stem for file in Path(command.__file__).parent.glob("*.py")}
+    kinds = {f"capture_{kind}" for kind in capture.KINDS}
+    assert files - {"__init__", "main", "options"} - kinds == {
+        *command.VERBS,
+        *command.WORKFLOW_VERBS,
+    }
+    assert kinds <= files
+
+
+def test_no_verb_is_bad_usage(capsys):
+    assert command.main([]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "usage" in captured.err
+
+
+def test_unknown_verb_is_one_line(capsys):
+    assert command.main(["simulat"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "unknown verb 'simulat'" in line
+
+
+def test_version(capsys):
+    assert command.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("slipstitch 0.")
+
+
+def test_help_of_a_verb_shows_its_example(verb, capsys):
+    assert command.main([VERB, "--help"]) == 0
+    assert "slipstitch doctor --size 3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("returned", "code"), [(None, 0), (0, 0), (1, 1)])
+def test_exit_code_is_what_the_verb_returns(verb, returned, code):
+    verb.run = lambda arguments: returned
+    assert command.main([VERB]) == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (BadInput("friction\nis -1"), 2, "slipstitch doctor: error: friction is -1\n"),
+        (NotConverged("step 3"), 1, "slipstitch doctor: failed: step 3\n"),
+        (KeyboardInterrupt(), 130, "slipstitch doctor: interrupted\n"),
+    ],
+)
+def test_errors_a_user_may_meet_are_one_line(verb, capsys, error, code, line):
+    def run(arguments):
+        raise error
+
+    verb.run = run
+    assert command.main([VERB]) == code
+    captured = capsys.readouterr()
+    assert captured.err == line
+    assert captured.out == ""
+
+
+def test_fault_of_the_program_keeps_its_traceback(verb):
+    def run(arguments):
+        raise ZeroDivisionError
+
+    verb.run = run
+    with pytest.raises(ZeroDivisionError):
+        command.main([VERB])
+
+
+def test_a_job_of_the_workflow_states_its_cpu_time_last(verb, capsys, monkeypatch):
+    verb.run = lambda arguments: print("done", file=sys.stderr)
+    assert command.main([VERB]) == 0
+    assert capsys.readouterr().err == "done\n"
+    monkeypatch.setenv("SLIPSTITCH_CPU_TIME", "1")
+    assert command.main([VERB]) == 0
+    said = capsys.readouterr().err.removeprefix("done\n")
+    told_s = float(SAID_CPU_TIME.fullmatch(said.rstrip())[1])
+    assert 0 < told_s < sum(os.times()[:4]) + 0.01  # which it is rounded to
+
+
+@pytest.mark.parametrize("words", [["--size", "big"], ["--sise", "3"], ["stray"]])
+def test_bad_usage_of_a_verb_is_one_line(verb, capsys, words):
+    assert command.main([VERB, *words]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("slipstitch doctor: error: ")
+    assert line.count("\n") == 1
+
+
+def test_only_the_command_line_knows_of_options_and_nothing_depends_on_it():
+    package = Path(command.__file__).parents[1]
+    for source in sorted(package.rglob("*.py")):
+        name = source.relative_to(package).as_posix()
+        if name.startswith("cli/") or name in ("__main__.py", "criticise/measured/__main__.py"):
+            continue
+        found = re.search(r"(import argparse|(from|import) slipstitch\.cli)", source.read_text())
+        assert found is None, name
+
+
+def test_overview_imports_nothing_heavy():
+    code = (
+        "import sys; from slipstitch.cli.main import main; main(['--help'])\n"
+        "heavy = {'numpy', 'torch', 'bpy', 'warp', 'pyarrow', 'pydantic'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_help_of_every_verb_shows_a_real_example(capsys):
+    for name in command.VERBS:
+        assert command.main([name, "--help"]) == 0
+        assert f"slipstitch {name}" in capsys.readouterr().out.split("example:")[1]
+
+
+def test_installed_program_and_module_are_the_same():
+    for start in ([sys.executable, "-m", "slipstitch"], [f"{sys.prefix}/bin/slipstitch"]):
+        answer = subprocess.run([*start, "nonsense"], capture_output=True, text=True)
+        assert answer.returncode == 2
+        assert answer.stderr.startswith("slipstitch: error: unknown verb 'nonsense'")
+
+
+def test_reader_that_goes_away_is_no_error():
+    answer = subprocess.run(
+        f"{sys.executable} -m slipstitch doctor --help | head -c 1",
+        shell=True,
+        capture_output=True,
+        text=True,
+    )
+    assert answer.returncode == 0
+    assert answer.stderr == ""
+
+
+def test_too_tight_a_memory_limit_is_one_line_and_not_a_hang(tmp_path):
+    """Without memory, OpenBLAS would retry for ever."""
+    words = f"slipstitch protocol incline --out {tmp_path}/x.json"
+    answer = subprocess.run(
+        ["bash", "-c", f"ulimit -v 600000; {sys.executable} -m {words}"],
+        capture_output=True,
+        text=True,
+    )
+    assert answer.returncode == 1
+    assert answer.stderr.count("\n") == 1
+    assert "the limit is 585 MiB (ulimit -v), at least 2048 MiB are required" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["criticise", "{folder}", "--out", "{folder}"], "is a folder; must be a file"),
+        (["criticise", "{folder}", "--out", "/dev/full"], "is a device or a pipe; must be a file"),
+        (
+            ["report", "--config", "x.yaml", "--out", "{file}/x.html"],
+            "{file} is a file, not a folder",
+        ),
+        (["predict", "x.json", "{folder}", "--out", "{file}/a/x.csv"], "{file} is a file"),
+        (["protocol", "incline", "--out", "{folder}"], "is a folder; must be a file"),
+        (["report", "--config", "x.yaml", "--out", "x.png"], "x.png: must end in .html or .htm"),
+        (["report", "--config", "x.yaml", "--out", "-"], "-: must end in .html or .htm"),
+        (["calibrate", "--config", "x.yaml", "--out", "x.txt"], "x.txt: must end in .json"),
+        (["capture", "reference", "x.csv", "--out", "x.txt"], "x.txt: must end in .csv"),
+        (["ablate", "--config", "x", "--summary", "x", "--out", "x"], "x: must end in .json"),
+        (
+            ["sample", "--config", "x.yaml", "--out-dir", "{file}", "x.parquet"],
+            "is a file; must be a folder",
+        ),
+        (
+            ["capture", "check", "camera.json", "--picture", "/proc/x.png"],
+            "/proc/x.png: cannot be written: ",
+        ),
+        (
+            ["capture", "reference", "{folder}/file.csv", "--out", "{folder}/x/../file.csv"],
+            "/x/../file.csv: the command reads this file",
+        ),
+        (
+            ["criticise", "{folder}", "--out", "v.json", "--resimulate", "./v.json"],
+            "--resimulate ./v.json: is the file of --out, too",
+        ),
+        (
+            ["audit", "{folder}", "--config", "c.json", "--json", "c.json"],
+            "--json c.json: the command reads this file",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("kept")
+    named = {"folder": tmp_path, "file": file}
+    assert command.main([word.format(**named) for word in words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason.format(**named) in line
+    assert file.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+BY_HAND = ["simulate", "--material", "gray-interlock", "--friction", "0.3", "--out", "x.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (
+            ["calibrate", "--draw", "c.json", "--out", "o.json"],
+            "--out cannot be combined with --draw",
+        ),
+        (["calibrate", "--draw", "c.json"], "--draw requires --picture"),
+        (
+            ["calibrate", "--config", "config.yaml", "--out", "o.json", "--only-failures"],
+            "--only-failures requires a picture",
+        ),
+        (
+            [
+                "calibrate",
+                "--config",
+                "config.yaml",
+                "--out",
+                "o.json",
+                "--sweep",
+                "base",
+                "--picture",
+                "p.png",
+            ],
+            "--picture cannot be combined with --sweep",
+        ),
+        ([*BY_HAND, "--simulation", "m05_f0300_r00"], "--material cannot be combined with --sim"),
+        (
+            [
+                "simulate",
+                "--simulation",
+                "m05_f0300_r00",
+                "--config",
+                "config.yaml",
+                "--out",
+                "x.parquet",
+                "--seed",
+                "0",
+            ],
+            "--seed cannot be combined with --simulation",
+        ),
+        (
+            [
+                "simulate",
+                "--simulation",
+                "m05_f0300_r00",
+                "m05_f0600_r00",
+                "--config",
+                "config.yaml",
+                "--out",
+                "x.parquet",
+                "x.parquet",
+            ],
+            "--out: names a file twice",
+        ),
+        ([*BY_HAND, "--model", "m.yaml", "--set", "model=n.yaml"], "--model cannot be combined"),
+        (
+            ["render", "--preview", "--verify", "x.parquet"],
+            "--verify cannot be combined with --pre",
+        ),
+        (
+            ["render", "--verify", "--out-dir", "d", "x.parquet"],
+            "--out-dir cannot be combined with",
+        ),
+        (
+            ["render", "--from-shading", "p", "--packs", "d"],
+            "--packs cannot be combined with --from",
+        ),
+        (
+            ["render", "--shading", "p.parquet", "--out", "x.json"],
+            "--out cannot be combined with --shading",
+        ),
+        (
+            [
+                "evaluate",
+                "--captures",
+                "--config",
+                "config.yaml",
+                "--dataset",
+                "d",
+                "--models",
+                "m",
+                "--out",
+                "o.json",
+                "--predictions",
+                "p.parquet",
+                "--details",
+                "d.json",
+            ],
+            "--details cannot be combined with --captures",
+        ),
+        (
+            ["audit", "r", "--explain", "c", "--rebuild", "c"],
+            "--rebuild cannot be combined with --ex",
+        ),
+        (
+            ["audit", "r", "--explain", "c", "--json", "a.json"],
+            "--json cannot be combined with --ex",
+        ),
+        (
+            ["audit", "r", "--rebuild", "c", "--page", "a.html"],
+            "--page cannot be combined with --re",
+        ),
+        (
+            ["criticise", "case", "--out", "v.json", "--power", "--model", "m.yaml"],
+            "--model cannot be combined with --power",
+        ),
+        (["criticise", "case", "--out", "-", "--validate", "new"], "-: must end in .json"),
+        (
+            [
+                "capture",
+                "camera",
+                "--squares",
+                "10x7",
+                "--square-mm",
+                "20",
+                "--out",
+                "c.json",
+                "view.png",
+                "--place-mm",
+                "0",
+                "0",
+            ],
+            "--place-mm requires --stage-view",
+        ),
+        (
+            [
+                "capture",
+                "camera",
+                "--squares",
+                "10x7",
+                "--square-mm",
+                "20",
+                "--out",
+                "c.json",
+                "view.png",
+                "--dictionary",
+                "DICT_4X4_50",
+            ],
+            "--dictionary cannot be combined with --board checkerboard",
+        ),
+        (
+            ["measure", "a.mp4", "b.mp4", "--camera", "c.json", "--model", "m", "--start-s", "0"],
+            "--start-s cannot be combined with several videos",
+        ),
+        (
+            ["measure", "a.mp4", "--camera", "c.json", "--model", "m", "--frame-rate-hz", "0"],
+            "--frame-rate-hz 0: must be greater than 0",
+        ),
+        (
+            ["protocol", "incline", "--friction", "1", "--slope-deg", "90", "--out", "x.json"],
+            "--slope-deg 90: must be below 90",
+        ),
+    ],
+)
+def test_options_that_contradict_are_refused_before_any_work(
+    words, reason, tmp_path, monkeypatch, capsys
+):
+    shutil.copy(ROOT / "config.yaml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert command.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]

@@ -1,0 +1,136 @@
+"""``slipstitch doctor``: finds what is missing and says how to get it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slipstitch.cli import doctor
+from slipstitch.cli.main import main
+from slipstitch.report import machine_checks as checks
+from slipstitch.report.machine_checks import Diagnosis, Standing
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_here_where_the_tests_run_nothing_is_missing(capsys):
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert "MISSING" not in shown
+    assert "All requirements of Slipstitch are met." in shown
+    assert len(shown.splitlines()) <= 24  # one screen
+
+
+def test_before_anything_is_installed_it_says_what_is_missing():
+    words = [sys.executable, "-S", "-m", "slipstitch", "doctor"]  # -S: no site-packages
+    answer = subprocess.run(
+        words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == ""
+    assert "MISSING packages" in answer.stdout
+
+
+def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
+    finding = Diagnosis("Blender", Standing.MISSING, "import bpy: no such module", "make setup")
+    monkeypatch.setattr(doctor, "examine", lambda: [finding])
+    assert main(["doctor"]) == 1
+    shown = capsys.readouterr().out
+    assert "MISSING Blender" in shown
+    assert "Blender: make setup" in shown
+
+
+def test_something_worth_a_note_is_no_failure(monkeypatch):
+    monkeypatch.setattr(doctor, "examine", lambda: [Diagnosis("GPU", Standing.NOTE, "none")])
+    assert main(["doctor"]) == 0
+
+
+def test_absent_package_is_missing_and_other_version_is_noted(tmp_path):
+    file = tmp_path / "requirements.txt"
+    file.write_text("# comment\nnumpy==1.0.0  # old\nno-such-package==1.0\n")
+    finding = checks.check_packages(file)
+    assert finding.state is Standing.MISSING
+    assert "no-such-package (needs 1.0)" in finding.found
+    assert "(pinned 1.0.0)" in finding.found
+    file.write_text("numpy==1.0.0\n")
+    assert checks.check_packages(file).state is Standing.NOTE
+
+
+def test_local_part_of_a_version_does_not_count(monkeypatch):
+    monkeypatch.setattr(checks.importlib.metadata, "version", lambda package: "2.13.0+cpu")
+    assert checks.compare_versions({"torch": "2.13.0"}) == ({}, {})
+
+
+def test_failing_import_of_blender_is_found(monkeypatch):
+    monkeypatch.setattr(
+        checks, "_in_a_process", lambda *words: (False, "ImportError: libSM.so.6: cannot open")
+    )
+    finding = checks.check_blender()
+    assert finding.state is Standing.MISSING
+    assert "libSM.so.6" in finding.found
+
+
+def test_process_that_crashes_or_hangs_is_no_answer():
+    assert checks._in_a_process("-c", "import os; os.abort()")[0] is False
+    assert checks._in_a_process("-c", "import time; time.sleep(9)", seconds=0.3)[0] is False
+    assert checks._in_a_process("-c", "print('fine')") == (True, "fine")
+
+
+def test_missing_library_is_named_with_its_packages(monkeypatch):
+    class Answer:
+        stdout = "libSM.so.6 => not found\nlibc.so.6 => /lib/libc.so.6 (0x0)\n"
+
+    monkeypatch.setattr(checks.subprocess, "run", lambda *words, **options: Answer)
+    finding = checks.check_system_libraries()
+    assert finding.state is Standing.MISSING
+    assert finding.found == "libSM.so.6"
+    assert "libsm6" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("flags", "fast"), [("fpu avx2 avx512f avx512_bf16", True), ("fpu avx2", False)]
+)
+def test_processor_says_whether_training_is_fast(tmp_path, flags, fast):
+    file = tmp_path / "cpuinfo"
+    file.write_text(f"processor\t: 0\nflags\t\t: {flags}\n")
+    finding = checks.check_processor(file)
+    assert (finding.state is Standing.GOOD) == fast
+    assert ("bfloat16 training" in finding.found) == fast
+
+
+def test_full_disk_is_missing(tmp_path):
+    assert checks.check_disk(tmp_path, needed_bytes=1e30).state is Standing.MISSING
+    assert checks.check_disk(tmp_path, needed_bytes=1).state is Standing.GOOD
+
+
+def test_other_python_is_missing(monkeypatch):
+    monkeypatch.setattr(sys, "version_info", (3, 12, 0))
+    assert checks.check_python().state is Standing.MISSING
+
+
+def test_requirements_are_those_of_the_lock():
+    direct = checks.pinned_versions(ROOT / "envs/requirements.txt")
+    direct |= checks.pinned_versions(ROOT / "envs/development.txt")
+    lock = {
+        name.lower(): version
+        for name, version in checks.pinned_versions(ROOT / "envs/requirements.lock").items()
+    }
+    assert len(direct) > 15
+    for package, version in direct.items():
+        assert lock.get(package.lower()) == version, package
+
+
+def test_estimate_of_a_scale(capsys):
+    scales = [str(ROOT / "config.yaml"), str(ROOT / "config/paper.yaml")]
+    assert main(["doctor", "--estimate", *scales]) == 0
+    shown = capsys.readouterr().out
+    for word in ("simulate", "render", "train", "jobs", "CPU h", "of disk"):
+        assert word in shown
+
+
+def test_estimate_of_a_bad_configuration_is_bad_input(tmp_path, capsys):
+    (tmp_path / "bad.yaml").write_text("grid: {frictions: [-1]}\n")
+    assert main(["doctor", "--estimate", str(tmp_path / "bad.yaml")]) == 2
+    assert "grid.frictions.0" in capsys.readouterr().err

@@ -1,0 +1,315 @@
+"""The typed configuration: what it accepts, how files merge, one clear line for what is wrong."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.render import AugmentationSettings
+from slipstitch.config.schema import schema_text
+from slipstitch.design.stage_path import StagePath
+from slipstitch.design.trainable import check_instrument_can_train, check_networks_can_train
+
+ROOT = Path(__file__).parents[2]
+
+
+SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml"))
+
+
+def below(scale: str) -> list[Path]:
+    """The files that a scale is merged over."""
+    instrument = ["config/paper.yaml", "config/instrument.yaml"]
+    others = {"config/instrument.yaml": instrument[:1], "config/error_bars.yaml": instrument}
+    return [ROOT / name for name in ("config.yaml", *others.get(scale, ()))]
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("scale", ["config.yaml", *SCALES])
+def test_scales_of_the_project_are_valid_over_the_default(scale):
+    config = load_config(*below(scale), ROOT / scale)
+    assert config.grid.materials
+
+
+def test_paper_scale_is_the_grid_of_the_paper():
+    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
+    assert len(config.grid.materials) == 10
+    assert config.grid.frictions == tuple(round(0.1 * step, 1) for step in range(16))
+    assert len(config.render.textures) == 8
+    assert len(config.render.test_textures) == 1
+    assert len(config.render.viewpoints) == 3
+    assert len(config.render.test_viewpoints) == 6
+    assert (config.simulation.frames, config.sample.frames) == (300, 30)
+
+
+def test_paper_scale_perturbs_nothing():
+    """The same fabric hangs on the same bench at all coefficients, and at every seed."""
+    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
+    simulation = config.simulation
+    spreads = (simulation.yaw_sd_deg, simulation.height_sd_m, simulation.fabric_sd_rel)
+    assert (*spreads, simulation.curl_side) == (0.0, 0.0, 0.0, "same")
+    assert config.render.augmentation == AugmentationSettings()
+    assert config.render.floors == ["matte"]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_scales_hold_only_what_differs_from_the_default(scale):
+    default = load_config(*below(scale)).model_dump(mode="json")
+    for section, values in read_mapping(ROOT / scale).items():
+        assert values != default[section], f"{section} is the default's"
+        for key, value in values.items() if isinstance(values, dict) else ():
+            assert value != default[section][key], f"{section}.{key} is the default's"
+
+
+def test_later_files_override_earlier_ones_key_by_key(tmp_path):
+    first = write(tmp_path / "a.yaml", "grid: {replicates: 3, frictions: [0.1, 0.2]}\nseed: 4\n")
+    second = write(tmp_path / "b.yaml", "grid: {frictions: [0.5]}\n")
+    config = load_config(first, second)
+    assert (config.seed, config.grid.replicates, config.grid.frictions) == (4, 3, (0.5,))
+
+
+def test_empty_file_is_the_default(tmp_path):
+    assert load_config(write(tmp_path / "empty.yaml", "# nothing\n")) == Config()
+
+
+def test_scientific_notation_without_a_point_is_a_number(tmp_path):
+    # YAML 1.1 reads 1e-2 as a string.
+    config = load_config(write(tmp_path / "c.yaml", "simulation: {time_step_s: 1e-2}\n"))
+    assert config.simulation.time_step_s == 0.01
+
+
+def test_numbers_as_words_only_where_asked_for():
+    words = {"grid": {"replicates": "3", "frictions": ["0.1", "2e-1"]}}
+    config = resolve_config(words, words=True)
+    assert (config.grid.replicates, config.grid.frictions) == (3, (0.1, 0.2))
+    with pytest.raises(BadInput, match=r"grid\.replicates: must be a whole number"):
+        resolve_config(words)
+
+
+BAD = {
+    "grid: {friction: [0.1]}": "grid.friction: unknown key; did you mean frictions?",
+    "colour: red": "colour: unknown key; known: seed, grid, simulation",
+    "grid: {frictions: [0.3, -0.1]}": "grid.frictions.1: must be at least 0, not -0.1",
+    "grid: {frictions: [0.3, 0.3004]}": "grid.frictions: must be a multiple of 0.001",
+    "grid: {frictions: []}": "grid.frictions: must have at least 1 entries",
+    "grid: {frictions: 0.3}": "grid.frictions: must be a list, not 0.3",
+    "grid: {frictions: [0.3, 0.1]}": "grid.frictions: friction coefficients must increase",
+    "grid: {frictions: [.nan]}": "grid.frictions.0: must be a finite number",
+    "grid: {frictions: [.inf]}": "grid.frictions.0: must be a finite number",
+    "grid: {materials: [silk]}": "grid.materials: unknown material 'silk'; known: ivory-rib-knit",
+    "grid: {materials: [gray-interlock, gray-interlock]}": "grid.materials: duplicate material",
+    "grid: {replicates: 1.5}": "grid.replicates: must be a whole number, not 1.5",
+    "grid: {replicates: '2'}": "grid.replicates: must be a whole number, not '2'",
+    "grid: {replicates: true}": "grid.replicates: must be a whole number, not true",
+    "grid: {replicates: }": "grid.replicates: must be a whole number, not nothing",
+    "grid: [1, 2]": "grid: must be a mapping of keys, not a list",
+    "simulation: {frames: 0}": "simulation.frames: must be at least 1, not 0",
+    "simulation: {time_step_s: .nan}": "simulation.time_step_s: must be a finite number",
+    "simulation: {time_step_s: soon}": "simulation.time_step_s: must be a number, not 'soon'",
+    "render: {textures: [plaid]}": "render.textures: unknown texture 'plaid'; known: stripes",
+    "render: {viewpoints: [below]}": "render.viewpoints: unknown viewpoint 'below'; known:",
+    "sample: {frames: 400}": "sample.frames: 400 frames cannot be sampled from 300",
+    "train: {view_order: [frontal, calibrated_+5]}": "train.view_order: 'calibrated_+5' is not in",
+    # Pages, columns and combined intervals say 90 %.
+    "instrument: {coverage: 0.95}": "instrument.coverage: must be at most 0.9, not 0.95",
+    "instrument: {coverage: 0.8}": "instrument.coverage: must be at least 0.9, not 0.8",
+    "seed: -1": "seed: must be at least 0, not -1",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_value_is_one_line_naming_file_and_key(tmp_path, text):
+    path = write(tmp_path / "bad.yaml", text)
+    with pytest.raises(BadInput) as caught:
+        load_config(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert BAD[text] in message
+    if "sample" not in text and "view_order" not in text:  # these concern two sections
+        assert message.startswith(f"{path}: ")
+
+
+def test_bad_value_is_blamed_on_the_file_that_holds_it(tmp_path):
+    good = write(tmp_path / "good.yaml", "grid: {replicates: 2}\n")
+    bad = write(tmp_path / "bad.yaml", "grid: {frictions: [-1]}\n")
+    with pytest.raises(BadInput, match=r"bad\.yaml: grid\.frictions\.0"):
+        load_config(bad, good)
+
+
+def test_several_problems_are_all_named_in_one_line(tmp_path):
+    path = write(tmp_path / "bad.yaml", "grid: {replicates: 0}\nsimulation: {frames: 0}\n")
+    with pytest.raises(BadInput) as caught:
+        load_config(path)
+    assert "grid.replicates" in str(caught.value)
+    assert "simulation.frames" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "problem"),
+    [
+        (
+            {"render": {"viewpoints": ["calibrated", "bench_1"]}},
+            "train.splits: 'by_video' tests on simulations that it trains on",
+        ),
+        (
+            {"render": {"test_viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}},
+            "render.test_viewpoints: 'bench_1' is another camera in every simulation",
+        ),
+    ],
+)
+def test_cameras_that_would_tell_a_simulation_need_whole_simulations_held_out(sections, problem):
+    with pytest.raises(BadInput, match=problem):
+        resolve_config(sections)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot be read: No such file"),
+        ("- 1\n- 2\n", "contains a list; must be a mapping of keys"),
+        ("grid: [unclosed\n", "not YAML"),
+        (b"\xff\xfe\x00", "cannot be read: not a text file"),
+    ],
+)
+def test_file_that_is_no_configuration_is_one_line(tmp_path, content, message):
+    path = tmp_path / "c.yaml"
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(BadInput, match=message) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_written_configuration_reads_back_and_is_left_alone_when_unchanged(tmp_path):
+    path = tmp_path / "results" / "config.json"
+    config = resolve_config({"seed": 7, "grid": {"frictions": [0.25]}})
+    assert write_config(config, path)
+    assert load_config(path) == config
+    before = path.stat().st_mtime_ns
+    assert not write_config(config, path)
+    assert path.stat().st_mtime_ns == before
+    assert write_config(resolve_config({"seed": 8}), path)
+
+
+def test_written_configuration_holds_every_key(tmp_path):
+    path = tmp_path / "config.json"
+    write_config(Config(), path)
+    assert json.loads(path.read_text()) == Config().model_dump(mode="json")
+
+
+def test_schema_file_is_the_one_of_the_types():
+    file = ROOT / "workflow/schemas/config.schema.json"
+    assert file.read_text(encoding="utf-8") == schema_text(), (
+        f"regenerate it: slipstitch schema > {file.relative_to(ROOT)}"
+    )
+
+
+def test_schema_accepts_the_scales_and_refuses_what_the_types_refuse():
+    import jsonschema
+
+    validator = jsonschema.Draft202012Validator(json.loads(schema_text()))
+    for scale in ("config.yaml", *SCALES):
+        validator.validate(read_mapping(ROOT / scale))
+    for bad in ({"grid": {"friction": [0.1]}}, {"grid": {"frictions": [-0.1]}}, {"seed": "one"}):
+        assert not validator.is_valid(bad)
+
+
+def test_the_stage_moves_as_in_the_paper_unless_told_otherwise(tmp_path):
+    assert StagePath(**dict(Config().simulation.stage)) == StagePath()
+    faster = write(tmp_path / "faster.yaml", "simulation: {stage: {speed_m_s: 0.02}}\n")
+    path = StagePath(**dict(load_config(faster).simulation.stage))
+    assert path == StagePath(speed_m_s=0.02)
+    assert path.duration_s < StagePath().duration_s
+
+
+def test_clamps_that_would_hit_the_floor_are_refused(tmp_path):
+    low = write(tmp_path / "low.yaml", "simulation: {stage: {drop_m: 0.21}}\n")
+    with pytest.raises(BadInput, match=r"simulation\.stage: drop_m must be less"):
+        load_config(low)
+
+
+@pytest.mark.parametrize(
+    ("stage", "problem"),
+    [
+        ("{start_height_m: 0.15}", "stage.start_height_m: must be at least 0.2, not 0.15"),
+        ("{drop_m: 0}", "stage: drop_m must be more than 0.01, not 0;"),
+        ("{drop_m: 0.01}", "stage: drop_m must be more than 0.01"),
+        ("{start_height_m: 0.5}", "stage: drop_m must be more than 0.3"),
+        ("{start_height_m: 0.25, drop_m: 0.03}", "stage: drop_m must be more than 0.05"),
+    ],
+)
+def test_a_cloth_hangs_free_at_the_start_and_is_lowered_to_the_floor(tmp_path, stage, problem):
+    path = write(tmp_path / "stage.yaml", f"simulation: {{stage: {stage}}}\n")
+    with pytest.raises(BadInput, match=re.escape(f"{path}: simulation.{problem}")):
+        load_config(path)
+
+
+def test_fabrics_for_validation_leave_one_to_train():
+    sections = {"grid": {"materials": ["gray-interlock", "royal-target"]}}
+    resolve_config(sections | {"sample": {"validation_materials": ["royal-target"]}})
+    every = ["royal-target", "gray-interlock"]
+    with pytest.raises(BadInput, match=r"sample\.validation_materials: has all of grid\.materials"):
+        resolve_config(sections | {"sample": {"validation_materials": every}})
+
+
+def test_coefficients_that_only_train_are_of_the_grid_and_leave_one_to_test():
+    grid = {"frictions": [0.1, 0.5, 1.0]}
+    resolve_config({"grid": grid, "sample": {"train_only_frictions": [1.0]}})
+    with pytest.raises(BadInput, match=r"train_only_frictions: 0\.7 is not in grid\.frictions"):
+        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.7]}})
+    with pytest.raises(BadInput, match=r"train_only_frictions: has all of grid\.frictions"):
+        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.1, 0.5, 1.0]}})
+
+
+@pytest.mark.parametrize(
+    ("check", "sections", "problem"),
+    [
+        (
+            check_networks_can_train,
+            {"grid": {"materials": ["gray-interlock"]}},
+            "grid.materials: has 1; the material network requires at least 2",
+        ),
+        (
+            check_networks_can_train,
+            {"grid": {"frictions": [0.3]}},
+            "grid.frictions: has 1; a friction network requires at least 2",
+        ),
+        (
+            check_networks_can_train,
+            {"sample": {"validation_materials": ["gray-interlock"]}},
+            "by_simulation (train.splits) keeps gray-interlock from it",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"frictions": [0.3]}},
+            "grid.frictions: has 1; the instrument requires at least 2",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"frictions": [0.5, 2.0]}},
+            "grid.frictions: 2 is above what the instrument can say, 1.5 (instrument.friction_max)",
+        ),
+        (
+            check_instrument_can_train,
+            {"grid": {"test_frictions": [1.6]}},
+            "grid.test_frictions: 1.6 is above what the instrument can say, 1.5",
+        ),
+    ],
+)
+def test_a_grid_that_cannot_train_is_refused_before_it_is_simulated(check, sections, problem):
+    check(Config())
+    with pytest.raises(BadInput, match=re.escape(problem)):
+        check(resolve_config(sections))
+
+
+def test_an_instrument_needs_no_second_fabric_and_may_say_more_than_the_grid_has():
+    grid = {"materials": ["gray-interlock"], "frictions": [0.5, 2.0]}
+    check_instrument_can_train(resolve_config({"grid": grid, "instrument": {"friction_max": 2.0}}))

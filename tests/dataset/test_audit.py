@@ -1,0 +1,743 @@
+"""An audit finds every planted alteration, says where, and raises no false alarm."""
+
+import contextlib
+import json
+import random
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_chain
+from support.forger import Forger
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import attach_metadata, file_digest, write_parquet
+from slipstitch.cli.main import main
+from slipstitch.config import load_config, write_config
+from slipstitch.dataset.audit import rebuild, staleness
+from slipstitch.dataset.audit.auditing import audit_release
+from slipstitch.dataset.audit.contents import read_contents
+from slipstitch.dataset.audit.findings import Kind
+from slipstitch.dataset.audit.lineage import Lineage
+from slipstitch.dataset.manifest import dataset_digest
+from slipstitch.dataset.release.assembly import RELEASE_RECORD, write_release
+from slipstitch.dataset.release.checksums import files_below, read_sums, write_sums
+from slipstitch.dataset.release.manifest import sampled_rows
+from slipstitch.dataset.release.records import Artefact
+from slipstitch.design.interpolation import interpolations
+from slipstitch.images import interpolation
+from slipstitch.images.surroundings import FLOORS
+from slipstitch.physics.fabric import fabric_names, load_fabric
+from slipstitch.physics.simulation.convergence import MEASURED
+
+ROOT = Path(__file__).parents[2]
+CONFIG = synthetic_chain.config()
+CLIP = "m05_f0300_r00_t00_v00"
+OF_SIMULATION = {f"m05_f0300_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
+pytestmark = pytest.mark.xdist_group("audit")
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("audit")
+    results = synthetic_chain.write(CONFIG, folder)
+    write_release(CONFIG, results, folder / "release", ROOT)
+    return folder / "release"
+
+
+@pytest.fixture
+def release(original, tmp_path):
+    """A copy that a test may damage."""
+    copy = Path(shutil.copytree(original, tmp_path / "release"))
+    for path in copy.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    return copy
+
+
+def reseal(release: Path) -> None:
+    """What a forger does who knows both lists of digests: write them anew."""
+    path = release / RELEASE_RECORD
+    content = json.loads(path.read_text())
+    names = [name for name in files_below(release) if name != RELEASE_RECORD]
+    content["files"] = {name: file_digest(release / name) for name in names}
+    path.write_text(json.dumps(content))
+    write_sums(release)
+
+
+def edit_record(release: Path, name: str, edit) -> str:
+    """Change a record; return its place in the release."""
+    path = release / f"records/{name}.record.json"
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+    return path.relative_to(release).as_posix()
+
+
+def edit_table(path: Path, edit) -> None:
+    """Change the rows of a Parquet file, keep its metadata and how it is stored."""
+    release = path.parents[1] if path.parent.name == "data" else path.parent
+    Forger(release, release).edit_rows(path.relative_to(release).as_posix(), edit)
+
+
+def found(release: Path, kind: Kind, **options) -> dict[str, set[str]]:
+    """Place -> clips, of the findings of one kind."""
+    places: dict[str, set[str]] = {}
+    for finding in audit_release(release, **options).of_kind(kind):
+        places.setdefault(finding.where, set()).update(finding.clips)
+    return places
+
+
+def row_of(release: Path, clip: str) -> dict:
+    rows = pq.read_table(release / "manifest.parquet").to_pylist()
+    return next(row for row in rows if row["video"] == clip)
+
+
+def test_untouched_release_is_intact(original):
+    audit = audit_release(original, CONFIG)
+    assert audit.findings == []
+    assert audit.verdict == "intact"
+    assert audit.numbers["images"] == 720
+    assert len(audit.clips) == 144
+    assert not any(audit.clip_kinds().values())
+
+
+def test_what_snakemake_leaves_is_no_finding(release):
+    (release / ".snakemake_timestamp").touch()
+    assert audit_release(release).verdict == "intact"
+
+
+def test_one_flipped_bit_in_any_file_is_found(release):
+    chance = random.Random(1)
+    names = sorted(read_sums(release))
+    chosen = {name.split("/")[0]: name for name in names}  # one of every folder, and the files
+    picked = [*chosen.values(), *chance.sample(names, 12)]
+    for name in dict.fromkeys(picked):
+        path = release / name
+        content = bytearray(path.read_bytes())
+        place = chance.randrange(len(content))
+        content[place] ^= 1 << chance.randrange(8)
+        before = path.read_bytes()
+        path.write_bytes(content)
+        audit = audit_release(release)
+        assert audit.verdict == "damaged", name
+        assert name in {finding.where for finding in audit.of_kind(Kind.ALTERED)}
+        path.write_bytes(before)
+    assert audit_release(release).verdict == "intact"
+
+
+def test_flipped_bit_in_a_shard_names_clips_of_that_shard_only(release):
+    shard = row_of(release, CLIP)["shard"]
+    content = bytearray((release / shard).read_bytes())
+    content[len(content) // 3] ^= 4
+    (release / shard).write_bytes(content)
+    altered = found(release, Kind.ALTERED)
+    assert set(altered) == {shard}
+    of_shard = {
+        row["video"]
+        for row in pq.read_table(release / "manifest.parquet").to_pylist()
+        if row["shard"] == shard
+    }
+    assert altered[shard] <= of_shard
+
+
+def test_swapped_shards_are_both_named(release):
+    first, second = sorted((release / "data").iterdir())[:2]
+    aside = release.parent / "aside"
+    first.rename(aside)
+    second.rename(first)
+    aside.rename(second)
+    audit = audit_release(release)
+    said = {finding.where: finding.what for finding in audit.of_kind(Kind.ALTERED)}
+    assert said[f"data/{first.name}"] == f"has the content of data/{second.name}"
+    assert said[f"data/{second.name}"] == f"has the content of data/{first.name}"
+    reseal(release)
+    broken = found(release, Kind.BROKEN)
+    assert {f"data/{first.name}", f"data/{second.name}"} <= set(broken)
+
+
+def test_one_changed_pixel_is_found_behind_new_sums(release):
+    row = row_of(release, CLIP)
+
+    def edit(rows):
+        image = rows[row["first_row"] + 2]["image"]
+        pixels = cv2.imdecode(np.frombuffer(image["bytes"], np.uint8), cv2.IMREAD_COLOR)
+        pixels[3, 4, 1] ^= 1
+        image["bytes"] = cv2.imencode(".png", pixels)[1].tobytes()
+
+    edit_table(release / row["shard"], edit)
+    assert found(release, Kind.ALTERED) == {row["shard"]: {CLIP}}
+    reseal(release)
+    assert found(release, Kind.ALTERED) == {row["shard"]: {CLIP}}
+
+
+def test_reencoded_images_alter_the_file_but_no_clip(release):
+    row = row_of(release, CLIP)
+
+    def edit(rows):
+        for one in rows:
+            pixels = cv2.imdecode(np.frombuffer(one["image"]["bytes"], np.uint8), 1)
+            options = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+            one["image"]["bytes"] = cv2.imencode(".png", pixels, options)[1].tobytes()
+
+    edit_table(release / row["shard"], edit)
+    audit = audit_release(release)
+    (finding,) = audit.of_kind(Kind.ALTERED)
+    assert finding.where == row["shard"]
+    assert "the pixels of its clips do not" in finding.what
+    assert audit.clip_kinds()[CLIP] == []
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("friction", 0.6),
+        ("material", "ivory-rib-knit"),
+        ("split_by_simulation", "validation"),
+        ("floor", "polyester-mirror"),
+        ("floor_roughness", 0.123),
+    ],
+)
+def test_edited_label_is_found_however_well_the_sums_are_mended(release, column, value):
+    manifest = release / "manifest.parquet"
+
+    def edit(rows):
+        row = next(row for row in rows if row["video"] == CLIP)
+        assert row[column] != value
+        row[column] = value
+
+    edit_table(manifest, edit)
+    assert "manifest.parquet" in found(release, Kind.ALTERED)
+    reseal(release)
+    assert "manifest.parquet" in found(release, Kind.BROKEN)
+    # Now also the digests that the manifest and the record of the sampling note.
+    table = pq.read_table(manifest)
+    rows = table.to_pylist()
+    table = attach_metadata(table, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(table, manifest)
+    names = read_contents(release).notes["sampled_columns"]
+    digest = dataset_digest(sampled_rows(rows, names))
+    edit_record(
+        release,
+        "sample/manifest.parquet",
+        lambda record: record["metadata"].update(dataset_digest=digest),
+    )
+    reseal(release)
+    assert CLIP in found(release, Kind.BROKEN)["manifest.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("friction", 1.0), ("frame", 7), ("time_s", 3.0), ("stage_x_m", 0.1)]
+)
+def test_edited_label_of_an_image_is_found_behind_new_sums(release, column, value):
+    row = row_of(release, CLIP)
+    edit_table(
+        release / row["shard"], lambda rows: rows[row["first_row"] + 1].update({column: value})
+    )
+    reseal(release)
+    assert found(release, Kind.BROKEN)[row["shard"]] == {CLIP}
+
+
+def test_dropped_file_is_missing_and_strange_file_unexplained(release):
+    row = row_of(release, CLIP)
+    (release / row["shard"]).unlink()
+    (release / "notes.txt").write_text("mine")
+    assert CLIP in found(release, Kind.MISSING)[row["shard"]]
+    assert set(found(release, Kind.UNEXPLAINED)) == {"notes.txt"}
+    reseal(release)  # the manifest still knows it
+    assert CLIP in found(release, Kind.MISSING)[row["shard"]]
+
+
+def test_dropped_manifest_leaves_the_files_checked(release):
+    (release / "manifest.parquet").unlink()
+    audit = audit_release(release)
+    assert "manifest.parquet" in {finding.where for finding in audit.of_kind(Kind.MISSING)}
+    assert audit.of_kind(Kind.BROKEN)
+
+
+FORGERIES = {
+    "another seed": (
+        "simulate/m05_f0300_r00.parquet",
+        lambda one: one["metadata"].update(seed=1),
+        OF_SIMULATION,
+    ),
+    "another friction": (
+        "simulate/m05_f0300_r00.parquet",
+        lambda one: one["metadata"].update(friction=0.6),
+        OF_SIMULATION,
+    ),
+    "another perturbation": (
+        "simulate/m05_f0300_r00.parquet",
+        lambda one: one["metadata"]["perturbation"].update(yaw_deg=0.0),
+        OF_SIMULATION,
+    ),
+    "another file": (
+        "simulate/m05_f0300_r00.parquet",
+        lambda one: one.update(sha256="0" * 64),
+        OF_SIMULATION,
+    ),
+    "another setting": (
+        "simulate/m05_f0300_r00.parquet",
+        lambda one: one["provenance"]["config"]["simulation"].update(time_step_s=0.001),
+        OF_SIMULATION,
+    ),
+    "other code": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["provenance"].update(code_digest="0" * 64),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another input": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["provenance"]["inputs"].update(
+            {"results/simulate/m05_f0300_r00.parquet": "0" * 64}
+        ),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another viewpoint": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["metadata"]["viewpoint"].update(name="frontal"),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another floor": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["metadata"]["surroundings"].update(floor="polyester-mirror"),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another lamp": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["metadata"]["surroundings"].update(lamp_position_m=[0.8, -0.5, 1.0]),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "another exposure": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["metadata"]["augmentation"]["t00"].update(exposure_stops=0.0),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "no viewpoint": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one["metadata"].pop("viewpoint"),
+        OF_SIMULATION,  # which clips are its, only it could have told
+    ),
+    "an input left out": (
+        "sample/manifest.parquet",
+        lambda one: one["provenance"]["inputs"].pop("results/sample/m05_f0300_r00.parquet"),
+        OF_SIMULATION,
+    ),
+    "no provenance": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one.update(provenance=None),
+        {clip for clip in OF_SIMULATION if clip.endswith("v00")},
+    ),
+    "no record at all": (
+        "render/m05_f0300_r00_v00.parquet",
+        lambda one: one.clear(),
+        OF_SIMULATION,  # which clips are its, only it could have told
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_forged_record_breaks_the_chain_of_its_clips_behind_new_sums(release, name):
+    record, edit, clips = FORGERIES[name]
+    place = edit_record(release, record, edit)
+    assert place in found(release, Kind.ALTERED)
+    reseal(release)
+    audit = audit_release(release)
+    broken = audit.of_kind(Kind.BROKEN)
+    assert place in {finding.where for finding in broken} or name == "another file"
+    touched = {clip for finding in broken for clip in finding.clips}
+    assert touched == clips
+
+
+def test_forged_calibration_breaks_every_clip(release):
+    path = release / "records/calibrate/calibration.json"
+    path.write_text(path.read_text().replace("true", "false", 1))
+    reseal(release)
+    assert len(found(release, Kind.BROKEN)["records/calibrate/calibration.json"]) == 144
+
+
+def test_forged_configuration_contradicts_the_records(release):
+    path = release / "records/config.json"
+    content = json.loads(path.read_text())
+    content["simulation"]["time_step_s"] = 0.01
+    path.write_text(json.dumps(content))
+    reseal(release)
+    # The calibration chose among such settings, and every simulation was made from it.
+    broken = found(release, Kind.BROKEN)
+    assert broken["records/calibrate/calibration.json.record.json"] >= {CLIP}
+    content["simulation"]["yaw_sd_deg"] = 2.0
+    path.write_text(json.dumps(content))
+    reseal(release)
+    assert "records/simulate/m05_f0300_r00.parquet.record.json" in found(release, Kind.BROKEN)
+
+
+def test_forged_sources_do_not_have_the_digest_of_the_records(release):
+    path = release / "code/src/slipstitch/physics/fabric/fabrics.json"
+    path.write_text(path.read_text().replace("0.187", "0.188", 1))
+    reseal(release)
+    broken = found(release, Kind.BROKEN)
+    assert "records/simulate/m05_f0300_r00.parquet.record.json" in broken
+
+
+def test_changed_configuration_makes_stale_not_damaged(original):
+    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2})
+    audit = audit_release(original, other)
+    assert audit.verdict == "stale"
+    (finding,) = audit.findings
+    assert finding.where == "sample"
+    assert "sample.test_fraction: 0.1 -> 0.2" in finding.what
+    slower = synthetic_chain.config(
+        simulation={"frames": 60, "vertices_per_side": 11, "time_step_s": 0.01}
+    )
+    # Simulations are told the step by the calibration: that is what has to be made anew first.
+    stages = {finding.where for finding in audit_release(original, slower).findings}
+    assert stages == {"calibrate.calibration"}
+    wider = synthetic_chain.config(simulation={"frames": 60, "yaw_sd_deg": 2.0})
+    stages = {finding.where for finding in audit_release(original, wider).findings}
+    assert "simulate" in stages
+
+
+def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
+    """The chain's calibration chose other settings than configured: released, intact, not stale."""
+    results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0})
+    out = tmp_path / "release"
+    write_release(CONFIG, results, out, ROOT)
+    contents = read_contents(out)
+    told = next(part for part in contents.artefacts.values() if part.stage == "simulate")
+    assert told.provenance["config"]["simulation"]["damping_s"] == 0.0
+    assert CONFIG.simulation.damping_s == 0.002
+    assert audit_release(out).verdict == "intact"
+    assert audit_release(out, CONFIG).verdict == "intact"
+
+
+def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
+    """Not every simulation from every viewpoint in every texture, and floors of two kinds."""
+    render = {"test_viewpoint_videos": 3, "reflective_floors": ["ceramic", "aluminium"]}
+    config = CONFIG.model_copy(update={"render": CONFIG.render.model_copy(update=render)})
+    results = synthetic_chain.write(config, tmp_path)
+    write_release(config, results, tmp_path / "release", ROOT)
+    audit = audit_release(tmp_path / "release")
+    assert audit.verdict == "intact", audit.findings[:3]
+    rows = pq.read_table(tmp_path / "release" / "manifest.parquet").to_pylist()
+    assert sum(row["viewpoint_role"] == "test" for row in rows) == 3
+    assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
+
+
+def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monkeypatch):
+    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
+    render = CONFIG.render.model_dump() | {
+        "viewpoints": ["bench_1", "bench_2"],
+        "test_viewpoints": [],
+        "interpolation": {"share": 1.0, "fabric": 0.5, "from_friction": 0.0},
+        "verified_images": 0,  # drawn images are not rectified
+    }
+    config = synthetic_chain.config(render=render, train={"splits": ["by_simulation"]})
+    results = synthetic_chain.write(config, tmp_path)
+    release = tmp_path / "release"
+    write_release(config, results, release, ROOT)
+    audit = audit_release(release)
+    assert audit.verdict == "intact", audit.findings[:3]
+
+    rows = pq.read_table(release / "manifest.parquet").to_pylist()
+    between = [row for row in rows if row["interpolated"]]
+    assert {row["split_by_simulation"] for row in between} <= {"train", None}  # None: test-only
+    shown = interpolations(config)
+    lineage = Lineage(read_contents(release))
+    for row in between:
+        one = shown[row["simulation"], row["viewpoint_id"]]
+        assert row["friction"] == one.friction
+        behind = {Path(each.path).stem for each in lineage.of_stage(row, "simulate")}
+        assert behind == set(one.weights)
+
+
+@pytest.fixture(scope="module")
+def criticised(tmp_path_factory):
+    """A working folder in which a case was criticised; also the same model at other places."""
+    folder = tmp_path_factory.mktemp("law") / "run"
+    folder.mkdir()
+    with contextlib.chdir(folder):
+        words = ["--out", "results/criticise/x/verdict.json", "--model", OWN_LAW]
+        case = str(ROOT / "data/cases/surrogate_anisotropic")
+        assert main(["criticise", case, "--replicates", "50", *words]) == 0
+        for place in ("laws/law.yaml", "../law.yaml"):
+            Path(place).parent.mkdir(exist_ok=True)
+            shutil.copyfile(OWN_LAW, place)
+    return folder
+
+
+OWN_LAW = "results/criticise/x/extended_model.yaml"
+
+
+@pytest.mark.parametrize(
+    ("model", "carried"),
+    [
+        (OWN_LAW, "records/criticise/x/extended_model.yaml"),
+        ("laws/law.yaml", "records/laws/law.yaml"),
+        ("../law.yaml", "records/law.yaml"),
+    ],
+)
+def test_release_takes_the_friction_law_along_and_the_audit_follows_it(
+    criticised, tmp_path, monkeypatch, model, carried
+):
+    """The law that a criticism found, and laws that lie in the working folder or outside."""
+    folder = Path(shutil.copytree(criticised, tmp_path / "run"))
+    shutil.copyfile(criticised.parent / "law.yaml", tmp_path / "law.yaml")
+    monkeypatch.chdir(folder)
+    config = synthetic_chain.config(
+        grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
+        simulation={"frames": 60, "vertices_per_side": 11, "model": model},
+        render={"pixels": 16, "textures": ["stripes"]},
+    )
+    results = synthetic_chain.write(config, folder)
+    release = tmp_path / "release"
+    write_release(config, results, release, ROOT)
+    assert (release / carried).read_bytes() == Path(model).read_bytes()
+    assert f"({carried})" in (release / "README.md").read_text()
+    audit = audit_release(release)
+    assert audit.verdict == "intact", audit.findings[:3]
+
+    made_again = rebuild._configuration(read_contents(release), config, tmp_path)
+    law = load_config(made_again).simulation.model
+    assert Path(law) == release / carried
+
+    for path in release.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    record = "simulate/m05_f0600_r00.parquet"
+    place = edit_record(release, record, lambda one: one["metadata"].update(extended_model=None))
+    reseal(release)
+    assert place in found(release, Kind.BROKEN), (
+        "the law that a simulation tells is the carried one"
+    )
+
+
+def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
+    fabrics = {name: load_fabric(name) for name in fabric_names()}
+    fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
+    monkeypatch.setattr("slipstitch.physics.fabric.fabrics._catalogue", lambda: fabrics)
+    monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))
+    audit = audit_release(original)
+    assert audit.verdict == "stale"
+    assert {finding.where for finding in audit.findings} == {"simulate", "render"}
+    (of_simulate,) = (one for one in audit.findings if one.where == "simulate")
+    assert "catalogue.fabrics.ivory-rib-knit: " in of_simulate.what
+    assert len(of_simulate.clips) == 144 / len(CONFIG.grid.materials)
+
+
+def test_one_more_viewpoint_makes_no_shard_stale(original):
+    render = CONFIG.render.model_dump() | {"viewpoints": ["calibrated", "frontal", "side"]}
+    stages = {
+        one.where for one in audit_release(original, synthetic_chain.config(render=render)).findings
+    }
+    assert stages == {"sample"}
+
+
+def test_changed_code_makes_its_stage_stale(original, monkeypatch):
+    now = staleness.current_digest
+    monkeypatch.setattr(
+        staleness,
+        "current_digest",
+        lambda stage, root=None, versions=None: (
+            "0" * 64 if stage == "render" and root is None else now(stage, root, versions)
+        ),
+    )
+    audit = audit_release(original)
+    assert audit.verdict == "stale"
+    assert [(one.where, one.what) for one in audit.findings] == [("render", "its code has changed")]
+
+
+def test_commit_that_holds_other_code_is_found(original, monkeypatch, tmp_path):
+    def other_code(checkout, commit, folder):
+        shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
+        (folder / "src/slipstitch/physics/simulation/trajectory.py").write_text("# other\n")
+        return True
+
+    release = Path(shutil.copytree(original, tmp_path / "release"))
+    for path in release.rglob("*"):
+        path.chmod(path.stat().st_mode | 0o200)
+    for record in (release / "records").rglob("*.record.json"):
+        content = json.loads(record.read_text())
+        if content["provenance"]:
+            content["provenance"].update(git_commit="ab" * 20, git_dirty=False)
+        record.write_text(json.dumps(content))
+    reseal(release)
+    assert any("abababababab is not in this checkout" in n for n in audit_release(release).notes)
+    monkeypatch.setattr(staleness, "_extract", other_code)
+    broken = found(release, Kind.BROKEN)
+    assert {"simulate", "render", "sample"} & set(broken)
+    assert len(broken["simulate"]) == 144
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_simulations_that_quote_another_convergence_study_are_stale(
+    release, original, monkeypatch, tmp_path, known
+):
+    """They are no others for it; what they quote must be in the commit that made them."""
+    former = tmp_path / MEASURED.name
+    former.write_text(MEASURED.read_text().replace('"mean_distance_m": 0.001', '"mean_m": 1'))
+
+    def of_commit(checkout, commit, folder):
+        shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
+        if known:
+            shutil.copy2(former, folder / "src/slipstitch/physics/simulation")
+        return True
+
+    def quote(record):
+        if record["provenance"]:
+            record["provenance"].update(git_commit="ab" * 20, git_dirty=False)
+        if "convergence" in record["metadata"]:
+            record["metadata"]["convergence"]["table_sha256"] = file_digest(former)
+
+    forger = Forger(release, original)
+    forger.edit_records("*", quote)
+    forger.cover_up()
+    monkeypatch.setattr(staleness, "_extract", of_commit)
+    audit = audit_release(release)
+    (stale,) = audit.of_kind(Kind.STALE)
+    assert stale.where == "simulate" and "another convergence study" in stale.what
+    assert len(stale.clips) == 144
+    broken = [(finding.where, len(finding.clips)) for finding in audit.of_kind(Kind.BROKEN)]
+    assert broken == ([] if known else [("simulate", 144)])
+
+
+@pytest.mark.parametrize(
+    ("prepare", "problem"),
+    [
+        (lambda folder: None, "not a release: no readable SHA256SUMS"),
+        (lambda folder: (folder / "data").mkdir(), "not a release: no readable SHA256SUMS"),
+        (lambda folder: (folder / "SHA256SUMS").write_text("hello\n"), "line 1: not '<SHA-256>"),
+        (lambda folder: (folder / "SHA256SUMS").write_text(""), "SHA256SUMS: empty"),
+        (
+            lambda folder: (folder / "SHA256SUMS").write_text(f"{'0' * 64}  ../x\n"),
+            "is outside the release",
+        ),
+        (
+            lambda folder: (folder / "SHA256SUMS").write_text(f"{'0' * 64}  a.txt\n"),
+            "not a release of Slipstitch: SHA256SUMS names no manifest.parquet",
+        ),
+        (lambda folder: folder.rmdir(), "no such folder"),
+    ],
+)
+def test_half_written_or_foreign_folder_is_bad_input(tmp_path, capsys, prepare, problem):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    prepare(folder)
+    assert main(["audit", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert problem in said
+    assert said.count("\n") == 1
+
+
+def test_command_answers_machines_and_people(release, tmp_path, capsys):
+    outcome, page = tmp_path / "audit.json", tmp_path / "audit.html"
+    assert main(["audit", str(release), "--json", str(outcome), "--page", str(page)]) == 0
+    assert "intact: every file" in capsys.readouterr().out
+    assert json.loads(outcome.read_text())["verdict"] == "intact"
+    (release / "LICENSE").write_text("none")
+    assert main(["audit", str(release), "--json", "-", "--page", str(page)]) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert content["verdict"] == "damaged"
+    assert content["counts"]["altered"] == 1
+    assert content["findings"][0]["where"] == "LICENSE"
+    html = page.read_text(encoding="utf-8")
+    assert "LICENSE" in html and "DAMAGED" in html
+    assert not re.search(r"(src|href)=", html)
+
+
+def test_stale_can_be_allowed(original, tmp_path):
+    write_config(synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2}), tmp_path / "c")
+    words = ["audit", str(original), "--config", str(tmp_path / "c")]
+    assert main(words) == 1
+    assert main([*words, "--allow-stale"]) == 0
+
+
+def test_outcome_is_not_written_into_the_release(original, capsys):
+    assert main(["audit", str(original), "--json", str(original / "audit.json")]) == 2
+    assert "inside the release" in capsys.readouterr().err
+    assert not (original / "audit.json").exists()
+
+
+def test_story_of_a_clip_names_every_link(original, capsys):
+    assert main(["audit", str(original), "--explain", CLIP]) == 0
+    story = capsys.readouterr().out
+    for part in (
+        "results/sample/m05_f0300_r00.parquet",
+        "results/render/m05_f0300_r00_v00.parquet",
+        "results/simulate/m05_f0300_r00.parquet",
+        "results/calibrate/calibration.json",
+        "fabric gray-interlock (same as the current one)",
+        "friction 0.3",
+        "equal to the decoded pixels",
+        "by_simulation: ",
+        "yaw_deg",
+    ):
+        assert part in story
+    assert "v01.parquet" not in story
+    assert "NOT" not in story.replace("NOT the current code", "")
+    assert main(["audit", str(original), "--explain", "m99"]) == 2
+    assert "no clip 'm99'; ids look like m" in capsys.readouterr().err
+
+
+def test_story_says_where_the_chain_breaks(release, capsys):
+    edit_record(
+        release, "render/m05_f0300_r00_v00.parquet", lambda one: one.update(sha256="0" * 64)
+    )
+    main(["audit", str(release), "--explain", CLIP])
+    assert "results/render/m05_f0300_r00_v00.parquet (DIFFERENT from the next)" in (
+        capsys.readouterr().out
+    )
+
+
+def test_story_states_the_digest_of_other_pixels(release, capsys):
+    decoded = []
+
+    def edit(rows):
+        row = next(row for row in rows if row["video"] == CLIP)
+        decoded.append(row["pixels_sha256"])
+        row["pixels_sha256"] = "0" * 64
+
+    edit_table(release / "manifest.parquet", edit)
+    main(["audit", str(release), "--explain", CLIP])
+    assert f"NOT equal to the decoded pixels ({decoded[0]})" in capsys.readouterr().out
+
+
+def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
+    first = np.zeros((3, 8, 8, 3), np.uint8)
+    second = first.copy()
+    same = rebuild.compare("a", first, second, True)
+    assert same.same_pixels and same.psnr_db is None
+    second[1, 2, 3, 0] = 200
+    other = rebuild.compare("a", first, second, True)
+    assert not other.same_pixels
+    assert (other.images_differing, other.largest_difference) == (1, 200)
+    expected = 10 * np.log10(255**2 / (200**2 / first.size))
+    assert other.psnr_db == pytest.approx(expected, abs=0.01)
+
+
+def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
+    pixels = np.zeros((3, 8, 8, 3), np.uint8)
+    same = rebuild.compare("a", pixels, pixels, True)
+    told = ("solver of results/simulate/a.parquet",)
+    other = rebuild.compare("a", pixels, pixels, True, told)
+    assert same.same and not other.same
+    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
+
+
+def test_a_law_that_lay_elsewhere_is_no_difference_of_a_simulation_made_again(tmp_path):
+    metadata = {"settings": {"frames": 9, "model": "law.yaml"}, "extended_model": {"law": 1}}
+    recorded = Artefact("results/simulate/a.parquet", "", metadata=metadata)
+    made = tmp_path / "a.parquet"
+    for settings, told in (({"frames": 9}, []), ({"frames": 8}, [f"settings of {recorded.path}"])):
+        again = metadata | {"settings": settings | {"model": "/release/records/law.yaml"}}
+        write_parquet(pa.table({"frame": [0]}), made, again)
+        assert rebuild._differing(recorded, made) == told
+
+
+def test_clip_without_whole_records_is_not_rebuilt(release):
+    edit_record(release, "render/m05_f0300_r00_v00.parquet", lambda one: one.clear())
+    with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
+        rebuild.rebuild(read_contents(release), CLIP)

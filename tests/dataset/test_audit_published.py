@@ -1,0 +1,305 @@
+"""Published folders audited: as published, altered, and with what their images were made from."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.base.provenance import file_digest, read_metadata, write_json, write_parquet
+from slipstitch.cli.main import main
+from slipstitch.dataset.audit.published import audit_published
+from slipstitch.report.publishing import INDEX
+
+PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
+MODELS = "models/by_simulation/instrument"
+AVERAGE = f"{MODELS}/ensemble/instrument.safetensors"
+LINEAGE = "dataset/lineage.json"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return shutil.copytree(PUBLISHED, tmp_path / "published")
+
+
+def listed(folder):
+    """The folder with an index of the files that it holds now, as a forger would write it."""
+    index = json.loads((folder / INDEX).read_text())
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    names -= {INDEX, f"{INDEX}.provenance.json"}
+    index["files"] = {name: file_digest(folder / name) for name in sorted(names)}
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    return folder
+
+
+def audited(folder, code):
+    out = folder.parent / "audit.json"
+    assert main(["audit", str(folder), "--json", str(out)]) == code
+    return json.loads(out.read_text())
+
+
+def with_lineage(folder, change=lambda lineage: None):
+    """The folder with a record of every file of images, render and simulation."""
+    lineage = {}
+    for name in json.loads((folder / "dataset/digests.json").read_text())["files"]:
+        render = f"results/render/{name}"
+        lineage[f"results/sample/{name}"] = {render: "a" * 64}
+        lineage[render] = {f"results/simulate/{name}": "b" * 64}
+    change(lineage)
+    write_json(folder / LINEAGE, lineage)
+    return listed(folder)
+
+
+def test_a_model_is_followed_to_the_digests_of_its_simulations(folder, capsys):
+    told = audited(with_lineage(folder), 0)
+    assert (told["verdict"], told["findings"]) == ("intact", [])
+    shipped = told["models"][0]
+    assert shipped["weights"] == f"{MODELS}/ensemble/instrument.safetensors" and shipped["shipped"]
+    member = told["models"][1]
+    assert member["weights"] == f"{MODELS}/seed0/instrument.safetensors" and not member["shipped"]
+    # An average is of what its members are of.
+    assert member["shards"] == shipped["shards"]
+    record = json.loads((folder / f"{member['weights']}.provenance.json").read_text())
+    trained_on = {Path(name).name for name in record["inputs"]} - {"manifest.parquet"}
+    assert set(shipped["simulations"]) == {f"results/simulate/{name}" for name in trained_on}
+    assert set(shipped["simulations"].values()) == {"b" * 64}
+    said = capsys.readouterr().out
+    assert f"from the digests of {len(trained_on)} simulations" in said
+    assert "the instrument that ships" in said
+    assert "they were compared with each other, not with files" in said
+    assert "what stretches the intervals was read of videos that are not published" in said
+
+
+@pytest.mark.parametrize("name", ["instrument", "paper"])
+def test_what_is_published_is_intact(name):
+    """Also networks that another one tells the fabric."""
+    audit = audit_published(PUBLISHED.with_name(name))
+    assert (audit.verdict, audit.findings) == ("intact", [])
+    assert all(len(chain.shards) >= 144 for chain in audit.chains)
+
+
+def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
+    (folder / LINEAGE).unlink(missing_ok=True)
+    told = audited(listed(folder), 0)
+    assert told["models"][0]["shards"] and not told["models"][0]["simulations"]
+    assert "the chain ends at the files of images" in capsys.readouterr().out
+
+
+def notes_of(folder, start):
+    return [note for note in audited(folder, 0)["notes"] if note.startswith(start)]
+
+
+def test_what_the_run_lacks_is_said_and_no_damage(folder):
+    index = json.loads((folder / INDEX).read_text())
+    index["missing"] = ["report/index.html", "train/a", "train/b", "scores of models/a"]
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    assert notes_of(folder, "partial") == [
+        "partial: 3 files of the run are missing: report/index.html and 2 more",
+        "partial: missing are scores of models/a",
+    ]
+
+
+def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeypatch):
+    """Of published files, and of those that only origin.json tells of."""
+    (said,) = notes_of(folder, "made by the code of commit")
+    assert "1f0c485aa741 (calibrate.calibration, simulate), " in said
+    assert "b869f46e348f (evaluate, instrument, publish), " in said
+    assert "e13b32064db0 (instrument, render, sample)" in said
+
+    def recorded(stage, *_):
+        records = [json.loads(path.read_text()) for path in PUBLISHED.rglob("*.provenance.json")]
+        records += json.loads((PUBLISHED / "origin.json").read_text()).values()
+        records += [read_metadata(PUBLISHED / "dataset/manifest.parquet")["provenance"]]
+        return next(one["code_digest"] for one in records if one["stage"] == stage)
+
+    monkeypatch.setattr("slipstitch.dataset.audit.staleness.current_digest", recorded)
+    # The trainings are older than their average: one of the two is always of other code.
+    other = "made by other code or libraries than those that audit: instrument"
+    assert notes_of(folder, "made by other code") == [other]
+    path = folder / "origin.json"
+    origin = json.loads(path.read_text())
+    origin["simulate/m00_f0000_r00.parquet"]["code_digest"] = "0" * 64
+    write_json(path, origin | {"other": [], "odd": {"stage": "../simulate"}})
+    assert notes_of(listed(folder), "made by other code") == [f"{other}, simulate"]
+
+
+def _lose(folder):
+    (folder / "metrics.json").unlink()
+
+
+def _add(folder):
+    (folder / "more.txt").write_text("more\n")
+
+
+def _edit_config(folder):
+    path = folder / "config.json"
+    path.write_text(path.read_text().replace("0", "1", 1))
+
+
+def _edit_scores(folder):
+    path = folder / "details.json"
+    path.write_text(path.read_text().replace("0.", "0.0", 1))
+    listed(folder)
+
+
+def _swap_weights(folder):
+    shutil.copy(
+        folder / MODELS / "seed1/instrument.safetensors",
+        folder / MODELS / "seed0/instrument.safetensors",
+    )
+    listed(folder)
+
+
+def _swap_model(folder):
+    """A model, with its card and records, for one that was not evaluated."""
+    for path in (folder / MODELS / "seed0").iterdir():
+        shutil.copy(folder / MODELS / "seed1" / path.name, path)
+    listed(folder)
+
+
+def _recorded(folder, name, change):
+    path = folder / f"{name}.provenance.json"
+    record = json.loads(path.read_text())
+    change(record["inputs"])
+    write_json(path, record)
+    listed(folder)
+
+
+def _model_without_scores(folder):
+    def change(inputs):
+        del inputs["results/instrument/by_simulation/seed0/instrument.safetensors"]
+
+    _recorded(folder, "metrics.json", change)
+
+
+def _other_dataset(folder):
+    def change(inputs):
+        inputs["results/sample/manifest.parquet"] = "0" * 64
+
+    _recorded(folder, "details.json", change)
+
+
+def _scores_without_record(folder):
+    (folder / "metrics.json.provenance.json").unlink()
+    listed(folder)
+
+
+def _predictions_of_another_run(folder):
+    other = PUBLISHED.with_name("paper") / "predictions.parquet"
+    shutil.copy(other, folder / "predictions.parquet")
+    listed(folder)
+
+
+def _no_training_record(folder):
+    (folder / MODELS / "seed0/instrument.safetensors.provenance.json").unlink()
+    listed(folder)
+
+
+def _other_images(folder):
+    path = folder / "dataset/digests.json"
+    digests = json.loads(path.read_text())
+    digests["files"][min(digests["files"])] = "0" * 64
+    write_json(path, digests)
+    listed(folder)
+
+
+def _two_simulations(folder):
+    def change(lineage):
+        shards = [name for name in lineage if "/sample/" in name]
+        first, second = (next(iter(lineage[shard])) for shard in shards[:2])
+        lineage[second] = dict.fromkeys(lineage[first], "c" * 64)
+
+    with_lineage(folder, change)
+
+
+def _other_readings(folder):
+    path = folder / MODELS / "ensemble/readings.parquet"
+    rows = pq.read_table(path)
+    rows = rows.set_column(0, "source", pa.array(["a" * 64] * rows.num_rows))
+    write_parquet(rows, path, {}, {"stage": "instrument"})
+    listed(folder)
+
+
+def _fewer_readings(folder):
+    path = folder / MODELS / "ensemble/readings.parquet"
+    write_parquet(pq.read_table(path).slice(1), path, {}, {"stage": "instrument"})
+    listed(folder)
+
+
+def _readings_of_no_record(folder):
+    def change(inputs):
+        del inputs["calibration_readings/0/drawn_fabrics.json"]
+
+    _recorded(folder, f"{MODELS}/ensemble/instrument.safetensors", change)
+
+
+def _no_simulation(folder):
+    with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/render/" in n)))
+
+
+def _shard_without_origin(folder):
+    with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/sample/" in n)))
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "where", "what"),
+    [
+        (_lose, "missing", "metrics.json", "listed in published.json"),
+        (_add, "unexplained", "more.txt", "not listed in published.json"),
+        (_edit_config, "altered", "config.json", "not the file listed in published.json"),
+        (_edit_scores, "broken chain", "details.json", "not the file that its record"),
+        (
+            _swap_weights,
+            "broken chain",
+            "seed0/instrument.safetensors",
+            "that their card describes",
+        ),
+        (_swap_model, "broken chain", "metrics.json", "scores of another results/instrument"),
+        (
+            _swap_model,
+            "broken chain",
+            "ensemble/instrument.safetensors",
+            "trained on another instrument.safetensors than the published",
+        ),
+        (_model_without_scores, "broken chain", "metrics.json", f"has no scores of {MODELS}/seed0"),
+        (_other_dataset, "broken chain", "details.json", "another results/sample/manifest.parquet"),
+        (_scores_without_record, "broken chain", "metrics.json", "has no record of what was"),
+        (_predictions_of_another_run, "broken chain", "predictions.parquet", "scores of another"),
+        (_no_training_record, "broken chain", "seed0/instrument.safetensors", "has no record"),
+        (_other_images, "broken chain", "dataset/digests.json", "names other files of images"),
+        (_other_images, "broken chain", "instrument.safetensors", "trained on another m0"),
+        (_other_readings, "broken chain", AVERAGE, "calibrated on other readings than the publish"),
+        (_fewer_readings, "broken chain", AVERAGE, "calibrated on other readings than the publish"),
+        (_readings_of_no_record, "broken chain", AVERAGE, "other readings than its record names"),
+        (_two_simulations, "broken chain", LINEAGE, "has two digests of results/simulate/"),
+        (_no_simulation, "broken chain", LINEAGE, "does not lead from results/sample/"),
+        (_shard_without_origin, "broken chain", LINEAGE, "does not say what"),
+    ],
+)
+def test_what_was_changed_is_named(folder, change, kind, where, what):
+    change(folder)
+    told = audited(folder, 1)
+    assert told["verdict"] == "damaged"
+    found = [(one["kind"], one["where"], one["what"]) for one in told["findings"]]
+    assert any(k == kind and w.endswith(where) and what in why for k, w, why in found), found
+
+
+def test_a_model_may_lack_scores_where_the_index_says_so(folder):
+    _model_without_scores(folder)
+    index = json.loads((folder / INDEX).read_text())
+    index["missing"].append(f"scores of {MODELS}/seed0/instrument.safetensors")
+    write_json(folder / INDEX, index, {"stage": "publish"})
+    assert audited(folder, 0)["findings"] == []
+
+
+def test_an_index_that_is_none_and_options_of_a_release_are_refused_in_one_line(folder, capsys):
+    for words in (["--explain", "clip"], ["--page", "audit.html"]):
+        assert main(["audit", str(folder), *words]) == 2
+        assert "cannot be combined with a published folder" in capsys.readouterr().err
+    for name, text in ((f"{INDEX}.provenance.json", "[]"), (INDEX, "{")):
+        (folder / name).write_text(text)
+        assert main(["audit", str(folder)]) == 2
+        said = capsys.readouterr().err
+        assert name in said and said.count("\n") == 1

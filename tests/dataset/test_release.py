@@ -1,0 +1,514 @@
+"""A release: complete, loadable with the lines of its card, the same again, never half there."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from support import synthetic_chain
+
+from slipstitch.base.errors import BadInput, SlipstitchError
+from slipstitch.base.provenance import attach_metadata, read_metadata
+from slipstitch.cli.main import main
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.dataset.audit.auditing import audit_release
+from slipstitch.dataset.images import pixels_digest
+from slipstitch.dataset.manifest import dataset_digest, read_manifest
+from slipstitch.dataset.release import assembly
+from slipstitch.dataset.release.assembly import write_release
+from slipstitch.dataset.release.checksums import SUMS, read_sums
+from slipstitch.dataset.release.manifest import sampled_rows
+from slipstitch.dataset.release.records import rows_digest
+from slipstitch.dataset.release.splits import (
+    parts,
+    parts_of_splits,
+    split_columns,
+    unseen_fabrics,
+    unseen_frictions,
+)
+from slipstitch.dataset.shards import decode
+from slipstitch.design.grid import films, simulations
+from slipstitch.design.interpolation import filmed_friction, interpolations
+from slipstitch.design.splits import sides_of_simulations
+from slipstitch.images.camera import pose
+from slipstitch.images.camera_file import write_camera_file
+from slipstitch.physics.fabric import fabric_names
+
+ROOT = Path(__file__).parents[2]
+CONFIG = synthetic_chain.config()
+pytestmark = pytest.mark.xdist_group("release")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    return synthetic_chain.write(CONFIG, tmp_path_factory.mktemp("chain"))
+
+
+@pytest.fixture(scope="module")
+def release(results, tmp_path_factory):
+    out = tmp_path_factory.mktemp("release") / "release"
+    write_release(CONFIG, results, out, ROOT)
+    return out
+
+
+@pytest.fixture(scope="module")
+def manifest(release):
+    return pq.read_table(release / "manifest.parquet").to_pylist()
+
+
+@pytest.fixture
+def own_results(results, tmp_path):
+    """A copy of the results that a test may damage."""
+    return Path(shutil.copytree(results, tmp_path / "results"))
+
+
+def test_every_video_is_where_the_manifest_says_with_the_pixels_it_says(release, manifest):
+    for row in manifest:
+        table = pq.read_table(release / row["shard"]).slice(row["first_row"], row["frames"])
+        assert set(table["video"].to_pylist()) == {row["video"]}
+        assert table["position"].to_pylist() == list(range(row["frames"]))
+        images = [decode(image["bytes"], row["video"]) for image in table["image"].to_pylist()]
+        assert pixels_digest(np.stack(images)) == row["pixels_sha256"]
+
+
+def test_shards_are_cut_at_the_configured_size(release):
+    shards = sorted((release / "data").iterdir())
+    for path in shards:
+        part, number, _, count = path.stem.split("-")
+        assert sum(other.name.startswith(f"{part}-") for other in shards) == int(count)
+        if int(number) + 1 < int(count):
+            assert pq.read_table(path).nbytes >= CONFIG.release.shard_mb * 1e6
+    assert len(shards) > len({path.name.split("-")[0] for path in shards})
+
+
+def test_sums_are_those_of_sha256sum(release):
+    answer = subprocess.run(
+        ["sha256sum", "--check", "--strict", "--quiet", SUMS], cwd=release, capture_output=True
+    )
+    assert answer.returncode == 0, answer.stdout
+    there = {path.relative_to(release).as_posix() for path in release.rglob("*") if path.is_file()}
+    assert set(read_sums(release)) == there - {SUMS}
+
+
+def test_files_are_write_protected(release):
+    assert all(path.stat().st_mode & 0o222 == 0 for path in release.rglob("*") if path.is_file())
+
+
+def test_sampled_manifest_can_be_had_back(release, results, manifest):
+    sampled = results / "sample/manifest.parquet"
+    notes = read_metadata(release / "manifest.parquet")
+    rows = sampled_rows(manifest, notes["sampled_columns"])
+    assert rows == read_manifest(sampled.parent)[0]
+    assert dataset_digest(rows) == read_metadata(sampled)["dataset_digest"]
+
+
+def test_splits_of_the_manifest_keep_apart_what_they_say(manifest):
+    frame = pd.DataFrame(manifest)
+    trains = (frame.texture_role == "train") & (frame.viewpoint_role == "train")
+
+    def side(split, name):
+        return frame[frame[f"split_{split}"] == name]
+
+    for split, held in (
+        ("by_simulation", "simulation"),
+        ("unseen_friction", "friction"),
+        ("unseen_fabric", "material"),
+        ("unseen_texture", "texture"),
+        ("unseen_viewpoint", "viewpoint"),
+    ):
+        test, train = side(split, "test"), side(split, "train")
+        assert len(test) and len(train)
+        assert not set(test[held]) & set(train[held]), split
+        assert trains[train.index].all()
+    for split in ("by_video", "by_simulation", "unseen_friction", "unseen_fabric"):
+        assert trains[frame[f"split_{split}"].notna()].all()
+    assert set(side("unseen_texture", "test").viewpoint_role) == {"train"}
+    assert set(side("unseen_friction", "test").friction) == {0.6}
+    shared = set(side("by_video", "test").simulation) & set(side("by_video", "train").simulation)
+    assert shared
+
+
+@pytest.mark.parametrize(
+    ("frictions", "share", "expected"),
+    [
+        ([0.1, 0.6], 0.2, []),
+        ([0.1, 0.3, 1.0], 0.2, [0.3]),
+        ([k / 10 for k in range(16)], 0.2, [0.3, 0.8, 1.2]),
+        ([0.1, 0.2, 0.3, 0.4], 0.9, [0.3]),
+    ],
+)
+def test_unseen_frictions_lie_between_seen_ones(frictions, share, expected):
+    assert unseen_frictions(frictions, share) == expected
+
+
+def test_unseen_fabrics_are_drawn_with_the_seed_and_leave_some_to_train():
+    names = [f"fabric {k}" for k in range(10)]
+    drawn = {tuple(unseen_fabrics(names, 0.2, seed)) for seed in range(20)}
+    assert len(drawn) > 5
+    assert {len(one) for one in drawn} == {2}
+    assert unseen_fabrics(names, 0.2, 3) == unseen_fabrics(names[::-1], 0.2, 3)
+    assert unseen_fabrics(["one"], 0.2, 1) == []
+    assert len(unseen_fabrics(["one", "two"], 0.9, 1)) == 1
+
+
+def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
+    """Of 6 coefficients and 4 fabrics, films lie between any neighbours and of any two fabrics."""
+    config = synthetic_chain.config(
+        grid={
+            "materials": fabric_names()[:4],
+            "frictions": [0.2, 0.4, 0.6, 0.8, 1.0, 1.2],
+            "replicates": 2,
+        },
+        render={
+            "viewpoints": ["bench_1", "bench_2"],
+            "textures": ["stripes"],
+            "interpolation": {"share": 0.7, "fabric": 0.5, "from_friction": 0.0},
+        },
+        train={"splits": ["by_simulation"]},
+    )
+    grid, shown = {one.id: one for one in simulations(config)}, interpolations(config)
+    rows = [
+        {
+            "simulation": name,
+            "viewpoint_id": view,
+            "material": grid[name].material,
+            "friction": filmed_friction(grid[name], shown.get((name, view))),
+            "split_by_simulation": sides_of_simulations(config)[name],
+        }
+        for name, view in films(config)
+    ]
+    splits = split_columns(rows, config)
+    for split, key in (("unseen_friction", "friction"), ("unseen_fabric", "material")):
+        sides = dict(zip(films(config), splits[split], strict=True))
+        test = {film for film, side in sides.items() if side == "test"}
+        held = {getattr(grid[name], key) for name, _ in test}
+        assert len(held) == 1
+        assert not test & shown.keys(), "what is tested is simulated"
+        trained = {film for film, side in sides.items() if side == "train"}
+        assert trained & shown.keys()
+        for film in trained:
+            parents = [grid[name] for name in (shown[film].weights if film in shown else film[:1])]
+            assert held.isdisjoint(getattr(parent, key) for parent in parents)
+    labels = [
+        (row["friction"], side) for row, side in zip(rows, splits["unseen_friction"], strict=True)
+    ]
+    tested = {friction for friction, side in labels if side == "test"}
+    assert all(
+        abs(one - other) > 0.19 for one, side in labels if side == "train" for other in tested
+    )
+
+
+def test_any_kind_with_a_role_gets_its_split():
+    base = {"material": "a", "friction": 0.1, "split_by_video": "train"}
+    base |= {"simulation": "m00_f0100_r00", "viewpoint_id": "v00"}
+    base |= {"split_by_simulation": "train", "floor_role": "train", "texture_role": "train"}
+    rows = [
+        base,
+        base | {"split_by_video": "test", "floor_role": "test"},
+        base | {"split_by_video": "test", "floor_role": "test", "texture_role": "test"},
+    ]
+    splits = split_columns(rows, CONFIG)
+    assert splits == {"unseen_floor": ["train", "test", None]}
+    assert parts(splits) == ["part00", "part01", "part02"]
+    assert parts_of_splits(splits, parts(splits)) == {
+        "unseen_floor": {"train": ["part00"], "test": ["part01"]}
+    }
+
+
+def test_lines_of_the_card_load_the_data(release, manifest, tmp_path):
+    card = (release / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", card, re.DOTALL)
+    assert len(blocks) == 3
+    offline = {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
+    said = []
+    for block in blocks:
+        answer = subprocess.run(
+            [sys.executable, "-c", block],
+            cwd=release,
+            env=os.environ | offline,
+            capture_output=True,
+            text=True,
+        )
+        assert answer.returncode == 0, answer.stderr
+        said.append(answer.stdout)
+    first = min(
+        (row for row in manifest if row["split_by_simulation"] == "train"),
+        key=lambda row: (row["shard"], row["first_row"]),
+    )
+    assert said[0].split()[:2] == [first["material"], str(first["friction"])]
+    assert "(16, 16)" in said[0]
+    assert "torch.Size([5, 3, 16, 16])" in said[2]
+
+
+def test_hugging_face_splits_hold_the_videos_of_the_manifest(release, manifest, tmp_path):
+    card = (release / "README.md").read_text(encoding="utf-8")
+    head = yaml.safe_load(card.split("---\n")[1])
+    configs = {one["config_name"]: one["data_files"] for one in head["configs"]}
+    names = {name.removeprefix("split_") for name in manifest[0] if name.startswith("split_")}
+    assert set(configs) == names | {"everything"}
+    for name in names:
+        for one in configs[name]:
+            found = {
+                video
+                for pattern in one["path"]
+                for path in release.glob(pattern)
+                for video in pq.read_table(path, columns=["video"])["video"].to_pylist()
+            }
+            assert found == {
+                row["video"] for row in manifest if row[f"split_{name}"] == one["split"]
+            }
+
+
+def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
+    import mlcroissant as mlc
+
+    dataset = mlc.Dataset(jsonld=release / "croissant.json")
+    assert not dataset.metadata.ctx.issues.errors
+    videos = list(dataset.records("videos"))
+    assert len(videos) == len(manifest)
+    assert videos[0]["videos/video"].decode() == manifest[0]["video"]
+    assert videos[0]["videos/friction"] == manifest[0]["friction"]
+    frames = list(dataset.records("frames"))
+    assert len(frames) == sum(row["frames"] for row in manifest)
+    row = next(r for r in manifest if r["video"] == frames[0]["frames/video"].decode())
+    video = [f for f in frames if f["frames/video"].decode() == row["video"]]
+    pixels = np.stack([np.asarray(frame["frames/image"]) for frame in video])
+    assert pixels_digest(pixels) == row["pixels_sha256"]
+
+
+def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
+    card = (release / "README.md").read_text()
+    compared = json.loads((release / "records/render/verification.json").read_text())["comparisons"]
+    floors = {"matte": 38, "mirrors": 36}
+    for floor, least_db in floors.items():
+        of_floor = [one for one in compared if (one["floor"] == "matte") == (floor == "matte")]
+        assert of_floor
+        psnr_db = [one["psnr_db"] for one in of_floor]
+        assert (
+            f"| {floor} | {len(of_floor)} | {min(psnr_db):.1f} dB | {np.mean(psnr_db):.1f} dB | "
+            f"{least_db} dB | {min(one['ssim'] for one in of_floor):.3f} |"
+        ) in card
+    assert "verification.json" in (release / "SHA256SUMS").read_text()
+
+
+def test_crate_knows_every_job_and_what_it_was_made_from(release):
+    from rocrate.rocrate import ROCrate
+
+    crate = ROCrate(release)
+    assert crate.mainEntity.id == "code/Snakefile"
+    profiles = {entity.id for entity in crate.root_dataset["conformsTo"]}
+    assert "https://w3id.org/ro/wfrun/workflow/0.5" in profiles
+    actions = {entity.id: entity for entity in crate.get_by_type("CreateAction")}
+    runs = 2 * 4 * 2
+    assert sum("/render/m" in name for name in actions) == runs * 3
+    assert sum("/simulate/" in name for name in actions) == runs
+    render = actions["#job/results/render/m05_f0300_r00_v00.parquet"]
+    assert [one.id for one in render["object"]] == ["#results/simulate/m05_f0300_r00.parquet"]
+    assert render["instrument"]["name"] == "slipstitch render"
+    steps = {one.id: one for one in crate.mainEntity["step"]}
+    (engine,) = crate.get_by_type("OrganizeAction")
+    assert engine["result"].id == "#run"
+    started = {one["object"].id: one for one in engine["object"]}
+    assert started.keys() == actions.keys() - {"#run"}
+    for name, control in started.items():
+        step = steps[control["instrument"].id]
+        assert step["workExample"].id == actions[name]["instrument"].id
+    for entity in crate.get_by_type("File"):
+        if entity.id != "ro-crate-metadata.json":
+            data = (release / entity.id).read_bytes()
+            assert entity["sha256"] == hashlib.sha256(data).hexdigest(), entity.id
+
+
+def test_same_results_make_the_same_bytes(release, results, tmp_path, monkeypatch):
+    again = tmp_path / "again"
+    write_release(CONFIG, results, again, ROOT)
+    sums, other = read_sums(release), read_sums(again)
+    differing = {name for name in sums | other if sums.get(name) != other.get(name)}
+    # What says how long the release took, and what holds digests of that.
+    assert differing <= {"records/release.json", "ro-crate-metadata.json"}
+
+
+def test_equal_configuration_makes_equal_data_in_another_folder(release, tmp_path):
+    results = synthetic_chain.write(CONFIG, tmp_path)
+    again = tmp_path / "release"
+    write_release(CONFIG, results, again, ROOT)
+    sums, other = read_sums(release), read_sums(again)
+    differing = {name for name in sums | other if sums.get(name) != other.get(name)}
+    # Records hold times and, of files that hold times, digests.
+    assert all(name.startswith(("records/", "ro-crate")) for name in differing)
+    assert "records/config.json" not in differing
+    assert sum(name.startswith("data/") for name in sums) > 10
+
+
+def test_rows_digest_is_of_the_rows_alone(tmp_path):
+    table = pq.read_table(next(iter((ROOT / "data").rglob("*.parquet")), None) or _rows(tmp_path))
+    first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
+    pq.write_table(table, first)
+    pq.write_table(
+        attach_metadata(table, {"wall_s": 3.0}), second, row_group_size=2, compression="gzip"
+    )
+    assert rows_digest(first) == rows_digest(second)
+    pq.write_table(table.slice(1), second)
+    assert rows_digest(first) != rows_digest(second)
+
+
+def _rows(folder):
+    path = folder / "rows.parquet"
+    pd.DataFrame({"a": np.arange(7.0), "b": list("abcdefg")}).to_parquet(path)
+    return path
+
+
+def test_no_file_names_a_place_on_this_machine(release, results):
+    for path in release.rglob("*"):
+        if path.suffix in (".json", ".md", ".cff") and "code" not in path.parts:
+            text = path.read_text(encoding="utf-8")
+            assert str(results.parent) not in text, path
+            assert not re.search(r"/(home|root|Users|tmp)/", text), path
+
+
+@pytest.mark.parametrize(
+    ("place", "carried_as"),
+    [("bench/camera.json", "camera.json"), ("run/bench/camera.json", "bench/camera.json")],
+)
+def test_camera_file_is_taken_along_wherever_it_lies(tmp_path, place, carried_as):
+    """Outside the working folder ``run``, and in it."""
+    camera = tmp_path / place
+    camera.parent.mkdir(parents=True)
+    rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
+    lens = {
+        "image_size_px": [1920, 1080],
+        "focal_px": [1500.0, 1520.0],
+        "principal_point_px": [970.0, 530.0],
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+    }
+    write_camera_file(camera, lens)
+    (tmp_path / "run").mkdir(exist_ok=True)
+    config = synthetic_chain.config(
+        grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.6], "replicates": 2},
+        render={"pixels": 16, "textures": ["stripes"], "camera": str(camera)},
+    )
+    results = synthetic_chain.write(config, tmp_path / "run")
+    write_release(config, results, tmp_path / "release", ROOT)
+    carried = tmp_path / "release/records" / carried_as
+    assert carried.read_bytes() == camera.read_bytes()
+    record = json.loads((carried.parent / "camera.json.record.json").read_text())
+    assert record["sha256"] == hashlib.sha256(carried.read_bytes()).hexdigest()
+    assert audit_release(tmp_path / "release").verdict == "intact"
+    camera.write_text("[]")
+    with pytest.raises(BadInput, match=r"camera.json: not the file that"):
+        write_release(config, results, tmp_path / "other", ROOT)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "problem"),
+    [
+        (lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
+        (lambda out: out.write_text("mine"), "exists and is not a release"),
+        (
+            lambda out: (out.mkdir(), (out / SUMS).write_text("")),
+            "contains a release, which is not overwritten",
+        ),
+    ],
+)
+def test_folder_of_somebody_else_is_left_alone(results, tmp_path, prepare, problem):
+    out = tmp_path / "out"
+    prepare(out)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(BadInput, match=problem):
+        write_release(CONFIG, results, out, ROOT)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_half_finished_results_are_refused(own_results, tmp_path):
+    out = tmp_path / "out"
+    (own_results / "sample/m05_f0300_r00.parquet").unlink()
+    with pytest.raises(BadInput, match=r"sample/m05_f0300_r00.parquet: no such file"):
+        write_release(CONFIG, own_results, out, ROOT)
+    assert not out.exists()
+
+
+def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
+    path = own_results / "simulate/m05_f0300_r00.parquet"
+    pq.write_table(attach_metadata(pq.read_table(path), {"remade": True}), path)
+    with pytest.raises(BadInput, match=r"not the file that results/render/m05_f0300_r00_v00"):
+        write_release(CONFIG, own_results, tmp_path / "out", ROOT)
+
+
+def test_other_configuration_than_the_results_were_made_with_is_refused(results, tmp_path):
+    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
+    with pytest.raises(
+        BadInput, match=r"different configuration: sample.test_fraction: 0.1 -> 0.3"
+    ):
+        write_release(other, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_other_versions_than_the_lock_has_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(assembly, "locked_versions", lambda project: {"numpy": "1.0"})
+    with pytest.raises(BadInput, match=r"was made with numpy .*; envs/requirements.lock has 1.0"):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr("slipstitch.dataset.release.currency.fabric_digest", lambda name: "0" * 64)
+    with pytest.raises(BadInput, match=r"different catalogue: catalogue\.fabrics\."):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
+
+
+def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        assembly, "current_digest", lambda stage: "0" * 64 if stage == "render" else ""
+    )
+    with pytest.raises(BadInput, match="made by different code of the stage"):
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
+
+
+def test_folder_that_is_no_checkout_is_refused(results, tmp_path):
+    with pytest.raises(BadInput, match="not a workflow folder of Slipstitch: no Snakefile"):
+        write_release(CONFIG, results, tmp_path / "out", tmp_path)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 400 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(place)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("no right to mount a file system")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize("foreseen", [True, False])
+def test_full_disk_leaves_nothing(results, small_disk, monkeypatch, foreseen):
+    if foreseen:
+        monkeypatch.setattr(assembly, "_ROOM", 10)
+    else:
+        monkeypatch.setattr(assembly, "_check_room", lambda out, needed: None)
+    with pytest.raises(SlipstitchError, match="free on that disk" if foreseen else "No space left"):
+        write_release(CONFIG, results, small_disk / "release", ROOT)
+    assert list(small_disk.iterdir()) == []
+
+
+def test_command_says_what_it_wrote(results, tmp_path, capsys):
+    out = tmp_path / "release"
+    words = ["--config", str(results / "config.json"), "--results", str(results)]
+    assert main(["release", *words, "--out-dir", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "144 videos, 720 images" in said
+    assert hashlib.sha256((out / SUMS).read_bytes()).hexdigest() in said
+    assert main(["release", *words, "--out-dir", str(out)]) == 2
+    assert "contains a release, which is not overwritten" in capsys.readouterr().err
+    facts = json.loads((out / "records/release.json").read_text())
+    assert facts["provenance"]["stage"] == "release"

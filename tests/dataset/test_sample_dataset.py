@@ -1,0 +1,219 @@
+"""The dataset is complete, labelled, reproducible; what is wrong with the shards is said."""
+
+import io
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+from support import synthetic_videos
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_metadata, read_provenance
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.train import REFLECTIVE
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.videos import read_videos, takes_part
+from slipstitch.design.sampled_frames import sampled_frames
+
+synthetic = synthetic_videos
+
+
+@pytest.fixture(scope="module")
+def config():
+    return synthetic.config()
+
+
+@pytest.fixture(scope="module")
+def rendered(config, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("render")
+    return synthetic.write_shards(config, folder)
+
+
+@pytest.fixture
+def shards(rendered, tmp_path):
+    """Copies that a test may damage."""
+    copies = [tmp_path / path.name for path in rendered]
+    for path, copy in zip(rendered, copies, strict=True):
+        copy.write_bytes(path.read_bytes())
+    return copies
+
+
+def rewrite(path, change):
+    """Replace a shard's rows by what `change` makes of them."""
+    table = pq.read_table(path)
+    pq.write_table(pa.Table.from_pylist(change(table.to_pylist()), schema=table.schema), path)
+
+
+def test_every_video_has_its_frames_labels_and_sides(config, rendered, tmp_path):
+    rows = write_dataset(config, rendered, tmp_path)
+    assert len(rows) == 2 * 2 * 2 * 2 * 2
+    manifest = pq.read_table(tmp_path / "manifest.parquet").to_pylist()
+    assert manifest == rows
+    one = rows[-1]
+    table = pq.read_table(tmp_path / one["file"])
+    frames = [row for row in table.to_pylist() if row["video"] == one["video"]]
+    assert [row["frame"] for row in frames] == [0, 10, 20, 30, 40, 50]
+    assert [row["position"] for row in frames] == list(range(6))
+    assert {(row["material"], row["friction"]) for row in frames} == {
+        (one["material"], one["friction"])
+    }
+    with Image.open(io.BytesIO(frames[0]["image"]["bytes"])) as image:
+        assert image.size == (16, 16)
+
+
+def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, rendered, tmp_path):
+    rows = write_dataset(config, rendered, tmp_path)
+    path = tmp_path / rows[0]["file"]
+    features = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
+    assert features["image"] == {"_type": "Image"}
+    assert features["friction"] == {"dtype": "float64", "_type": "Value"}
+    record = read_provenance(path)
+    assert record["stage"] == "sample" and len(record["inputs"]) == 2
+
+
+def test_places_of_points_go_with_their_frames(config, tmp_path):
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    videos = read_videos(tmp_path / "sample", frames=3)
+    known = read_metadata(shards[0])["marked_points_m"]
+    of_shard = [
+        k
+        for k, row in enumerate(videos.rows)
+        if shards[0].stem == f"{row['simulation']}_{row['viewpoint_id']}"
+    ]
+    assert len(of_shard) == 2  # textures
+    for k in of_shard:
+        for place, frame in zip(videos.points_m[k], (0, 20, 40), strict=True):
+            np.testing.assert_allclose(place.ravel(), known[str(frame)], atol=1e-6)
+    assert videos.chosen(np.arange(len(videos)) == 1).points_m.shape == (1, 3, 9, 3)
+
+
+def test_datasets_from_before_there_were_points_have_none(config, rendered, tmp_path):
+    write_dataset(config, rendered, tmp_path)
+    assert read_videos(tmp_path).points_m is None
+
+
+def test_equal_shards_and_seeds_give_equal_datasets(config, rendered, tmp_path):
+    first = write_dataset(config, rendered, tmp_path / "a")
+    second = write_dataset(config, rendered[::-1], tmp_path / "b")
+    assert first == second
+    digests = {
+        read_metadata(tmp_path / name / "manifest.parquet")["dataset_digest"] for name in "ab"
+    }
+    assert len(digests) == 1
+    other = write_dataset(synthetic.config(seed=2), rendered, tmp_path / "c")
+    assert [row["split_by_video"] for row in other] != [row["split_by_video"] for row in first]
+
+
+def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tmp_path):
+    config = synthetic.config(
+        render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15"]}
+    )
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    for row in rows:
+        only = "test" in (row["texture_role"], row["viewpoint_role"])
+        assert only == (row["texture"] == "chevron" or row["viewpoint"] == "calibrated_-15")
+        if only:
+            assert row["split_by_video"] == "test"
+    assert {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"} == {-15}
+
+
+def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path):
+    config = synthetic.config(render={"reflective_floors": ["ceramic"]})
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    key = ("simulation", "texture", "viewpoint")
+    own = {tuple(row[k] for k in key): row for row in rows if row["floor_role"] == "train"}
+    others = [row for row in rows if row["floor_role"] == "test"]
+    assert len(others) == len(own) == len(rows) / 2
+    for row in others:
+        twin = own[tuple(row[k] for k in key)]
+        assert row["video"] != twin["video"]
+        assert all(row[side] == twin[side] for side in ("split_by_video", "split_by_simulation"))
+        assert not takes_part(row) and takes_part(row, REFLECTIVE) and takes_part(twin, REFLECTIVE)
+
+
+def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):
+    config = synthetic.config(grid={"test_frictions": [0.35], "test_materials": ["royal-target"]})
+    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    for row in rows:
+        roles = (row["material_role"], row["friction_role"])
+        assert roles[0] == ("test" if row["material"] == "royal-target" else "train")
+        assert roles[1] == ("test" if row["friction"] == 0.35 else "train")
+        if "test" in roles:
+            assert row["split_by_video"] == row["split_by_simulation"] == "test"
+    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f0350"}
+    plain = synthetic.config()
+    without = write_dataset(plain, synthetic.write_shards(plain, tmp_path / "r2"), tmp_path / "s2")
+    sides = {row["video"]: row["split_by_simulation"] for row in rows}
+    assert all(sides[row["video"]] == row["split_by_simulation"] for row in without)
+
+
+def test_more_phases_keep_more_frames_and_the_same_first_ones(config, tmp_path):
+    twice = config.model_copy(update={"sample": config.sample.model_copy(update={"phases": 2})})
+    rows = write_dataset(twice, synthetic.write_shards(twice, tmp_path / "r"), tmp_path / "s")
+    assert {row["frames"] for row in rows} == {12}
+    table = pq.read_table(tmp_path / "s" / rows[0]["file"], columns=["video", "frame"])
+    kept = [row["frame"] for row in table.to_pylist() if row["video"] == rows[0]["video"]]
+    assert kept[::2] == sampled_frames(config.simulation.frames, config.sample.frames).tolist()
+
+
+def test_a_missing_shard_is_named_by_its_simulation_or_video(config, rendered, tmp_path):
+    with pytest.raises(BadInput, match=r"no image shard of simulation m\d\d_f0100_r00 \(1 of"):
+        write_dataset(config, rendered[2:], tmp_path)
+    with pytest.raises(BadInput, match=r"no images of video m\d\d_f0100_r00_t00_v00"):
+        write_dataset(config, rendered[1:], tmp_path)
+
+
+def test_a_missing_frame_is_named(config, shards, tmp_path):
+    rewrite(shards[0], lambda rows: [row for row in rows if row["frame"] != 20])
+    with pytest.raises(BadInput, match="lacks frame 20"):
+        write_dataset(config, shards, tmp_path / "out")
+
+
+def test_a_frame_that_is_there_twice_is_named(config, shards, tmp_path):
+    rewrite(shards[0], lambda rows: [*rows, rows[0]])
+    with pytest.raises(BadInput, match="has frame 0 twice"):
+        write_dataset(config, shards, tmp_path / "out")
+
+
+def test_a_damaged_image_is_named(config, shards, tmp_path):
+    def spoil(rows):
+        rows[3]["image"]["bytes"] = rows[3]["image"]["bytes"][:40]
+        return rows
+
+    rewrite(shards[0], spoil)
+    with pytest.raises(BadInput, match="frame 30: not an image file, or a damaged image"):
+        write_dataset(config, shards, tmp_path / "out")
+
+
+def test_images_of_another_size_are_refused(rendered, tmp_path):
+    with pytest.raises(BadInput, match="image is 16x16 RGB; must be 32x32 RGB"):
+        write_dataset(synthetic.config(render={"pixels": 32}), rendered, tmp_path)
+
+
+def test_a_simulation_that_is_not_of_the_grid_is_refused(config, rendered, tmp_path):
+    smaller = synthetic.config(grid={"replicates": 1, "materials": config.grid.materials[:2]})
+    with pytest.raises(BadInput, match=r"'m\d\d_f\d+_r01' is not in the configured grid"):
+        write_dataset(smaller, rendered, tmp_path)
+
+
+def test_a_damaged_file_is_one_line_and_exit_code_2(config, shards, tmp_path, capsys):
+    write_config(config, tmp_path / "config.json")
+    shards[0].write_bytes(shards[0].read_bytes()[:500])
+    words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
+    assert main([*words, *map(str, shards)]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "damaged or not a Parquet file" in message
+
+
+def test_the_command_says_what_it_wrote(config, rendered, tmp_path, capsys):
+    write_config(config, tmp_path / "config.json")
+    words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
+    assert main([*words, *map(str, rendered)]) == 0
+    said = capsys.readouterr().out
+    assert "32 videos of 8 simulations, 6 frames each" in said
+    assert "by_video: 26 train, 3 validation, 3 test" in said

@@ -1,0 +1,115 @@
+"""What a configuration costs, before it is run."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slipstitch.config import load_config, resolve_config
+from slipstitch.design.cost import (
+    COSTS,
+    JOB_KINDS,
+    MEMORY_MIB,
+    SAMPLE_VIDEO_MIB,
+    VIDEOS_HELD,
+    estimate,
+    estimate_captures,
+    estimate_line,
+    estimate_table,
+    job_memory_mb,
+    job_runtime_min,
+)
+
+
+def stage(config, name):
+    return next(one for one in estimate(config) if one.stage == name)
+
+
+def test_simulations_cost_in_proportion_to_their_number_and_simulated_time():
+    base = resolve_config({"grid": {"replicates": 1}})
+    twice = resolve_config({"grid": {"replicates": 2}})
+    long = resolve_config({"grid": {"replicates": 1}, "simulation": {"frames": 600}})
+    for more in (twice, long):
+        assert stage(more, "simulate").cpu_s == pytest.approx(2 * stage(base, "simulate").cpu_s)
+        assert stage(more, "simulate").disk_bytes == pytest.approx(
+            2 * stage(base, "simulate").disk_bytes
+        )
+    assert stage(twice, "simulate").jobs == 2 * stage(base, "simulate").jobs
+
+
+def test_images_cost_in_proportion_to_their_pixels():
+    small, large = (resolve_config({"render": {"pixels": pixels}}) for pixels in (64, 128))
+    assert stage(large, "sample").disk_bytes == pytest.approx(4 * stage(small, "sample").disk_bytes)
+    assert stage(large, "render").cpu_s > stage(small, "render").cpu_s
+    assert stage(large, "render").jobs == stage(small, "render").jobs
+
+
+def test_rendering_every_frame_costs_more_than_the_sampled_ones():
+    sampled = resolve_config({"render": {"frames": "sampled"}})
+    every = resolve_config({"render": {"frames": "all"}})
+    assert stage(every, "render").cpu_s > stage(sampled, "render").cpu_s
+
+
+def test_wider_networks_train_longer():
+    thin, wide = (resolve_config({"train": {"width": width}}) for width in (0.25, 1.0))
+    assert stage(wide, "train").cpu_s == pytest.approx(16 * stage(thin, "train").cpu_s)
+
+
+def test_line_gives_jobs_time_and_disk():
+    config = resolve_config({})
+    line = estimate_line(config)
+    assert f"{sum(one.jobs for one in estimate(config))} jobs" in line
+    assert "CPU" in line
+    assert "of disk" in line
+    assert estimate_table(config).splitlines()[-1] == line
+
+
+def test_every_stage_has_limits_for_a_scheduler():
+    config = resolve_config({})
+    for name in JOB_KINDS:
+        assert job_memory_mb(name) >= 512
+        assert job_runtime_min(name, config) >= 15
+
+
+def test_training_asks_for_memory_for_the_videos_that_it_holds():
+    small, large = (resolve_config({"grid": {"replicates": count}}) for count in (1, 50))
+    videos = 49 * 3 * 4 * 3 * 3  # replicates, fabrics, coefficients, textures, views
+    video_bytes = 30 * 64 * 64 * 3
+    more = job_memory_mb("train", large) - job_memory_mb("train", small)
+    # While their colours are counted: themselves, a copy, and eight bytes a pixel and colour.
+    assert 4.2 < more * 1e6 / (videos * video_bytes) < 5.5
+    assert job_memory_mb("simulate", large) == job_memory_mb("simulate", small)
+    # Of one viewpoint, as rendered whatever the networks see.
+    more = job_memory_mb("instrument", large) - job_memory_mb("instrument", small)
+    assert 3.0 < more * 1e6 / (videos / 3 * video_bytes) < 4.0
+    coarse = resolve_config({"grid": {"replicates": 50}, "train": {"pixels": 32}})
+    assert job_memory_mb("instrument", coarse) == job_memory_mb("instrument", large)
+    assert job_memory_mb("train", coarse) < job_memory_mb("train", large) / 2
+
+
+@pytest.mark.parametrize("run", ["paper", "instrument"])
+def test_what_is_declared_holds_with_room_what_the_published_runs_took(run):
+    folder = Path(__file__).parents[2] / "results" / "published" / run
+    config = load_config(folder / "config.json")
+    kinds = {"convergence": "simulate", "render/shade": "render", "render/compose": "compose"}
+    for cost in json.loads((folder / "cost.json").read_text(encoding="utf-8")):
+        kind = kinds.get(cost["stage"], cost["stage"].split("/")[0])
+        declared_mib = job_memory_mb(kind, config) * 1e6 / 2**20
+        assert 1.3 * cost["memory_mib"] < declared_mib, cost["stage"]
+
+
+def test_every_cost_says_where_it_comes_from():
+    for cost in (*COSTS.values(), *MEMORY_MIB.values(), *VIDEOS_HELD.values(), SAMPLE_VIDEO_MIB):
+        assert cost.value > 0
+        assert cost.unit
+        assert cost.source
+
+
+def test_captures_cost_more_with_more_films_and_nothing_with_films_of_ones_own():
+    few, many = (
+        estimate_captures(resolve_config({"captures": {"repeats": repeats}})) for repeats in (1, 5)
+    )
+    assert (few.jobs, many.jobs) == (4 + 4, 20 + 4)
+    assert many.cpu_s == pytest.approx(5 * few.cpu_s)
+    own = estimate_captures(resolve_config({"captures": {"table": "bench/captures.csv"}}))
+    assert (own.jobs, own.cpu_s) == (2, 0)

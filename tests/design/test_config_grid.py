@@ -1,0 +1,209 @@
+"""Ids and seeds of the grid."""
+
+import math
+
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_provenance
+from slipstitch.config import resolve_config
+from slipstitch.design.grid import (
+    bench_of,
+    films,
+    find_simulation,
+    grid_rows,
+    simulations,
+    textures,
+    viewpoints,
+)
+from slipstitch.design.grid_table import write_grid
+
+
+def grid(**keys):
+    return resolve_config({"grid": keys})
+
+
+def test_ids_say_the_place_in_the_catalogue_and_the_value_in_thousandths():
+    config = grid(materials=["gray-interlock", "ivory-rib-knit"], frictions=[0.1, 0.4])
+    assert [one.id for one in simulations(config)] == [
+        "m05_f0100_r00", "m05_f0100_r01", "m05_f0400_r00", "m05_f0400_r01",
+        "m00_f0100_r00", "m00_f0100_r01", "m00_f0400_r00", "m00_f0400_r01",
+    ]  # fmt: skip
+    one = find_simulation(config, "m00_f0400_r01")
+    assert (one.material, one.friction, one.replicate_id) == ("ivory-rib-knit", 0.4, "r01")
+
+
+def test_an_inserted_coefficient_leaves_the_other_ids_as_they_are():
+    before, after = (
+        {one.id: one for one in simulations(grid(frictions=frictions))}
+        for frictions in ([0.1, 0.5], [0.1, 0.345, 0.5, 10.0])
+    )
+    assert {name: after[name] for name in before} == before
+    assert {one.friction_id for one in after.values()} == {"f0100", "f0345", "f0500", "f10000"}
+
+
+def test_unknown_simulation_is_bad_input():
+    with pytest.raises(BadInput, match="no simulation 'm09_f0100_r00'"):
+        find_simulation(grid(materials=["gray-interlock"]), "m09_f0100_r00")
+
+
+def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficient():
+    """Common random numbers: the bench says nothing of the coefficient."""
+    drawn = simulations(grid(replicates=20))
+    benches = {
+        (simulation.material, simulation.replicate_id, simulation.seed) for simulation in drawn
+    }
+    seeds = {seed for *_, seed in benches}
+    assert len(benches) == len(seeds) == 3 * 20
+    assert all(0 <= seed < 2**31 for seed in seeds)
+
+
+def test_the_bench_of_a_simulation_leaves_out_its_coefficient():
+    assert bench_of("m05_f0300_r00") == bench_of("m05_f1300_r00") == "m05_r00"
+    assert len({bench_of(one.id) for one in simulations(grid(replicates=20))}) == 3 * 20
+
+
+def test_seeds_follow_the_configured_seed():
+    first, second = (simulations(resolve_config({"seed": seed})) for seed in (1, 2))
+    assert not {one.seed for one in first} & {one.seed for one in second}
+
+
+def test_a_simulation_is_the_same_in_any_grid():
+    alone = simulations(grid(frictions=[0.3], replicates=1, materials=["gray-interlock"]))
+    among = simulations(grid(frictions=[0.1, 0.3], replicates=2))
+    same = [
+        one
+        for one in among
+        if (one.material, one.friction, one.replicate_id) == ("gray-interlock", 0.3, "r00")
+    ]
+    assert alone == same
+
+
+def test_test_textures_and_viewpoints_come_after_those_of_training():
+    config = resolve_config(
+        {
+            "render": {
+                "textures": ["dots", "stripes"],
+                "test_textures": ["chevron"],
+                "viewpoints": ["side"],
+                "test_viewpoints": ["calibrated_+5"],
+            }
+        }
+    )
+    assert [(one["id"], one["name"], one["role"]) for one in textures(config)] == [
+        ("t00", "dots", "train"),
+        ("t01", "stripes", "train"),
+        ("t02", "chevron", "test"),
+    ]
+    assert [(one["id"], one["role"]) for one in viewpoints(config)] == [
+        ("v00", "train"),
+        ("v01", "test"),
+    ]
+    # The render stage names them itself: both must mean the same.
+    assert config.render.texture_ids() == {one["id"]: one["name"] for one in textures(config)}
+    assert config.render.viewpoint_ids() == {one["id"]: one["name"] for one in viewpoints(config)}
+
+
+PAPER = {
+    "grid": {"replicates": 1},
+    "render": {
+        "textures": ["dots", "stripes"],
+        "test_textures": ["chevron"],
+        "viewpoints": ["calibrated", "side"],
+        "test_viewpoints": ["calibrated_-5", "calibrated_+5"],
+        "test_viewpoint_videos": 5,
+        "reflective_floors": ["ceramic", "aluminium"],
+    },
+}
+
+
+def test_the_second_training_set_is_the_training_viewpoints_once_more():
+    config = resolve_config(PAPER)
+    assert [(one["id"], one["name"], one["floor_role"]) for one in viewpoints(config)] == [
+        ("v00", "calibrated", "train"),
+        ("v01", "side", "train"),
+        ("v02", "calibrated_-5", "train"),
+        ("v03", "calibrated_+5", "train"),
+        ("v04", "calibrated", "test"),
+        ("v05", "side", "test"),
+    ]
+    assert config.render.floors_of("v01") == ["matte"]
+    assert config.render.floors_of("v05") == ["ceramic", "aluminium"]
+    shown = films(config)
+    for simulation in simulations(config):
+        assert list(shown[simulation.id, "v00"]) == ["t00", "t01", "t02"]
+        assert list(shown[simulation.id, "v05"]) == ["t00", "t01"]
+
+
+def test_as_many_videos_as_asked_for_are_drawn_from_a_test_viewpoint():
+    """By what they are: other fabrics and viewpoints leave those of a viewpoint alone."""
+    drawn = turned(resolve_config(PAPER))
+    assert [len(drawn[view]) for view in ("calibrated_-5", "calibrated_+5")] == [5, 5]
+    assert drawn["calibrated_-5"] != drawn["calibrated_+5"]
+    assert {texture for videos in drawn.values() for _, texture in videos} == {"dots", "stripes"}
+    alone = turned(resolve_config({**PAPER, "render": PAPER["render"] | {"viewpoints": ["side"]}}))
+    assert alone["calibrated_+5"] == drawn["calibrated_+5"]
+    more = PAPER["render"] | {"textures": ["linen", "dots", "stripes"]}
+    kept = turned(resolve_config({**PAPER, "render": more}))["calibrated_+5"]
+    assert {video for video in kept if video[1] != "linen"} <= drawn["calibrated_+5"]
+    every = turned(resolve_config({**PAPER, "render": more | {"test_viewpoint_videos": 1000}}))
+    assert len(every["calibrated_+5"]) == 3 * 4 * 3
+
+
+def turned(config):
+    """Test viewpoint -> simulations and textures that are filmed from it."""
+    names = {one["id"]: one["name"] for one in viewpoints(config) if one["role"] == "test"}
+    found = {name: set() for name in names.values()}
+    for (simulation, view), textures_shown in films(config).items():
+        if view in names:
+            found[names[view]] |= {(simulation, name) for name in textures_shown.values()}
+    return found
+
+
+def test_rows_explain_every_part_of_every_id():
+    config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=2)
+    rows = grid_rows(config)
+    by_id = {row["id"]: row for row in rows}
+    assert len(by_id) == len(rows)
+    for one in simulations(config):
+        assert by_id[one.material_id]["name"] == one.material
+        assert by_id[one.friction_id]["value"] == one.friction
+        assert by_id[one.replicate_id]["kind"] == "replicate"
+    assert math.isnan(by_id["m05"]["value"])
+
+
+def test_table_reads_back_with_its_provenance(tmp_path):
+    path = tmp_path / "grid.parquet"
+    config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=1)
+    write_grid(config, path)
+    rows = pq.read_table(path).to_pylist()
+    of_simulations = [row for row in rows if row["kind"] == "simulation"]
+    assert [row["id"] for row in of_simulations] == ["m05_f0100_r00", "m05_f0400_r00"]
+    assert of_simulations[1]["friction"] == 0.4
+    assert of_simulations[1]["seed"] == simulations(config)[1].seed
+    assert read_provenance(path)["config"]["grid"]["frictions"] == [0.1, 0.4]
+
+
+BENCHES = {"render": {"viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}}
+
+
+def test_benches_are_shared_by_the_coefficients_unless_each_has_its_own():
+    grid = {"materials": ["royal-target"], "frictions": [0.1, 0.2], "replicates": 2}
+    shared = simulations(resolve_config({"grid": grid} | BENCHES))
+    own = simulations(resolve_config({"grid": grid | {"own_benches": True}} | BENCHES))
+    assert [one.id for one in own] == [one.id for one in shared]
+    assert len({one.seed for one in shared}) == 2
+    assert len({one.seed for one in own}) == 4
+    longer = grid | {"own_benches": True, "frictions": [0.1, 0.15, 0.2]}
+    more = {one.id: one.seed for one in simulations(resolve_config({"grid": longer} | BENCHES))}
+    assert all(more[one.id] == one.seed for one in own)
+    first_ideal = {"grid": grid | {"own_benches": True}, "simulation": {"ideal_replicates": 1}}
+    ideal = simulations(resolve_config(first_ideal | BENCHES))
+    assert [one.seed for one in ideal[::2]] == [one.seed for one in shared[::2]]
+    assert [one.seed for one in ideal[1::2]] == [one.seed for one in own[1::2]]
+
+
+def test_own_benches_are_refused_where_they_would_tell_the_coefficient():
+    with pytest.raises(BadInput, match=r"grid\.own_benches: a bench of one coefficient tells it"):
+        resolve_config({"grid": {"own_benches": True}})

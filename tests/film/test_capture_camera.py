@@ -1,0 +1,302 @@
+"""``slipstitch capture camera``: known cameras recovered from photographs of a board."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from support import board_photographs as bench
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.film.camera.board import Board, Sighting
+from slipstitch.film.camera.lens_calibration import FloorPlace
+from slipstitch.film.camera.residuals_figure import draw_residuals
+from slipstitch.film.camera.views import View, read_views
+from slipstitch.images.camera import cloth_room, crop_to
+from slipstitch.images.camera_file import read_camera_file
+from slipstitch.images.mean_cloth import stage_plane
+from slipstitch.images.rectification import rectify
+
+VIEWS = 9
+CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]
+
+
+def photograph(folder, charuco=False, count=VIEWS):
+    """Photographs of the board in the hand, and one of it on the floor."""
+    photographer = bench.Photographer(charuco)
+    for k, place in enumerate(bench.board_places(count)):
+        image = photographer.photograph(*place, seed=k)
+        cv2.imwrite(str(folder / f"view{k}.png"), image)
+    cv2.imwrite(str(folder / "floor.png"), photographer.photograph(*bench.floor_place()))
+
+
+def capture(folder, *words, out="camera.json"):
+    place = [*map(str, bench.PLACE_MM)]
+    stage = ["--stage-view", str(folder / "floor.png"), "--angle-deg", str(bench.ANGLE_DEG)]
+    stage += ["--thickness-mm", str(bench.THICKNESS_MM), "--place-mm", *place]
+    views = [str(path) for path in sorted(folder.glob("view*.png"))]
+    return main(["capture", "camera", *views, *stage, *words, "--out", str(folder / out)])
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("camera")
+    photograph(folder)
+    assert capture(folder, *CHECKERBOARD, "--picture", str(folder / "camera.png")) == 0
+    return folder
+
+
+def check_recovered(path):
+    """The lens to within its own uncertainty, the camera's place to a few millimetres."""
+    content = json.loads(path.read_text())
+    found = np.array(content["focal_px"] + content["principal_point_px"])
+    spread = content["uncertainty"]
+    spread = np.array(spread["focal_px"] + spread["principal_point_px"])
+    truth = bench.MATRIX[[0, 1, 0, 1], [0, 1, 2, 2]]
+    assert (np.abs(found - truth) < 4 * spread).all(), (found, truth, spread)
+    assert (spread < 0.005 * bench.MATRIX[0, 0]).all()
+    lens = read_camera_file(path)
+    # Over the middle of the image, where the board was, both lenses do the same.
+    rays = np.stack(np.meshgrid(np.linspace(-0.3, 0.3, 7), np.linspace(-0.2, 0.2, 5)), axis=-1)
+    rays = np.append(rays.reshape(-1, 2), np.ones((35, 1)), axis=1)
+    still = (np.zeros(3), np.zeros(3))
+    true = cv2.projectPoints(rays, *still, bench.MATRIX, bench.DISTORTION)[0]
+    ours = cv2.projectPoints(rays, *still, lens.camera.matrix, lens.distortion)[0]
+    assert np.abs(true - ours - (true - ours).mean(axis=0)).max() < 0.7
+    rotation, translation = lens.pose
+    away = -rotation.T @ translation - bench.POSITION_M
+    assert np.linalg.norm(away) < 4 * content["uncertainty"]["position_m"] + 1e-3
+    true_rotation, _ = bench.camera_pose()
+    turn = np.degrees(np.linalg.norm(cv2.Rodrigues(rotation @ true_rotation.T)[0]))
+    assert turn < 0.6
+    # What counts: where points of the stage appear.
+    points = np.random.default_rng(0).uniform((-0.05, -0.1, 0), (0.35, 0.1, 0.2), (40, 3))
+    pose = (cv2.Rodrigues(true_rotation)[0], bench.camera_pose()[1])
+    true = cv2.projectPoints(points, *pose, bench.MATRIX, bench.DISTORTION)[0].reshape(-1, 2)
+    assert np.abs(lens.project(points) - true).max() < 0.6
+
+
+def test_a_known_camera_is_recovered_from_photographs_of_a_checkerboard(work):
+    check_recovered(work / "camera.json")
+    content = json.loads((work / "camera.json").read_text())
+    assert 0.02 < content["reprojection_error_px"]["rms"] < 0.25
+    assert len(content["reprojection_error_px"]["views"]) == VIEWS
+    assert content["image_size_px"] == list(bench.SIZE)
+
+
+@pytest.mark.slow
+def test_a_known_camera_is_recovered_from_photographs_of_a_charuco_board(tmp_path):
+    photograph(tmp_path, charuco=True)
+    words = ["--board", "charuco", "--marker-mm", "19", "--dictionary", bench.DICTIONARY]
+    assert capture(tmp_path, *CHECKERBOARD, *words) == 0
+    check_recovered(tmp_path / "camera.json")
+
+
+def test_a_camera_file_says_where_it_comes_from(work):
+    record = read_sidecar(work / "camera.json")
+    assert record["stage"] == "capture"
+    assert len(record["inputs"]) == VIEWS + 1
+    assert read_sidecar(work / "camera.png")["stage"] == "capture"
+
+
+def test_the_picture_of_the_residuals_is_one(work):
+    assert cv2.imread(str(work / "camera.png")).shape[1] > 800
+
+
+def test_names_of_views_with_dollars_are_drawn_as_they_are(tmp_path):
+    corners = np.array([[1.0, 2.0], [3.0, 4.0]])
+    view = View("views/$5_$6_.png", (8, 6), Sighting(np.zeros((2, 3)), corners))
+    result = SimpleNamespace(views=[view], residuals_px=[corners / 10], size_px=(8, 6), rms_px=0.1)
+    draw_residuals(result, tmp_path / "a.svg", "svg")
+    assert "<!-- $5_$6_.png -->" in (tmp_path / "a.svg").read_text()
+
+
+def test_a_crop_of_a_real_image_shows_what_the_renderer_draws(work):
+    # The floor's board, cut from the photograph as the crop of the calibrated view is cut.
+    lens = read_camera_file(work / "camera.json")
+    crop = crop_to(lens.pose, cloth_room(0.1, 0.15, 0.2, 0.2), 256)
+    image = cv2.imread(str(work / "floor.png"))
+    cut, _ = rectify(image, lens, crop, stage_plane(crop, 0.1))
+    seen = Board((10, 7), 0.025).find(cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY))
+    on_stage = FloorPlace(*bench.PLACE_MM, bench.ANGLE_DEG, bench.THICKNESS_MM)
+    expected = crop.project(on_stage.on_stage(seen.points_m.astype(float)))
+    assert np.abs(seen.corners_px - expected).max() < 0.8
+
+
+def test_a_video_of_the_board_will_do(work, tmp_path, capsys):
+    path = tmp_path / "board.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, bench.SIZE)
+    for k in range(VIEWS):
+        for _ in range(2):
+            video.write(cv2.imread(str(work / f"view{k}.png")))
+    video.write(np.zeros((*bench.SIZE[::-1], 3), np.uint8))  # the board is not in every frame
+    video.release()
+    out = tmp_path / "camera.json"
+    assert main(["capture", "camera", str(path), *CHECKERBOARD, "--out", str(out)]) == 0
+    assert "18 views" in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert content["focal_px"] == pytest.approx([612, 631], rel=0.01)
+    # It lacks the position of the camera, so that nothing can be rendered from it.
+    with pytest.raises(BadInput, match="does not contain the position of the camera"):
+        read_camera_file(out)
+
+
+@pytest.mark.parametrize("quarter_turns", range(4))
+@pytest.mark.parametrize("charuco", [False, True])
+def test_a_board_is_found_the_right_way_round(quarter_turns, charuco):
+    image = np.pad(bench.board_image(charuco), 60, constant_values=0.6)
+    image = cv2.GaussianBlur(np.rint(255 * image).astype(np.uint8), (5, 5), 1)
+    board = Board(bench.SQUARES, 0.02, *((0.0152, bench.DICTIONARY) if charuco else ()))
+    seen = board.find(np.ascontiguousarray(np.rot90(image, quarter_turns)))
+    height, width = image.shape
+    # Corner (1, 1) of the drawing, two squares and the frame from its edges, turned likewise.
+    x = y = 60 + 2 * 40 - 0.5
+    for _ in range(quarter_turns):
+        x, y, width, height = y, width - 1 - x, height, width
+    first = np.flatnonzero(np.isclose(seen.points_m[:, :2], 0.02).all(axis=1))
+    np.testing.assert_allclose(seen.corners_px[first], [[x, y]], atol=0.2)
+
+
+def test_a_mistaken_view_is_left_out_and_named(work, tmp_path, capsys):
+    for path in work.glob("*.png"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    bent = cv2.imread(str(work / "view3.png"))
+    y, x = np.mgrid[: bent.shape[0], : bent.shape[1]].astype(np.float32)
+    bent = cv2.remap(bent, x + 6 * np.sin(x / 50), y, cv2.INTER_LINEAR)
+    cv2.imwrite(str(tmp_path / "view3.png"), bent)
+    assert capture(tmp_path, *CHECKERBOARD) == 0
+    content = json.loads((tmp_path / "camera.json").read_text())
+    assert [Path(name).name for name in content["views_left_out"]] == ["view3.png"]
+    check_recovered(tmp_path / "camera.json")
+
+
+def _no_board(folder):
+    for path in folder.glob("view*.png"):
+        cv2.imwrite(str(path), np.full((*bench.SIZE[::-1], 3), 90, np.uint8))
+
+
+def _no_image(folder):
+    (folder / "view2.png").write_text("no image")
+
+
+def _too_few(folder):
+    for k in range(4, VIEWS):
+        (folder / f"view{k}.png").unlink()
+
+
+def _alike(folder):
+    # The board flat in front of the camera, moved sideways only.
+    image = np.pad(bench.board_image()[::2, ::2], ((40, 80), (60, 180)), constant_values=0.7)
+    image = cv2.GaussianBlur(np.rint(255 * image).astype(np.uint8), (5, 5), 1)
+    for k in range(VIEWS):
+        moved = np.roll(image, (4 * k, 9 * k), axis=(0, 1))
+        cv2.imwrite(str(folder / f"view{k}.png"), cv2.resize(moved, bench.SIZE))
+
+
+def _another_size(folder):
+    image = cv2.imread(str(folder / "view1.png"))
+    cv2.imwrite(str(folder / "view1.png"), cv2.resize(image, (600, 450)))
+
+
+def _bare_floor(folder):
+    cv2.imwrite(str(folder / "floor.png"), np.zeros((*bench.SIZE[::-1], 3), np.uint8))
+
+
+def _fine(folder):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("damage", "words", "message"),
+    [
+        (_no_board, [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
+        (_no_image, [], "view2.png: not an image"),
+        (_too_few, [], "the board was found in only 4 usable view(s); at least 5 are required"),
+        (_alike, [], "views are too similar"),
+        (_another_size, [], "all images of a camera must have the same size"),
+        (_bare_floor, [], "floor.png: no board found in it"),
+        (_fine, ["--squares", "9x7"], "one odd and one even number"),
+        (_fine, ["--squares", "board"], "must be width x height, at least 4x4"),
+        (_fine, ["--squares", "9" * 20 + "x10"], "at most 100x100"),
+        (_fine, ["--squares", "9" * 5000 + "x10"], "at most 100x100"),
+        (_fine, ["--square-mm", "-1"], "--square-mm: -1; must be greater than 0"),
+        (_fine, ["--square-mm", "inf"], "--square-mm: inf; must be greater than 0.1 and at most"),
+        (_fine, ["--square-mm", "1e-300"], "--square-mm: 1e-300; must be greater than 0.1"),
+        (_fine, ["--place-mm", "nan", "0"], "--place-mm: nan; must be from -10000 to 10000"),
+        (_fine, ["--place-mm", "0", "inf"], "--place-mm: inf; must be from -10000 to 10000"),
+        (_fine, ["--angle-deg", "nan"], "--angle-deg: nan; must be from -360 to 360"),
+        (_fine, ["--thickness-mm", "inf"], "--thickness-mm: inf; must be from -1000 to 1000"),
+        (_fine, ["--board", "charuco"], "required for a ChArUco board, smaller than its squares"),
+        (_fine, ["--stage-view", "none.png"], "none.png: no such file"),
+    ],
+)
+def test_bad_input_is_one_clear_line(work, tmp_path, capsys, damage, words, message):
+    for path in work.glob("*.png"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    damage(tmp_path)
+    assert capture(tmp_path, *CHECKERBOARD, *words, out="bad.json") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "bad.json").exists()
+
+
+def test_a_video_without_a_board_is_one_clear_line(tmp_path, capsys):
+    path = tmp_path / "empty.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, bench.SIZE)
+    for level in range(0, 200, 20):
+        video.write(np.full((*bench.SIZE[::-1], 3), level, np.uint8))
+    video.release()
+    words = ["--out", str(tmp_path / "camera.json")]
+    assert main(["capture", "camera", str(path), *CHECKERBOARD, *words]) == 2
+    assert "empty.avi: no checkerboard of 10x7 squares in any of 10 frame(s)" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(("frames", "looked_at"), [(60, 60), (61, 31), (119, 60), (121, 41)])
+def test_of_a_video_sixty_frames_at_most_are_looked_at(tmp_path, frames, looked_at):
+    path = tmp_path / "empty.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
+    for _ in range(frames):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    with pytest.raises(BadInput, match=rf"in any of {looked_at} frame"):
+        read_views([path], Board((10, 7), 0.02))
+
+
+def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
+    path = tmp_path / "text.mp4"
+    path.write_text("no video")
+    words = ["--out", str(tmp_path / "camera.json")]
+    assert main(["capture", "camera", str(path), *CHECKERBOARD, *words]) == 2
+    assert "text.mp4: a text file, not a video" in capsys.readouterr().err
+
+
+AT_THE_TRACK = {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation_m": [-0.15, 0, -0.07]}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "other"}, "not a camera file"),
+        ({"focal_px": [600, -1]}, "not positive"),
+        ({"focal_px": [600]}, "focal_px must contain 2 finite numbers"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "not a rotation matrix"),
+        ({"distortion": {"k1": 0.1}}, "distortion must contain k1, k2, p1, p2, k3"),
+        ({"translation_m": None}, "does not contain the position of the camera"),
+        (AT_THE_TRACK, "the camera is 0 m from the middle of the track; must be 0.1 to 100 m"),
+        ({"translation_m": [1e200, 1, 1]}, r"the camera is 1e\+200 m from the middle of the track"),
+        ({"translation_m": [1.7e308, 1.7e308, -1.7e308]}, "the camera is inf m from the middle"),
+    ],
+)
+def test_a_damaged_camera_file_is_bad_input(work, tmp_path, change, message):
+    content = json.loads((work / "camera.json").read_text()) | change
+    (tmp_path / "camera.json").write_text(json.dumps(content))
+    with pytest.raises(BadInput, match=message):
+        read_camera_file(tmp_path / "camera.json")

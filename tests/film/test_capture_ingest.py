@@ -1,0 +1,422 @@
+"""Videos of a bench whose every pixel is known: rectified, synchronised, refused where bad."""
+
+import functools
+import os
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import analytic_stage as stage
+
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.dataset.videos import read_videos
+from slipstitch.film.ingest.dataset import read_known
+from slipstitch.film.schedule import Schedule
+from slipstitch.film.videos import read_stage_video
+from slipstitch.images.camera import pose
+from slipstitch.images.mean_cloth import stage_plane
+from slipstitch.images.rectification import rectify, source_pixels
+
+CONFIG = resolve_config(
+    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
+)
+SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
+CALIBRATED = VIEWPOINTS["calibrated"]
+LENS = stage.lens_camera(*pose(CALIBRATED))
+START_S = 3.137
+RATE_HZ = 12.5
+
+
+@functools.cache
+def bench() -> stage.Bench:
+    return stage.Bench(LENS.camera, LENS.distortion)
+
+
+@functools.cache
+def drawn(time_s: float) -> np.ndarray:
+    """The bench's image at a time from the stage's start."""
+    return bench().image(time_s)
+
+
+def times(until_s: float = 14.0, dense_until_s: float = 6.6) -> np.ndarray:
+    """12.5 frames a second until the stage has been seen to start, then 2.5."""
+    dense = np.arange(0, dense_until_s, 1 / RATE_HZ)
+    return np.concatenate([dense, np.arange(dense_until_s, until_s, 0.4)])
+
+
+def images(times_s, start_s=START_S):
+    return (drawn(max(round(time_s - start_s, 6), 0.0)) for time_s in times_s)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bench") / "video.mp4"
+    return stage.write_video(path, images(times()), times())
+
+
+def psnr_db(image, wanted):
+    difference = image.astype(float) - wanted
+    return 10 * np.log10(255**2 / np.mean(difference**2))
+
+
+def shift_px(image, wanted):
+    """By how much an image is shifted against another: least squares on its gradients."""
+    image, wanted = image.mean(axis=-1), wanted.mean(axis=-1)
+    down, across = np.gradient(wanted)
+    design = np.column_stack([across.ravel(), down.ravel()])
+    return np.linalg.lstsq(design, (wanted - image).ravel(), rcond=None)[0]
+
+
+# Rectification
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 4.0])
+def test_points_of_the_stage_plane_are_found_through_the_lens(turn_deg):
+    lens = stage.lens_camera(*pose(replace(CALIBRATED, azimuth_deg=40.0 + turn_deg)))
+    crop = SCHEDULE.crop(20.0)
+    x_m = float(SCHEDULE.path.position_m(20.0)[0])
+    found = source_pixels(lens, crop, stage_plane(crop, x_m))
+    row, column = np.mgrid[5:60:9, 5:60:9].reshape(2, -1)
+    pixels = np.column_stack([column, row, np.ones(len(row))])
+    rays = pixels @ np.linalg.inv(crop.matrix).T @ crop.rotation
+    eye = -crop.rotation.T @ crop.translation_m
+    points = eye + ((x_m - eye[0]) / rays[:, 0])[:, None] * rays
+    assert np.allclose(crop.project(points), pixels[:, :2], atol=1e-6)
+    assert np.allclose(found[row, column], lens.project(points), atol=1e-3)
+
+
+@pytest.mark.parametrize("time_s", [0.0, 5.0, 12.0])
+def test_a_distorted_image_becomes_what_the_calibrated_viewpoint_sees(time_s):
+    crop = SCHEDULE.crop(time_s)
+    x_m = float(SCHEDULE.path.position_m(time_s)[0])
+    lens = stage.lens_camera(*pose(CALIBRATED), size=(640, 480))
+    seen = stage.Bench(lens.camera, lens.distortion).image(time_s)
+    image, inside = rectify(seen, lens, crop, stage_plane(crop, x_m))
+    wanted = stage.Bench(crop).image(time_s)
+    assert inside == 1.0
+    assert psnr_db(image, wanted) > 33
+    assert np.abs(shift_px(image, wanted)).max() < 0.04
+
+
+def test_from_a_place_nearby_the_cloth_lies_where_the_viewpoint_sees_it():
+    """The flat cloth lies in the stage plane: only the floor is shifted by its parallax."""
+    lens = stage.lens_camera(*pose(replace(CALIBRATED, azimuth_deg=45.0, distance_m=1.5)))
+    near = stage.Bench(lens.camera, lens.distortion)
+    crop = SCHEDULE.crop(0.0)
+    image, _ = rectify(near.image(0.0), lens, crop, stage_plane(crop, 0.0))
+    wanted = stage.Bench(crop).image(0.0)
+    corners = np.array([[0, y, z] for y in (-0.08, 0.08) for z in (0.04, 0.19)])
+    (left, top), (right, bottom) = (
+        getattr(crop.project(corners), end)(axis=0).round().astype(int) for end in ("min", "max")
+    )
+    inner = np.s_[top + 6 : bottom - 5, left + 3 : right - 2]
+    assert np.abs(shift_px(image[inner], wanted[inner])).max() < 0.05
+
+
+# Synchronisation
+
+
+@pytest.mark.parametrize("rate_hz", [12.5, 30.0])
+@pytest.mark.parametrize("start_s", [2.4, 3.137])
+def test_the_start_is_found_to_a_frame(tmp_path, rate_hz, start_s):
+    """With camera noise, drifting exposure and strong compression."""
+    rng = np.random.default_rng(3)
+    times_s = np.arange(0, start_s + 2.8, 1 / rate_hz)
+
+    def filmed():
+        for time_s, image in zip(times_s, images(times_s, start_s), strict=True):
+            noisy = image * (1 - 0.03 * time_s) + rng.normal(0, 4, image.shape)
+            yield np.clip(noisy, 0, 255).astype(np.uint8)
+
+    path = stage.write_video(tmp_path / "noisy.mp4", filmed(), times_s, crf="30")
+    schedule = replace(SCHEDULE, frame=SCHEDULE.frame[:2])
+    found = read_stage_video(path, LENS, schedule).start
+    assert found.found
+    assert abs(found.time_s - start_s) < 0.01  # a quarter of a frame at 25 frames a second
+    assert found.speed == pytest.approx(1, abs=0.03)
+
+
+def test_the_frames_are_those_of_the_dataset(video):
+    read = read_stage_video(video, LENS, SCHEDULE)
+    assert read.start.time_s == pytest.approx(START_S, abs=0.01)
+    assert np.abs(read.time_s - SCHEDULE.time_s).max() <= 0.2
+    assert read.frame_interval_s == pytest.approx(0.08, abs=0.33)
+    assert not read.notes
+    for time_s, image in zip(read.time_s, read.frames, strict=True):
+        wanted = stage.Bench(SCHEDULE.crop(max(time_s, 0))).image(time_s)
+        assert psnr_db(image, wanted) > 28
+
+
+def test_a_stated_start_is_taken(video):
+    read = read_stage_video(video, LENS, SCHEDULE, start_s=3.0)
+    assert not read.start.found
+    assert np.abs(read.time_s + 3.0 - (SCHEDULE.time_s + 3.0)).max() <= 0.2
+    assert not read.notes
+
+
+@pytest.mark.parametrize("start_s", [0.0, 2.0, 4.0, 60.0])
+def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
+    with pytest.raises(
+        BadInput, match=rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
+    ):
+        read_stage_video(video, LENS, SCHEDULE, start_s=start_s)
+
+
+def test_a_stated_start_that_is_found_nowhere_is_noted(tmp_path):
+    """Two frames a second are too few to find it."""
+    seldom = np.arange(0, 14, 0.5)
+    path = stage.write_video(tmp_path / "seldom.mp4", images(seldom), seldom)
+    with pytest.raises(BadInput, match="no start of the stage's motion found"):
+        read_stage_video(path, LENS, SCHEDULE)
+    read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S)
+    assert read.notes[0].startswith("the stated start could not be verified")
+
+
+def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
+    """The stage is lowered for 3 s, raised again, and rests before the protocol."""
+    again_s = 6.0
+    rehearsed = np.arange(0, START_S + 3.0, 1 / RATE_HZ)
+    dense = np.arange(6.2, again_s + 6.6, 1 / RATE_HZ)
+    both = np.concatenate([rehearsed, dense, np.arange(again_s + 6.6, again_s + 14.0, 0.4)])
+    starts_s = np.where(both < 6.2, START_S, START_S + again_s)
+    shown = (images([one], start_s) for one, start_s in zip(both, starts_s, strict=True))
+    path = stage.write_video(tmp_path / "two.mp4", (next(one) for one in shown), both)
+    read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S + again_s)
+    assert read.notes == []
+    with pytest.raises(BadInput, match=r"seen to start at 9\.1\d s, but 8\.00 s is stated"):
+        read_stage_video(path, LENS, SCHEDULE, start_s=8.0)
+
+
+def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
+    """Frames around 5 s after the start are lost: a frame beside the gap, cropped for its time."""
+    kept = np.array([one for one in times() if not 4.6 < one - START_S < 5.5])
+    path = stage.write_video(tmp_path / "gap.mp4", images(kept), kept)
+    read = read_stage_video(path, LENS, SCHEDULE)
+    off_s = np.abs(read.time_s - SCHEDULE.time_s)
+    assert read.longest_gap_s == pytest.approx(1.2, abs=0.4)
+    assert 0.25 < off_s[3] < 0.8
+    assert off_s[[0, 1, 2, 4, 5]].max() <= 0.21
+    assert "frames are missing" in read.notes[0]
+    wanted = stage.Bench(SCHEDULE.crop(read.time_s[3])).image(read.time_s[3])
+    assert psnr_db(read.frames[3], wanted) > 28
+
+
+def test_a_long_gap_is_refused(tmp_path):
+    kept = np.array([one for one in times() if not 3.8 < one - START_S < 6.2])
+    path = stage.write_video(tmp_path / "gap.mp4", images(kept), kept)
+    with pytest.raises(BadInput, match=r"needed at 8\.1. s; the nearest usable one is 1\.\d s"):
+        read_stage_video(path, LENS, SCHEDULE)
+
+
+def test_a_wrong_frame_rate_is_noticed_and_can_be_stated(tmp_path):
+    right = np.arange(0, 13.2, 1 / RATE_HZ)
+    path = stage.write_video(tmp_path / "slow.mp4", images(right), right / 2)
+    with pytest.raises(BadInput, match=r"descends (1\.9|2\.0)\d times .*\(--frame-rate-hz, or"):
+        read_stage_video(path, LENS, SCHEDULE)
+    read = read_stage_video(path, LENS, SCHEDULE, frame_rate_hz=RATE_HZ)
+    assert read.start.time_s == pytest.approx(START_S, abs=0.01)
+
+
+def test_memory_does_not_grow_with_the_video(video):
+    """65 MB of decoded frames, of which one at a time and some small strips are held."""
+    read_stage_video(video, LENS, SCHEDULE)
+    tracemalloc.start()
+    read_stage_video(video, LENS, SCHEDULE)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(times()) * 240 * 320 * 3 > 20e6
+    assert peak < 12e6
+
+
+# The table and the dataset
+
+
+@pytest.fixture
+def folder(tmp_path, video):
+    """A bench's folder: a video, a camera file, the configuration; `table` writes the table."""
+    os.link(video, tmp_path / "a.mp4")
+    (tmp_path / "b.mp4").write_bytes(video.read_bytes() + b"\0")
+    stage.camera_file(LENS, tmp_path / "camera.json")
+    write_config(CONFIG, tmp_path / "config.json")
+    return tmp_path
+
+
+COLUMNS = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
+GOOD = "a.mp4,gray-interlock,glass,1,0.31,0.02,no,camera.json"
+
+
+def ingest(folder, *rows, columns=COLUMNS, more=()):
+    (folder / "captures.csv").write_text("\n".join([columns, *rows]) + "\n")
+    words = ["ingest", str(folder / "captures.csv"), "--config", str(folder / "config.json")]
+    return main(["capture", *words, "--out-dir", str(folder / "dataset"), *more])
+
+
+def test_captures_become_a_dataset_like_any_other(folder, capsys):
+    second = "b.mp4,tweed of our own,glass,1,0.5,0.05,yes,camera.json,3.0"
+    assert ingest(folder, GOOD + ",", second, columns=COLUMNS + ",start_s") == 0
+    said = capsys.readouterr().out
+    assert "c00_r01_t00_v00: gray-interlock on glass, repeat 1; the stage starts at 3.1" in said
+    assert "2 videos of 2 pairs" in said
+    videos = read_videos(folder / "dataset")
+    assert videos.pixels.shape == (2, 6, 64, 64, 3)
+    assert [row["material_id"] for row in videos.rows] == ["m05", "other"]
+    assert [row["friction"] for row in videos.rows] == [0.31, 0.5]
+    known = read_known(folder / "dataset")
+    assert [row["mu_ref_error"] for row in known] == [0.02, 0.05]
+    assert [row["start_found"] for row in known] == [True, False]
+    assert not any(row["surrogate"] for row in known)
+
+
+def test_reference_values_fill_empty_cells(folder):
+    (folder / "reference.csv").write_text(
+        "material,substrate,mu,error\ngray-interlock,glass,0.33,0.015\n"
+    )
+    row = "a.mp4,gray-interlock,glass,1,,,no,camera.json"
+    assert ingest(folder, row, more=["--reference", str(folder / "reference.csv")]) == 0
+    assert read_known(folder / "dataset")[0]["mu_ref"] == 0.33
+
+
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [
+        (GOOD.replace("a.mp4", "c.mp4"), "line 2, video: 'c.mp4'; no such file below"),
+        (GOOD.replace("a.mp4", "../a.mp4"), "video: '../a.mp4'; must be a path below"),
+        (GOOD.replace("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; must be a path below"),
+        (GOOD.replace("camera.json", "no.json"), "camera: 'no.json'; no such file below"),
+        (GOOD.replace("0.31", "-0.31"), "mu_ref: '-0.31'; must be a number from 0 to 10"),
+        (GOOD.replace("0.31", "nan"), "mu_ref: 'nan'; must be a number from 0 to 10"),
+        (GOOD.replace("0.31", ""), "mu_ref: empty"),
+        (GOOD.replace("0.31", "=1/3"), "mu_ref: '=1/3' looks like a formula"),
+        (
+            GOOD.replace("glass", '"=HYPERLINK(""http://x"")"'),
+            "substrate: '=HYPERLINK(\"http://x\")' looks like a formula",
+        ),
+        (GOOD.replace(",1,", ",one,"), "repeat: 'one'; must be a whole number from 0 to 99"),
+        (GOOD.replace(",no,", ",maybe,"), "reflective: 'maybe'; must be yes or no"),
+        (GOOD + ",7", "line 2: 9 cells, the header has 8"),
+    ],
+)
+def test_a_wrong_cell_is_one_line(folder, capsys, row, problem):
+    assert ingest(folder, row) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+    assert not (folder / "dataset").exists()
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ([GOOD, GOOD], "line 3: repeat 1 of gray-interlock on glass duplicates line 2"),
+        ([GOOD, GOOD.replace(",1,", ",2,")], "line 3, video: the same content as in line 2"),
+        (
+            [GOOD, GOOD.replace("a.mp4", "b.mp4").replace(",1,0.31", ",2,0.35")],
+            "line 3: gray-interlock on glass differs in mu_ref, mu_ref_error or reflective from",
+        ),
+        ([], "contains no rows"),
+    ],
+)
+def test_rows_that_contradict_one_another_are_one_line(folder, capsys, rows, problem):
+    assert ingest(folder, *rows) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+
+
+@pytest.mark.parametrize(
+    ("columns", "problem"),
+    [
+        (COLUMNS.replace("material", "materiel"), "unknown column 'materiel'; did you mean mate"),
+        (COLUMNS.replace(",camera", ",video"), "column 'video' is duplicated"),
+        (COLUMNS.removesuffix(",camera"), "no column 'camera'; required: video, material"),
+    ],
+)
+def test_wrong_columns_are_one_line(folder, capsys, columns, problem):
+    assert ingest(folder, GOOD, columns=columns) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+
+
+def test_a_link_that_leads_out_of_the_folder_is_refused(folder, tmp_path_factory, capsys):
+    outside = tmp_path_factory.mktemp("outside") / "secret.mp4"
+    outside.write_bytes(b"\0")
+    (folder / "c.mp4").symlink_to(outside)
+    assert ingest(folder, GOOD.replace("a.mp4", "c.mp4")) == 2
+    assert "must not be a link to outside" in capsys.readouterr().err
+
+
+def _text(folder):
+    (folder / "a.mp4").write_text("no video\n" * 40)
+
+
+def _playlist(folder):
+    (folder / "a.mp4").write_text("#EXTM3U\n#EXTINF:10,\nhttp://localhost:1/a.ts\n")
+
+
+def _noise(folder):
+    (folder / "a.mp4").write_bytes(np.random.default_rng(0).bytes(50_000))
+
+
+def _truncated(folder):
+    content = (folder / "b.mp4").read_bytes()
+    (folder / "a.mp4").write_bytes(content[: len(content) // 2])
+
+
+def _truncated_stream(folder):
+    """A container that can be read until where it is cut off."""
+    path = stage.write_video(folder / "whole.mkv", images(times()), times())
+    (folder / "a.mp4").write_bytes(path.read_bytes()[: path.stat().st_size * 4 // 5])
+
+
+def _empty(folder):
+    (folder / "a.mp4").write_bytes(b"")
+
+
+def _ten_frames(folder):
+    stage.write_video(folder / "a.mp4", images(times()[:10]), times()[:10])
+
+
+def _portrait(folder):
+    turned = (np.rot90(image) for image in images(times()[:60]))
+    stage.write_video(folder / "a.mp4", turned, times()[:60])
+
+
+def _still(folder):
+    stage.write_video(folder / "a.mp4", images(times(), 1e3), times())
+
+
+def _backwards(folder):
+    stage.write_video(folder / "a.mp4", images(times()[::-1]), times())
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (_text, "a text file, not a video"),
+        (_playlist, "a text file, not a video"),
+        (_noise, "not a video that FFmpeg can read"),
+        (_truncated, "not a video that FFmpeg can read (damaged or truncated?)"),
+        (_truncated_stream, "ends after"),
+        (_empty, "empty, not a video"),
+        (_ten_frames, "no start of the stage's motion found"),
+        (
+            _portrait,
+            "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
+        ),
+        (_still, "no start of the stage's motion found"),
+        (_backwards, "no start of the stage's motion found"),
+    ],
+)
+def test_a_bad_video_is_one_line(folder, capfd, make, problem):
+    (folder / "a.mp4").unlink()
+    make(folder)
+    assert ingest(folder, GOOD) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1, said
+    assert "a.mp4: " in said
+    assert problem in said

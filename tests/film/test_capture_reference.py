@@ -1,0 +1,191 @@
+"""``slipstitch capture reference``: friction from slip angles, with an error that holds."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.main import main
+from slipstitch.film.reference.angles import SlipAngles
+from slipstitch.film.reference.estimate import estimate
+
+HEADER = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
+
+
+def measured(rng, mu=0.4, tau=0.02, sigma=0.015, bench_deg=0.0, cells=None, along=(0.0, 0.0)):
+    """Slip angles of a made-up pair: positions x orientations x repeats, or the cells given."""
+    cells = cells or [(p, o) for p in range(5) for o in range(2) for _ in range(2)]
+    place = rng.normal(0, tau, 1 + max(p for p, _ in cells))
+    values = [mu + place[p] + along[o] + rng.normal(0, sigma) for p, o in cells]
+    bias = rng.uniform(-1, 1) * np.radians(bench_deg)
+    return SlipAngles(
+        "gray-interlock",
+        "glass",
+        [f"place {p}" for p, _ in cells],
+        ["weft" if o else "warp" for _, o in cells],
+        np.arctan(values) + bias,
+        float(np.radians(bench_deg)),
+    )
+
+
+def test_a_balanced_table_gives_students_interval_of_the_positions_means():
+    """Closed form: of independent, equally exact means, t with one degree of freedom fewer."""
+    for seed in range(20):  # the estimate of tau^2 is negative in some
+        angles = measured(np.random.default_rng(seed), tau=0.004)
+        means = np.tan(angles.angle_rad).reshape(5, 4).mean(axis=1)
+        found = estimate(angles)
+        assert found.mu == pytest.approx(means.mean(), abs=1e-9)
+        assert found.standard_error == pytest.approx(means.std(ddof=1) / np.sqrt(5), rel=1e-3)
+        assert found.degrees_of_freedom == pytest.approx(4, rel=1e-2)
+        assert found.error == pytest.approx(2.7764 * found.standard_error, rel=5e-3)
+
+
+def test_one_position_is_plain_students_interval():
+    angles = measured(np.random.default_rng(1), cells=[(0, 0)] * 6)
+    values = np.tan(angles.angle_rad)
+    found = estimate(angles)
+    assert found.mu == pytest.approx(values.mean())
+    assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
+    assert found.degrees_of_freedom == pytest.approx(5)
+    assert (found.position_sd, found.position_p, found.orientation_p) == (None, None, None)
+
+
+def test_one_measurement_at_each_position_is_plain_students_interval():
+    """What positions scatter and what repeats do is in one number then, and need not be told."""
+    angles = measured(np.random.default_rng(1), cells=[(p, 0) for p in range(6)])
+    values = np.tan(angles.angle_rad)
+    found = estimate(angles)
+    assert found.mu == pytest.approx(values.mean())
+    assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
+    assert found.degrees_of_freedom == pytest.approx(5)
+    assert found.position_sd is None
+
+
+def test_an_orientation_at_one_position_only_is_refused():
+    angles = measured(np.random.default_rng(1), cells=[(0, 0)] * 4 + [(1, 1)] * 4)
+    with pytest.raises(BadInput, match="gray-interlock on glass: the effects of positions, orien"):
+        estimate(angles)
+
+
+@pytest.mark.parametrize("bench_deg", [0.0, 0.5])
+@pytest.mark.parametrize("cells", [None, [(p, o) for p in range(6) for o in range(2)][1:]
+                                   + [(0, 0)] * 3 + [(2, 1)] * 2])  # fmt: skip
+def test_the_interval_covers_the_truth_as_often_as_it_says(cells, bench_deg):
+    """Balanced and not, with the bench's error and without: 95 % of 200 tables, to 3 sigma."""
+    rng = np.random.default_rng(11)
+    hits = 0
+    for _ in range(200):
+        found = estimate(measured(rng, bench_deg=bench_deg, cells=cells, along=(0.02, -0.02)))
+        hits += abs(found.mu - 0.4) <= found.error
+    assert hits / 200 == pytest.approx(0.95, abs=0.046)
+
+
+def test_ignoring_the_positions_would_not_cover():
+    """The same tables by the standard error of all values together: far too sure."""
+    rng = np.random.default_rng(11)
+    hits = 0
+    for _ in range(200):
+        values = np.tan(measured(rng).angle_rad)
+        hits += abs(values.mean() - 0.4) <= 2.09 * values.std(ddof=1) / np.sqrt(len(values))
+    assert hits / 200 < 0.85
+
+
+def test_the_benchs_error_does_not_average_out():
+    cells = [(p, o) for p in range(8) for o in range(2) for _ in range(20)]
+    found = estimate(measured(np.random.default_rng(0), tau=0.001, bench_deg=0.5, cells=cells))
+    alone = (1 + 0.4**2) * np.radians(0.5)
+    assert found.bench_error == pytest.approx(alone, rel=0.03)
+    assert found.error > 0.95 * found.bench_error
+
+
+def test_positions_and_orientations_that_differ_are_told():
+    rng = np.random.default_rng(5)
+    same = estimate(measured(rng, tau=0.0, sigma=0.01))
+    nap = estimate(measured(rng, tau=0.0, sigma=0.01, along=(0.03, -0.03)))
+    patchy = estimate(measured(rng, tau=0.05, sigma=0.01))
+    assert min(same.position_p, same.orientation_p) > 0.01
+    assert nap.orientation_p < 1e-4 < nap.position_p
+    assert patchy.position_p < 1e-4 < patchy.orientation_p
+    assert nap.by_orientation["warp"][0] - nap.by_orientation["weft"][0] == pytest.approx(
+        0.06, abs=0.02
+    )
+    assert patchy.position_sd == pytest.approx(0.05, rel=0.7)
+
+
+def test_f_tests_reject_equal_means_as_rarely_as_they_say():
+    rng = np.random.default_rng(2)
+    p = [estimate(measured(rng, tau=0.0)).position_p for _ in range(200)]
+    assert np.mean(np.array(p) < 0.1) == pytest.approx(0.1, abs=0.065)
+
+
+def write(folder, *rows, header=HEADER):
+    path = folder / "angles.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def rows_of(substrate, mu, rng):
+    for position in "ABC":
+        for orientation in ("0", "90"):
+            for repeat in range(2):
+                angle = np.degrees(np.arctan(mu + rng.normal(0, 0.01)))
+                yield f"denim,{substrate},{position},{orientation},{repeat},{angle:.2f},0.2"
+
+
+def test_tables_and_picture_are_written(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    table = write(tmp_path, *rows_of("glass", 0.25, rng), *rows_of("steel", 0.45, rng))
+    out, details, picture = (tmp_path / name for name in ("mu.csv", "mu.json", "mu.svg"))
+    words = [str(table), "--out", str(out), "--json", str(details), "--picture", str(picture)]
+    assert main(["capture", "reference", *words]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("denim on glass: 0.2")
+    assert "; 3 positions " in said[0]
+    rows = list(csv.DictReader(out.open()))
+    assert [row["substrate"] for row in rows] == ["glass", "steel"]
+    assert float(rows[1]["mu"]) == pytest.approx(0.45, abs=0.02)
+    assert json.loads(details.read_text())[0]["by_position"]["A"][1] == 4
+    assert picture.read_text().startswith("<?xml")
+
+
+def test_names_with_dollars_are_drawn_as_they_are(tmp_path):
+    rows = list(rows_of("$5_$6_ plate", 0.25, np.random.default_rng(0)))
+    rows = [row.replace(",90,", ",$w_$x_,") for row in rows]
+    picture = tmp_path / "mu.svg"
+    words = ["--out", str(tmp_path / "mu.csv"), "--picture", str(picture)]
+    assert main(["capture", "reference", str(write(tmp_path, *rows)), *words]) == 0
+    assert "on $5_$6_ plate -->" in picture.read_text()
+    assert "<!-- orientation $w_$x_ -->" in picture.read_text()
+
+
+ROW = "denim,glass,A,0,1,14.2,0.2"
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ([ROW, ROW], "line 3: duplicates line 2"),
+        ([ROW.replace("14.2", "-3")], "angle_deg: '-3'; must be a number above 0 and below 85"),
+        ([ROW.replace("14.2", "=A1")], "angle_deg: '=A1' looks like a formula"),
+        ([ROW.replace("0.2", "")], "bench_error_deg: empty"),
+        ([ROW, ROW.replace(",1,", ",2,").replace("0.2", "0.3")], "differs in bench_error_deg from"),
+        ([ROW], "denim on glass: 1 slip angle(s); at least 3 are required"),
+        ([ROW.replace(",1,", f",{k},") for k in range(4)], "all slip angles are equal"),
+    ],
+)
+def test_a_wrong_table_is_one_line(tmp_path, capsys, rows, problem):
+    table = write(tmp_path, *rows)
+    assert main(["capture", "reference", str(table), "--out", str(tmp_path / "mu.csv")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+    assert not (tmp_path / "mu.csv").exists()
+
+
+def test_too_few_for_their_orientations():
+    with pytest.raises(BadInput, match="4 slip angle"):
+        estimate(
+            SlipAngles("a", "b", ["A"] * 4, list("1234"), np.array([0.1, 0.2, 0.3, 0.25]), 0.0)
+        )

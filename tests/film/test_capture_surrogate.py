@@ -1,0 +1,198 @@
+"""Surrogate captures: made unlike the training data, and always called what they are."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.dataset.videos import read_videos
+from slipstitch.design.stage_path import StagePath
+from slipstitch.film.ingest.captures_table import read_captures
+from slipstitch.film.ingest.dataset import read_known
+from slipstitch.film.reference.angles import read_angles
+from slipstitch.film.reference.estimate import estimate
+from slipstitch.film.surrogate.bench import (
+    calibrated_camera,
+    film_size,
+    films,
+    surrogate_simulation,
+    true_camera,
+    write_bench,
+)
+from slipstitch.images.bench_camera import relative_pose
+from slipstitch.images.camera import cloth_room
+from slipstitch.images.camera_file import read_camera_file
+from slipstitch.images.shots import viewpoint_pose
+
+CONFIG = resolve_config({"simulation": {"frames": 92}})
+
+
+def test_friction_lies_off_the_grid_and_differs_from_film_to_film():
+    made = films(CONFIG)
+    assert len(made) == 4 * 5
+    friction = np.array([film.friction for film in made])
+    assert len(set(friction)) == len({film.seed for film in made}) == 20
+    assert np.abs(friction[:, None] - np.array(CONFIG.grid.frictions)).min() > 1e-3
+    spread = np.std(np.log(friction.reshape(4, 5)), axis=1)
+    assert 0.005 < spread.mean() < 0.06
+    assert made == films(CONFIG)
+
+
+def test_films_are_simulated_more_finely_over_the_same_time():
+    own, training = surrogate_simulation(CONFIG), CONFIG.simulation
+    assert own.vertices_per_side > training.vertices_per_side
+    assert own.time_step_s < training.time_step_s
+    assert own.yaw_sd_deg > training.yaw_sd_deg
+    end_s = (training.frames - 1) / training.frame_rate_hz
+    assert (own.frames - 1) / own.frame_rate_hz >= end_s
+
+
+def test_repeats_differ_though_the_training_perturbs_nothing():
+    """As in config/paper.yaml: five repeats of a pair are five benches."""
+    still = {"yaw_sd_deg": 0.0, "height_sd_m": 0.0, "fabric_sd_rel": 0.0, "curl_side": "same"}
+    simulation = CONFIG.simulation.model_copy(update=still)
+    own = surrogate_simulation(CONFIG.model_copy(update={"simulation": simulation}))
+    assert own == surrogate_simulation(CONFIG)
+
+
+def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    read = read_camera_file(tmp_path / "camera.json")
+    film = films(CONFIG)[0].id
+    found, true = calibrated_camera(CONFIG, film), true_camera(CONFIG, film)
+    assert np.allclose(read.camera.matrix, found.camera.matrix)
+    points = np.array([[x, y, z] for x in (0, 0.3) for y in (-0.1, 0.1) for z in (0, 0.15)])
+    off_px = np.linalg.norm(found.project(points) - true.project(points), axis=1)
+    assert 0.05 < off_px.max() < 3
+
+
+def test_the_inclined_plane_measures_the_pairs_friction(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    for pair, angles in zip(
+        CONFIG.captures.pairs, read_angles(tmp_path / "slip_angles.csv"), strict=True
+    ):
+        found = estimate(angles)
+        assert abs(found.mu - pair.friction) < 2 * found.error
+        assert found.error < 0.15 * pair.friction
+
+
+def test_the_table_calls_every_film_a_surrogate(tmp_path):
+    write_bench(CONFIG, tmp_path)
+    for k, film in enumerate(films(CONFIG)):
+        (tmp_path / f"{film.id}.mp4").write_bytes(bytes([k]))
+    (tmp_path / "reference.csv").write_text(
+        "material,substrate,mu,error\n"
+        + "".join(f"{one.material},{one.substrate},0.4,0.02\n" for one in CONFIG.captures.pairs)
+    )
+    captures = read_captures(tmp_path / "captures.csv", tmp_path / "reference.csv")
+    assert [one.id for one in captures] == [film.id for film in films(CONFIG)]
+    assert all(one.surrogate for one in captures)
+    assert {one.substrate: one.reflective for one in captures} == {
+        "matte": False,
+        "aluminium": True,
+        "ceramic": False,
+        "smooth-glass": False,
+    }
+    rows = list(csv.DictReader((tmp_path / "captures.csv").open()))
+    rows[0]["surrogate"] = "no"
+    with (tmp_path / "mixed.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    with pytest.raises(BadInput, match="must not mix surrogate and real captures"):
+        read_captures(tmp_path / "mixed.csv", tmp_path / "reference.csv")
+
+
+@pytest.mark.parametrize(
+    ("section", "problem"),
+    [
+        (
+            {"pairs": [{"material": "silk", "substrate": "matte", "friction": 0.3}]},
+            "unknown material",
+        ),
+        (
+            {"pairs": [{"material": "gray-interlock", "substrate": "ice", "friction": 0.3}]},
+            "unknown floor 'ice'",
+        ),
+        (
+            {"pairs": [{"material": "gray-interlock", "substrate": "matte", "friction": 0.3}] * 2},
+            "duplicate fabric on the same substrate",
+        ),
+    ],
+)
+def test_impossible_pairs_are_refused(section, problem):
+    with pytest.raises(BadInput, match=problem):
+        resolve_config({"captures": section})
+
+
+def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys):
+    """Simulated, rendered, distorted, compressed; then found, rectified and cropped."""
+    config = resolve_config(
+        {
+            "simulation": {"frames": 9, "self_contact": False},
+            "sample": {"frames": 3},
+            "render": {"pixels": 32},
+            "captures": {
+                "pairs": [{"material": "royal-target", "substrate": "matte", "friction": 0.45}],
+                "repeats": 1,
+                "vertices_per_side": 9,
+                "time_step_s": 0.084,
+                "width_px": 128,
+            },
+        }
+    )
+    write_config(config, tmp_path / "config.json")
+    words = ["--config", str(tmp_path / "config.json")]
+    assert main(["capture", "surrogate", *words, "--bench", str(tmp_path)]) == 0
+    film = tmp_path / "c00_r01.mp4"
+    assert main(["capture", "surrogate", *words, "--film", film.stem, "--out", str(film)]) == 0
+    assert read_sidecar(film)["surrogate"] is True
+    assert b"surrogate capture" in film.read_bytes()
+    angles, reference = tmp_path / "slip_angles.csv", tmp_path / "reference.csv"
+    assert main(["capture", "reference", str(angles), "--out", str(reference)]) == 0
+    table = [str(tmp_path / "captures.csv"), "--reference", str(reference)]
+    assert main(["capture", "ingest", *table, *words, "--out-dir", str(tmp_path / "set")]) == 0
+    (known,) = read_known(tmp_path / "set")
+    assert known["surrogate"] and known["start_found"]
+    assert known["start_s"] == pytest.approx(40 / 12, abs=0.04)
+    videos = read_videos(tmp_path / "set")
+    assert videos.pixels.shape == (1, 3, 32, 32, 3)
+    assert videos.pixels.std() > 20
+    assert "1 videos of 1 pairs" in capsys.readouterr().out
+
+
+def test_an_unknown_film_is_one_line(tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["--config", str(tmp_path / "config.json"), "--film", "c09_r01", "--out", "x.mp4"]
+    assert main(["capture", "surrogate", *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "unknown surrogate capture 'c09_r01'" in said
+
+
+def test_own_cameras_stand_apart_and_see_the_whole_travel(tmp_path):
+    """Each video is another bench's: its pose, its zoom, and the errors of its own calibration."""
+    config = resolve_config({"captures": {"own_cameras": True}})
+    write_bench(config, tmp_path)
+    rows = list(csv.DictReader((tmp_path / "captures.csv").open()))
+    assert [row["camera"] for row in rows] == [f"{film.id}.json" for film in films(config)]
+    path = StagePath(**dict(config.simulation.stage))
+    time_s = np.linspace(0, path.duration_s, 200)
+    room = cloth_room(*path.position_m(time_s), 0.2, 0.2)
+    width, height = film_size(config.captures)
+    viewpoint = viewpoint_pose("calibrated", config.render)
+    yaw_deg = []
+    for film in films(config):
+        true = true_camera(config, film.id)
+        x, y = true.project(room).T
+        assert x.min() > 0 and x.max() < width - 1 and y.min() > 0 and y.max() < height - 1
+        camera = true.camera
+        yaw_deg.append(relative_pose(camera.rotation, camera.translation_m, viewpoint)["yaw_deg"])
+        off_px = true.project(room) - read_camera_file(tmp_path / f"{film.id}.json").project(room)
+        assert 0.05 < np.linalg.norm(off_px, axis=1).max() < 3
+    assert min(yaw_deg) < -8 and max(yaw_deg) > 8
+    assert len(set(np.round(yaw_deg, 3))) > 10

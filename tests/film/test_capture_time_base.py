@@ -1,0 +1,188 @@
+"""The clock of a film, told by the stage's motion over the whole film."""
+
+import functools
+import json
+import os
+
+import numpy as np
+import pytest
+from support import analytic_stage as stage
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config import resolve_config
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film.ingest.dataset import ingest
+from slipstitch.film.schedule import Schedule
+from slipstitch.film.time_base import StageFollower, TimeBase
+from slipstitch.film.videos import read_stage_video
+from slipstitch.images.camera import pose
+
+CONFIG = resolve_config({"simulation": {"frames": 300}, "sample": {"frames": 8}})
+SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
+START_S = 2.6
+
+
+@functools.cache
+def lens(viewpoint="calibrated"):
+    return stage.lens_camera(*pose(VIEWPOINTS[viewpoint]))
+
+
+@functools.cache
+def bench(viewpoint="calibrated"):
+    return stage.Bench(lens(viewpoint).camera, lens(viewpoint).distortion)
+
+
+def follower_of(
+    rate=1.0,
+    viewpoint="calibrated",
+    noise=6.0,
+    until_s=124.0,
+    clock=lambda t: t,
+    flicker=0.0,
+    seen=lambda image, time_s: image,
+):
+    """Has seen a film of the stage; its clock shows `clock` of the true time."""
+    schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
+    follower = StageFollower(lens(viewpoint), schedule.crop(0.0), schedule.path)
+    random = np.random.default_rng(4)
+    for time_s in np.arange(6.3, until_s, 0.34):
+        if follower.wants(time_s):
+            image = seen(bench(viewpoint).image(clock(rate * time_s)), time_s)[..., ::-1]
+            lamp = 1 + flicker * random.standard_normal()
+            noisy = lamp * image + random.normal(0, noise, image.shape)
+            follower.add(time_s, np.ascontiguousarray(np.clip(noisy, 0, 255).astype(np.uint8)))
+    return follower
+
+
+def followed(*arguments, **named):
+    """The time base of such a film."""
+    return follower_of(*arguments, **named).time_base()
+
+
+@pytest.mark.parametrize("rate", [0.95, 0.98, 0.995, 1.0, 1.005, 1.02, 1.05])
+def test_the_rate_is_told_within_its_uncertainty(rate):
+    """A film of 320 x 240 pixels, noise of 6 levels."""
+    found = followed(rate)
+    assert found.rate == pytest.approx(rate, abs=5e-4)
+    assert abs(found.rate - rate) < 4 * found.rate_sd
+    assert found.worst_offset_m() < 1.5e-3
+
+
+@pytest.mark.parametrize("viewpoint", ["frontal", "side"])
+def test_other_viewpoints_tell_it_too(viewpoint):
+    assert followed(1.01, viewpoint).rate == pytest.approx(1.01, abs=1e-3)
+
+
+def test_one_stroke_is_enough():
+    found = followed(0.99, until_s=36.0)
+    assert found.rate == pytest.approx(0.99, abs=2e-3)
+    assert found.rate_sd < 2e-3
+
+
+@pytest.mark.parametrize("missing_s", [1.0, 2.0])
+def test_a_film_that_was_cut_is_noticed(missing_s):
+    """Seconds of the third stroke are missing: the rate is wrong, or none explains the rest."""
+    found = followed(clock=lambda time_s: time_s + missing_s * (time_s > 80.0))
+    assert abs(found.rate - 1) >= 0.005 or found.worst_offset_m() > 4e-3
+
+
+@pytest.mark.parametrize("stops_s", [22.0, 60.0, 95.0])
+@pytest.mark.parametrize(("noise", "flicker"), [(1.0, 0.0), (20.0, 0.05)])
+def test_a_stage_that_stops_is_noticed(stops_s, noise, flicker):
+    seen = {"noise": noise, "flicker": flicker}
+    stopped = follower_of(clock=lambda time_s: min(time_s, stops_s), **seen)
+    assert stopped.still_from_s(stopped.time_base()) == pytest.approx(stops_s, abs=15.0)
+    moving = follower_of(**seen)
+    assert moving.still_from_s(moving.time_base()) is None
+
+
+def test_somebody_who_walks_past_stops_no_stage():
+    def with_a_bar(image, time_s):
+        if 60.0 <= time_s <= 70.0:
+            width = image.shape[1]
+            left = round((((time_s - 60.0) % 5.0) / 5.0 * 1.24 - 0.24) * width)
+            image[:, max(left, 0) : max(left + round(0.24 * width), 0)] = 20
+        return image
+
+    follower = follower_of(seen=with_a_bar)
+    assert follower.still_from_s(None) is not None  # by the brightness alone
+    assert follower.still_from_s(follower.time_base()) is None
+
+
+def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
+    times_s = np.concatenate([np.arange(0, 6.0, 0.1), np.arange(6.0, START_S + 126.0, 0.34)])
+    images = (bench().image(np.clip(time_s - START_S, 0.0, 30.0)) for time_s in times_s)
+    path = stage.write_video(tmp_path / "stops.mp4", images, times_s, preset="ultrafast")
+    with pytest.raises(BadInput, match=r"about 3\d s after the start on nothing moves.* stop\?"):
+        read_stage_video(path, lens(), SCHEDULE)
+
+
+def test_a_stage_out_of_sight_tells_nothing():
+    follower = StageFollower(lens(), SCHEDULE.crop(0.0), SCHEDULE.path)
+    random = np.random.default_rng(5)
+    for time_s in np.arange(6.3, 100.0, 0.34):
+        if follower.wants(time_s):
+            follower.add(time_s, random.integers(0, 255, (240, 320, 3), dtype=np.uint8))
+    assert follower.time_base() is None
+
+
+def test_offsets_of_ten_seconds_count_not_single_ones():
+    offset_m = np.zeros(40)
+    offset_m[[3, 17]] = 0.02
+    calm = TimeBase(1.0, 1e-4, np.arange(40.0), offset_m)
+    assert calm.worst_offset_m() == 0.0
+    offset_m[20:30] = -0.004
+    # The last frame, in a block of its own, is one bad place and not 10 s of them.
+    last = TimeBase(1.0, 1e-4, np.arange(41.0), np.append(offset_m, 0.02))
+    assert last.worst_offset_m() == 0.004
+    assert TimeBase(1.0, 1e-4, np.arange(40.0), offset_m).worst_offset_m() == 0.004
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """Films of the whole protocol played at a rate: its clock is wrong by that."""
+
+    @functools.cache
+    def play(rate):
+        path = tmp_path_factory.mktemp("films") / f"{json.dumps(rate)}.mp4"
+        dense = np.arange(0, 6.0, 0.1)
+        times_s = np.concatenate([dense, np.arange(6.0, START_S + 126.0, 0.34)])
+        images = (bench().image(max(time_s - START_S, 0.0)) for time_s in times_s)
+        return stage.write_video(path, images, times_s / rate, preset="ultrafast")
+
+    return play
+
+
+def test_a_clock_slightly_wrong_is_corrected_and_noted(film):
+    video = read_stage_video(film(1.01), lens(), SCHEDULE)
+    assert video.time_base.rate == pytest.approx(1.01, abs=1e-3)
+    assert video.time_s == pytest.approx(SCHEDULE.time_s, abs=0.25)
+    assert any(note.startswith("the stage moves 1.0") for note in video.notes)
+
+
+def test_the_speed_of_a_capture_is_that_of_its_clock(film, tmp_path):
+    """As `slipstitch measure` tells it, not that of the drop alone."""
+    stage.camera_file(lens(), tmp_path / "camera.json")
+    os.link(film(1.01), tmp_path / "film.mp4")
+    columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
+    row = "film.mp4,gray-interlock,glass,1,0.31,0.02,no,camera.json"
+    (tmp_path / "captures.csv").write_text(f"{columns}\n{row}\n")
+    (known,) = ingest(CONFIG, tmp_path / "captures.csv", tmp_path / "dataset")
+    video = read_stage_video(film(1.01), lens(), SCHEDULE)
+    assert known["stage_speed"] == video.time_base.rate
+
+
+def test_a_right_clock_is_left_alone(film):
+    video = read_stage_video(film(1.0), lens(), SCHEDULE)
+    assert video.time_base.rate == pytest.approx(1.0, abs=5e-4)
+    assert video.notes == []
+
+
+def test_a_clock_three_percent_wrong_is_refused(film):
+    with pytest.raises(BadInput, match=r"the stage moves 0\.97.*--frame-rate-hz"):
+        read_stage_video(film(0.97), lens(), SCHEDULE)
+
+
+def test_a_drag_too_short_to_spoil_is_not_followed():
+    short = resolve_config({"simulation": {"frames": 40}, "sample": {"frames": 4}})
+    assert Schedule.of(short.simulation, short.render, short.sample).time_s[-1] < 22

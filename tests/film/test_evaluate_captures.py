@@ -1,0 +1,273 @@
+"""Networks on captures: the paper's protocol, and a page that says first what the videos are."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support import analytic_stage as stage
+from support import synthetic_videos
+from support.untrained import untrained_instrument
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_provenance
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.film.captures.evaluation import write_captures_evaluation
+from slipstitch.film.captures.scores import Predictions, capture_scores, distance, subsets
+from slipstitch.images.camera import pose
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.instrument.measuring import save_instrument
+from slipstitch.learning.model_file import load_model
+from slipstitch.learning.training import train_network
+
+KNOWN = [
+    {
+        "video": f"c{pair:02d}_r{repeat:02d}_t00_v00",
+        "pair": f"c{pair:02d}",
+        "material": "denim" if pair else "felt",
+        "substrate": "glass" if pair else "wood",
+        "reflective": bool(pair),
+        "mu_ref": (0.3, 0.62)[pair],
+        "mu_ref_error": 0.02,
+        "surrogate": True,
+    }
+    for pair in range(2)
+    for repeat in range(5)
+]
+CLASSES = Predictions(
+    "lrcn_baseline",
+    "by_video",
+    0,
+    np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9]),
+    None,
+    [["denim", "silk"]] * 5 + [["silk", "denim"]] * 5,
+    ["denim", "silk"],
+)
+
+
+def test_the_error_is_the_distance_from_the_references_interval():
+    assert distance(np.array([0.29, 0.33, 0.2]), 0.3, 0.02) == pytest.approx([0, 0.01, 0.08])
+
+
+def test_captures_are_looked_at_with_and_without_mirrors():
+    parts = subsets(KNOWN)
+    assert {name: int(chosen.sum()) for name, chosen in parts.items()} == {
+        "surrogate_all": 10,
+        "surrogate_matte": 5,
+        "surrogate_reflective": 5,
+    }
+    real = [{**row, "surrogate": False, "reflective": False} for row in KNOWN]
+    assert list(subsets(real)) == ["real_all", "real_matte"]
+
+
+def test_scores_of_classes():
+    parts = subsets(KNOWN)
+    scores = capture_scores(KNOWN, CLASSES, parts["surrogate_all"], 0.1)
+    # Distances: five zeros; 0.10, 0, 0, 0.06, 0.26. Half a step is 0.05, one and a half 0.15.
+    assert scores["friction_lt_0.1"] == 0.7
+    assert scores["friction_lt_0.2"] == 0.9
+    # A plain tenth: 0.10 is within, 0.26 is not.
+    assert scores["within_0.1"] == 0.9
+    assert scores["mean_distance"] == pytest.approx(0.042)
+    # Medians 0.3 and 0.6: both inside their intervals; only the first pair's repeats agree.
+    assert scores["median_error"] == pytest.approx(0)
+    assert scores["median_lt_0.1"] == 1.0
+    assert (scores["equal_predictions"], scores["pairs"]) == (0.5, 2)
+    assert scores["median_within_0.1"] == 1.0
+    # Felt is no class: the five films of it do not count.
+    assert (scores["material_top1"], scores["material_top2"]) == (0.0, 1.0)
+    assert "coverage_90" not in scores
+    matte = capture_scores(KNOWN, CLASSES, parts["surrogate_matte"], 0.1)
+    assert matte["equal_predictions"] == 1.0
+    assert "material_top1" not in matte
+
+
+def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
+    """Of the second pair's films two are: of the films most are within, of the pairs one."""
+    friction = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9])
+    said = Predictions("lrcn_baseline", "by_video", 0, friction)
+    scores = capture_scores(KNOWN, said, np.ones(10, bool), 0.1)
+    assert (scores["within_0.1"], scores["median_within_0.1"]) == (0.7, 0.5)
+    printed = {name: figures.get("median_within_0.1") for name, figures in paper.CAPTURES.items()}
+    pairs = {"all": 39 / 63, "matte": 31 / 36, "all, reflective training": 59 / 63}
+    assert {name: share for name, share in printed.items() if share} == {
+        name: pytest.approx(share, abs=1e-3) for name, share in pairs.items()
+    }
+    assert not any("within_0.1" in figures for figures in paper.CAPTURES.values())
+
+
+def test_scores_of_an_instrument():
+    friction = np.array([0.31, 0.32, 0.29, 0.33, 0.34, 0.6, 0.61, 0.62, 0.63, 0.66])
+    one = Predictions(
+        "instrument",
+        "by_simulation",
+        0,
+        friction,
+        np.column_stack([friction - 0.01, friction + 0.01]),
+        alarms=["odd"] + [""] * 9,
+    )
+    scores = capture_scores(KNOWN, one, np.ones(10, bool), 0.1)
+    # Intervals that do not meet the reference's: at 0.34 and 0.66, by 0.01.
+    assert scores["coverage_90"] == 0.8
+    assert scores["interval_width"] == pytest.approx(0.02)
+    assert scores["alarms"] == 0.1
+    # To half a step of 0.1 the first pair's five are 0.3, the second's 0.6 and 0.7.
+    assert scores["equal_predictions"] == 0.5
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """Networks trained for a moment on drawn videos, and four captures of a bench drawn too."""
+    folder = tmp_path_factory.mktemp("captures")
+    config = synthetic_videos.config(
+        train={"epochs_per_cycle": 1, "fine_tuning_epochs": 0, "plateau_margin": None}
+    )
+    shards = synthetic_videos.write_shards(config, folder / "render")
+    write_dataset(config, shards, folder / "sample")
+    networks = folder / "train" / "by_video"
+    for network in ("material_baseline", "friction_baseline", "friction_conditional"):
+        material = networks / "material_baseline" / "seed0"
+        train_network(
+            config.train,
+            folder / "sample",
+            network,
+            "by_video",
+            0,
+            networks / network / "seed0",
+            view_order=config.render.viewpoints,
+            material_model=material if network == "friction_conditional" else None,
+        )
+    instrument = untrained_instrument(
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
+    )
+    of_dataset = load_model(networks / "friction_baseline" / "seed0").card["dataset_digest"]
+    instrument.card.update(split="by_simulation", dataset_digest=of_dataset)
+    save_instrument(instrument, folder / "instrument" / "by_simulation" / "seed0")
+    write_config(config, folder / "config.json")
+    lens = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
+    stage.camera_file(lens, folder / "camera.json")
+    seen = stage.Bench(lens.camera, lens.distortion)
+    times = np.arange(0, 25, 0.5)
+    stage.write_video(folder / "0.mp4", (seen.image(one - 0.5) for one in times), times)
+    for k in (1, 2, 3):
+        (folder / f"{k}.mp4").write_bytes((folder / "0.mp4").read_bytes() + bytes(k))
+    return folder
+
+
+def captured(bench, name, surrogate):
+    """Ingest two pairs with two repeats each, and evaluate."""
+    columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera,start_s"
+    rows = [
+        f"{k}.mp4,{('gray-interlock', 'our tweed')[k // 2]},glass,{k % 2},0.4,0.02,"
+        f"{('no', 'yes')[k // 2]},camera.json,0.5,{surrogate}"
+        for k in range(4)
+    ]
+    table = bench / f"{name}.csv"
+    table.write_text("\n".join([columns + ",surrogate", *rows]) + "\n")
+    config = ["--config", str(bench / "config.json")]
+    dataset, out = bench / name, bench / f"{name}_out"
+    assert main(["capture", "ingest", str(table), *config, "--out-dir", str(dataset)]) == 0
+    files = {key: str(out / f"{key}.{end}") for key, end in
+             (("out", "json"), ("predictions", "parquet"), ("page", "html"))}  # fmt: skip
+    words = ["--models", str(bench / "train"), "--instruments", str(bench / "instrument")]
+    words += [word for key, path in files.items() for word in (f"--{key}", path)]
+    assert main(["evaluate", "--captures", *config, "--dataset", str(dataset), *words]) == 0
+    return out
+
+
+def test_captures_go_through_all_networks(bench, capsys):
+    out = captured(bench, "surrogates", "yes")
+    said = capsys.readouterr().out
+    assert "surrogate_reflective   lrcn_conditional, trained by_video" in said
+    metrics = json.loads((out / "out.json").read_text())
+    assert list(metrics) == ["surrogate_all", "surrogate_matte", "surrogate_reflective"]
+    assert list(metrics["surrogate_all"]) == [
+        "lrcn_baseline, trained by_video",
+        "lrcn_conditional, trained by_video",
+        "instrument, trained by_simulation",
+    ]
+    # The films are copies of one: repeats agree, whatever the networks say.
+    for row in metrics["surrogate_all"].values():
+        assert (row["n"], row["pairs"], row["equal_predictions"]) == (4, 2, 1.0)
+    instrument = metrics["surrogate_all"]["instrument, trained by_simulation"]
+    assert (instrument["coverage_90"], instrument["alarms"]) == (1.0, 1.0)  # it knows nothing
+    rows = pq.read_table(out / "predictions.parquet").to_pylist()
+    assert len(rows) == 3 * 4
+    page = (out / "page.html").read_text()
+    body = page[page.index("<body>") :]
+    assert body.split("<p")[1].startswith(' class="first">Surrogate captures: simulated videos')
+    assert "Real captures" not in page
+    assert "one seed only" in page and all(
+        row["spread"] is None for models in metrics.values() for row in models.values()
+    )
+    assert all(f"{share} %" in page for share in (61.9, 76.2, 86.1, 93.6))
+
+
+def evaluated(bench, out, instruments, **which):
+    captured(bench, "left", "yes")
+    return write_captures_evaluation(
+        EvaluateSettings(),
+        bench / "left",
+        bench / "train",
+        instruments,
+        out / "metrics.json",
+        out / "predictions.parquet",
+        **which,
+    )
+
+
+def test_models_of_an_earlier_configuration_do_not_count(bench, tmp_path, monkeypatch):
+    monkeypatch.chdir(bench)  # records name files by their path from the working folder
+    train = TrainSettings(splits=["by_video"])
+    metrics = evaluated(bench, tmp_path, bench / "instrument", train=train)
+    assert list(metrics["surrogate_all"]) == [
+        "lrcn_baseline, trained by_video",
+        "lrcn_conditional, trained by_video",
+    ]
+    inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
+    assert sum(name.endswith("model.safetensors") for name in inputs) == 3
+    assert not any("instrument" in name for name in inputs)
+    of_seed = evaluated(bench, tmp_path, bench / "instrument", instrument_seeds=[1])
+    assert list(of_seed["surrogate_all"]) == list(metrics["surrogate_all"])
+
+
+def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp_path):
+    other = untrained_instrument(
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
+    )
+    other.card.update(split="by_simulation", dataset_digest="00" * 32)
+    save_instrument(other, tmp_path / "by_simulation" / "seed0")
+    with pytest.raises(BadInput, match="seed 0 were trained on different datasets"):
+        evaluated(bench, tmp_path, tmp_path)
+    assert not (tmp_path / "metrics.json").exists()
+
+
+def test_surrogates_are_named_so_and_real_ones_so(bench):
+    page = (captured(bench, "real", "no") / "page.html").read_text()
+    assert ' class="first">Real captures: videos of a bench' in page
+    assert "urrogate" not in page
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ([], "--models, --instruments or both are required"),
+        (["--instruments", "."], ".: no trained model for captures found"),
+        (["--models", "nowhere"], "nowhere: no models found"),
+    ],
+)
+def test_bad_use_is_one_line(bench, capsys, words, problem):
+    captured(bench, "used", "yes")
+    capsys.readouterr()
+    files = ["--dataset", str(bench / "used"), "--out", "x.json", "--predictions", "x.parquet"]
+    config = ["--config", str(bench / "config.json")]
+    assert main(["evaluate", "--captures", *config, *files, *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said

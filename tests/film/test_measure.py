@@ -1,0 +1,349 @@
+"""``slipstitch measure``: one video in, one line and one page out."""
+
+import csv
+import errno
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import ndtr
+from support import analytic_stage as stage
+from support.untrained import untrained_instrument
+
+from slipstitch.cli.main import main
+from slipstitch.cli.measure import ALARM_EXIT_CODE
+from slipstitch.config import resolve_config, write_config
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.design.stage_path import StagePath
+from slipstitch.film.measure.measurement_files import MeasuredPair, names_of
+from slipstitch.film.measure.measurement_page import page
+from slipstitch.film.measure.measuring import _half_width, measuring_bench
+from slipstitch.images.camera import pose
+from slipstitch.learning.instrument.alarm import Alarm
+from slipstitch.learning.instrument.distribution import friction_grid, probabilities_on_grid
+from slipstitch.learning.instrument.measuring import ErrorBars, save_instrument
+
+PATH = StagePath()
+START_S = 3.1
+LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))
+CONFIG = resolve_config(
+    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
+)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A video, its camera, and an instrument that knows nothing."""
+    folder = tmp_path_factory.mktemp("measure")
+    seen = stage.Bench(LENS.camera, LENS.distortion)
+    times = np.concatenate([np.arange(0, 6.2, 0.1), np.arange(6.2, 13.2, 0.5)])
+    images = (seen.image(time_s - START_S) for time_s in times)
+    stage.write_video(folder / "video.mp4", images, times)
+    stage.camera_file(LENS, folder / "camera.json")
+    write_config(CONFIG, folder / "results" / "config.json")
+    instrument = untrained_instrument(
+        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 64, frames=6
+    )
+    save_instrument(instrument, folder / "results" / "instrument" / "seed0")
+    return folder
+
+
+def another(bench, path):
+    """The video once more, in a file of other bytes: with an empty box at its end."""
+    path.write_bytes((bench / "video.mp4").read_bytes() + b"\x00\x00\x00\x08free")
+    return path
+
+
+def measure(bench, *words):
+    files = [str(bench / "video.mp4"), "--camera", str(bench / "camera.json")]
+    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
+    return main(["measure", *files, *model, "--threads", "1", *words])
+
+
+def test_result_numbers_and_page(bench, capsys):
+    page, numbers = bench / "page.html", bench / "numbers.json"
+    assert measure(bench, "--out", str(page), "--json", str(numbers)) == ALARM_EXIT_CODE
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("friction ")
+    assert said[0].endswith(", no error bar: calibrated on 0 simulations; 9 are needed")
+    assert "±" not in said[0]
+    assert said[1].startswith("most similar fabric ")
+    assert said[-1].startswith("ALARM: the instrument is not calibrated")
+    told = json.loads(numbers.read_text())
+    assert told["stage_start_s"] == pytest.approx(START_S, abs=0.01)
+    assert np.sum(told["moments"]) == pytest.approx(1, abs=1e-3)
+    assert len(told["frame_time_s"]) == 6
+    content = page.read_text()
+    assert content.count("data:image/png;base64,") == 6
+    assert "These numbers are not reliable" in content
+    assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
+    assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
+    assert f"{told['friction_coefficient']:.3f}" in content
+
+
+def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
+    settings = InstrumentSettings(
+        channels=[8, 8, 8], draws=1, points_weight=1.0, through_points=True
+    )
+    model = bench / "points" / "instrument" / "seed0"
+    write_config(CONFIG, bench / "points" / "config.json")
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    # Says of every frame: a point 5 cm below the clamps, 9 times.
+    instrument.networks[0].points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
+    instrument.networks[0].points_spread_m.fill_(1e-9)
+    save_instrument(instrument, model)
+    measuring = measuring_bench(bench / "camera.json", model)
+    result = measuring.measure(bench / "video.mp4")
+    assert result.points_px.shape == (6, 9, 2)
+    expected = measuring.schedule.crop(0.0).project(
+        np.array([[0.0, 0.0, PATH.start_height_m - 0.05]])
+    )
+    np.testing.assert_allclose(result.points_px[0], np.repeat(expected, 9, axis=0), atol=0.2)
+    content = page(result)
+    assert "Rings: where the instrument sees nine points" in content
+    assert content != page(replace(result, points_px=None))
+
+
+def test_the_error_bar_of_a_distribution_at_the_end_of_the_grid_is_not_zero():
+    """Half of the middle 68 %, here from 0 to one standard deviation."""
+    grid = friction_grid(1.5, 0.01)
+    middles = (grid[1:] + grid[:-1]) / 2
+    shares = probabilities_on_grid(ndtr(middles / 0.005)[None])[0]
+    assert _half_width(grid, shares) == pytest.approx(0.0025, rel=0.02)
+    shares = probabilities_on_grid(ndtr((middles - 0.5) / 0.03)[None])[0]
+    assert _half_width(grid, shares) == pytest.approx(0.03, rel=0.02)
+
+
+def test_an_alarm_has_an_exit_code_of_its_own():
+    assert ALARM_EXIT_CODE == 3
+
+
+def test_the_same_video_gives_the_same_numbers(bench, capsys):
+    answers = []
+    for _ in range(2):
+        assert measure(bench) == ALARM_EXIT_CODE
+        answers.append(capsys.readouterr().out)
+    assert answers[0] == answers[1]
+
+
+def test_a_stated_start(bench, capsys):
+    words = ["--start-s", "3.0", "--json", str(bench / "stated.json")]
+    assert measure(bench, *words) == ALARM_EXIT_CODE
+    told = json.loads((bench / "stated.json").read_text())
+    assert told["stage_start_s"] == 3.0
+    assert not told["stage_start_found"]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--start-s", "-1"], "--start-s -1: must be at least 0"),
+        (["--start-s", "9"], "the stage is seen to start at 3.1"),
+        (["--camera", "no.json"], "no.json: no such file"),
+        (["--model", "nowhere"], "nowhere"),
+        (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["--threads", "0"], "--threads must be at least 1"),
+        (["--threads", "100000000000"], "--threads: 100000000000: must be at most 1024"),
+        (["--threads", "9" * 5000], "must be at most 1024"),
+        (["--threads", "two"], "--threads: 'two': must be a whole number"),
+    ],
+)
+def test_bad_input_is_one_line(bench, capsys, words, problem):
+    assert measure(bench, *words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said
+
+
+def _text(bench, path):
+    path.write_text("no video\n" * 40)
+
+
+def _truncated(bench, path):
+    content = (bench / "video.mp4").read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def _ten_frames(bench, path):
+    times = np.arange(0, 1, 0.1)
+    stage.write_video(path, (np.zeros((240, 320, 3), np.uint8) for _ in times), times)
+
+
+def _portrait(bench, path):
+    times = np.arange(0, 1, 0.1)
+    stage.write_video(path, (np.zeros((320, 240, 3), np.uint8) for _ in times), times)
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (_text, "a text file, not a video"),
+        (_truncated, "not a video that FFmpeg can read (damaged or truncated?)"),
+        (_ten_frames, "if it does, give the start (--start-s, or start_s in a captures table)"),
+        (
+            _portrait,
+            "240x320 pixels (portrait: the camera was calibrated in the other orientation)",
+        ),
+        (lambda bench, path: None, "no such file"),
+        (lambda bench, path: path.mkdir(), "is a folder; must be a video"),
+    ],
+    ids=["text", "cut off", "ten frames", "portrait", "none", "folder"],
+)
+def test_a_bad_video_is_one_line(bench, tmp_path, capfd, make, problem):
+    path = tmp_path / "bad.mp4"
+    make(bench, path)
+    files = [str(path), "--camera", str(bench / "camera.json")]
+    assert main(["measure", *files, "--model", str(bench / "results/instrument/seed0")]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1, said
+    assert "bad.mp4: " in said and problem in said
+
+
+def test_a_configuration_of_other_videos_is_refused(bench, tmp_path, capsys):
+    other = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 4}})
+    write_config(other, tmp_path / "config.json")
+    assert measure(bench, "--config", str(tmp_path / "config.json")) == 2
+    assert "sample.frames is 4, the instrument" in capsys.readouterr().err
+
+
+def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path, capsys):
+    damaged = tmp_path / "damaged.mp4"
+    _text(bench, damaged)
+    missing = tmp_path / "missing.mp4"
+    (tmp_path / "again").mkdir()
+    again = another(bench, tmp_path / "again" / "video.mp4")
+    files = [str(bench / "video.mp4"), str(again), str(damaged), str(missing)]
+    words = ["--camera", str(bench / "camera.json")]
+    words += ["--model", str(bench / "results/instrument/seed0"), "--threads", "1"]
+    out = [
+        f"--out={tmp_path / 'x.html'}",
+        f"--json={tmp_path / 'x.json'}",
+        f"--csv={tmp_path / 'x.csv'}",
+    ]
+    assert main(["measure", *files, *words, *out]) == 2  # two could not be measured
+    said = capsys.readouterr().out
+    # As much of each path as tells the films from one another.
+    assert f"\n{bench.name}/video.mp4: friction " in f"\n{said}"
+    assert "\nagain/video.mp4: friction " in said
+    assert said.count("not measured: ") == 2 and "damaged.mp4: a text file" in said
+    assert "missing.mp4" in said
+    assert "ALARM in every video: no combined value" in said
+    told = json.loads((tmp_path / "x.json").read_text())
+    assert len(told["videos"]) == 2 and len(told["refused"]) == 2
+    assert told["combined"] is None
+    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
+    assert [row["video"] for row in rows] == [
+        f"{bench.name}/video.mp4",
+        "again/video.mp4",
+        f"{tmp_path.name}/damaged.mp4",
+        f"{tmp_path.name}/missing.mp4",
+    ]
+    assert rows[2]["friction_coefficient"] == ""
+    assert rows[2]["notes"].startswith(f"not measured: {damaged}: a text file")
+    content = (tmp_path / "x.html").read_text()
+    assert "No measurement" in content and content.count("data:image/png;base64,") == 10
+
+
+def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar(
+    bench, tmp_path, capsys
+):
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument.card["calibration_simulations"] = 4
+    width = 2 * settings.recurrent_units
+    parts = np.zeros((4, 6 * 144)), np.ones(4), np.zeros(width), np.eye(width)
+    calm = Alarm(np.zeros(6 * 144), *parts, np.zeros(4), np.ones(4), threshold=1e9)
+    bars = ErrorBars(1.0, 1.0, np.inf, calm)
+    save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
+    write_config(CONFIG, tmp_path / "config.json")
+    again = another(bench, tmp_path / "price $5_$6_.mp4")
+    files = [str(bench / "video.mp4"), str(again), "--camera", str(bench / "camera.json")]
+    out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
+    out += [f"--out={tmp_path / 'x.html'}", "--model", str(tmp_path / "model")]
+    assert main(["measure", *files, *out, "--threads", "1"]) == 0
+    why = "no error bar: calibrated on 4 simulations; 9 are needed"
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("combined (2 of 2 videos): friction 0.") and why in last
+    assert "interval" not in last
+    told = json.loads((tmp_path / "x.json").read_text())["combined"]
+    assert told["interval_90"] is None and told["without_error_bar"] == why
+    *rows, combined = csv.DictReader((tmp_path / "x.csv").read_text().splitlines())
+    for row in (*rows, combined):
+        assert (row["interval_90_low"], row["interval_90_high"], row["notes"]) == ("", "", why)
+    content = (tmp_path / "x.html").read_text()
+    assert "<!-- price $5_$6_.mp4 -->" in content  # in the figure, as it is
+    assert f"N{why[1:]}, from 2 of 2 videos" in content
+    assert "0.000 … " not in content
+
+
+def test_a_video_counts_once(bench, tmp_path, capsys):
+    other = tmp_path / "other.mp4"
+    other.symlink_to(bench / "video.mp4")
+    words = ["--camera", str(bench / "camera.json")]
+    words += ["--model", str(bench / "results/instrument/seed0")]
+    assert main(["measure", str(bench / "video.mp4"), str(other), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "other.mp4: given twice; each video counts once" in said
+
+
+def test_a_copy_of_a_video_is_no_repeat(bench, tmp_path, capsys):
+    copy = shutil.copy(bench / "video.mp4", tmp_path / "copy.mp4")
+    words = ["--camera", str(bench / "camera.json")]
+    assert main(["measure", str(bench / "video.mp4"), str(copy), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"copy.mp4: a copy of {bench / 'video.mp4'}; each video counts once" in said
+
+
+def test_what_is_read_is_not_written_over(bench, tmp_path, capsys):
+    camera = shutil.copy(bench / "camera.json", tmp_path / "camera.json")
+    before = camera.read_bytes()
+    words = ["--camera", str(camera), "--json", str(tmp_path / "." / "camera.json")]
+    assert measure(bench, *words) == 2
+    assert "camera.json: the command reads this file" in capsys.readouterr().err
+    assert camera.read_bytes() == before
+
+
+def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("slipstitch.film.measure.measurement_files.write_json", full)
+    assert measure(bench, "--json", str(tmp_path / "x.json")) == 1
+    told = capsys.readouterr()
+    assert told.out.startswith("friction 0.")
+    assert "no space left on the disk" in told.err
+
+
+@pytest.mark.parametrize(
+    ("name", "cell"),
+    [("combined", "./combined"), ("=1+1.mp4", "./=1+1.mp4"), ("glass_1.mp4", "glass_1.mp4")],
+)
+def test_the_table_names_a_video_by_no_formula_and_not_as_the_last_row(name, cell):
+    rows = list(csv.DictReader(MeasuredPair([], {name: "damaged"}).table().splitlines()))
+    assert rows[0]["video"] == cell
+
+
+@pytest.mark.parametrize(
+    ("videos", "names"),
+    [
+        (["day/film_1.mp4", "day/film_2.mp4"], ["film_1.mp4", "film_2.mp4"]),
+        (["a/film.mp4", "b/film.mp4", "c/film.mp4"], ["a/film.mp4", "b/film.mp4", "c/film.mp4"]),
+        (["a/1/film.mp4", "b/1/film.mp4"], ["a/1/film.mp4", "b/1/film.mp4"]),
+    ],
+)
+def test_films_are_named_by_what_tells_them_apart(videos, names):
+    assert names_of([Path(video) for video in videos]) == names
+
+
+def test_a_stated_start_belongs_to_one_video(bench, capsys):
+    files = [str(bench / "video.mp4")] * 2 + ["--camera", str(bench / "camera.json")]
+    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
+    assert main(["measure", *files, *model, "--start-s", "2.9"]) == 2
+    assert "cannot be combined with several videos" in capsys.readouterr().err

@@ -1,0 +1,178 @@
+"""``slipstitch capture check`` and ``measure``: cameras outside the poses of the training."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support import analytic_stage as stage
+from support.untrained import untrained_instrument
+
+from slipstitch.base.provenance import read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.config.catalogue import Viewpoint
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.film.measure.camera_check import check_camera, check_figure
+from slipstitch.film.measure.measuring import measuring_bench
+from slipstitch.images.camera import pose
+from slipstitch.learning.instrument.measuring import save_instrument
+from slipstitch.learning.instrument.poses import outside, pose_range, poses_of
+
+CONFIG = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 6}})
+FAMILY = {
+    "yaw_deg": [-15.0, 15.0],
+    "pitch_deg": [-8.0, 8.0],
+    "roll_deg": [-2.0, 2.0],
+    "log_distance": [-0.2, 0.2],
+}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("check")
+    write_config(CONFIG, folder / "config.json")
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument.card["pose_range"] = FAMILY
+    save_instrument(instrument, folder / "instrument")
+    for name, viewpoint in (
+        ("inside", Viewpoint(52.0, 20.0, 1.5)),
+        ("edge", Viewpoint(57.0, 24.0, 1.4)),
+        ("aside", Viewpoint(65.0, 24.0, 1.4)),
+        ("far", Viewpoint(40.0, 24.0, 2.4)),
+    ):
+        stage.camera_file(stage.lens_camera(*pose(viewpoint)), folder / f"{name}.json")
+    rotation, translation_m = pose(Viewpoint(40.0, 24.0, 1.4))
+    turn, _ = cv2.Rodrigues(np.array([0.0, np.pi, 0.0]))
+    panned = stage.lens_camera(turn @ rotation, turn @ translation_m)
+    stage.camera_file(panned, folder / "panned_away.json")
+    stage.camera_file(
+        stage.lens_camera(rotation, translation_m, focal_px=5000.0), folder / "long_focus.json"
+    )
+    stage.camera_file(
+        stage.lens_camera(rotation, translation_m, focal_px=35.0), folder / "focal_mm.json"
+    )
+    return folder
+
+
+def check(bench, name, *words):
+    model = ["--model", str(bench / "instrument")]
+    return main(["capture", "check", str(bench / f"{name}.json"), *model, *words])
+
+
+def test_a_camera_inside_the_family_is_told_so(bench, capsys):
+    assert check(bench, "inside", "--picture", str(bench / "check.png")) == 0
+    said = capsys.readouterr().out
+    assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
+    assert "sees 100 % of the crop, at the worst time of the protocol" in said
+    assert "OUTSIDE" not in said
+    assert (bench / "check.png").stat().st_size > 10_000
+
+
+def test_the_picture_is_written_into_a_new_folder_with_its_record(bench):
+    picture = bench / "new" / "check.png"
+    assert check(bench, "inside", "--picture", str(picture)) == 0
+    names = {Path(name).name for name in read_sidecar(picture)["inputs"]}
+    assert names == {"inside.json", "config.json", "instrument.json"}
+
+
+def test_a_camera_beyond_the_family_within_the_tolerance_is_told_how_far(bench, capsys):
+    assert check(bench, "edge") == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said == (
+        "just beyond the training range, within the tolerance: rotation about the vertical "
+        "+17 degrees (trained on -15 ... +15)"
+    )
+    # A measurement with this camera says the same.
+    edge = measuring_bench(bench / "edge.json", bench / "instrument")
+    assert edge.caveats == (said,) and edge.outside == ()
+    assert measuring_bench(bench / "inside.json", bench / "instrument").caveats == ()
+
+
+def test_a_measurement_by_force_knows_where_its_camera_is_outside(bench):
+    aside = measuring_bench(bench / "aside.json", bench / "instrument", force=True)
+    assert aside.outside == ("rotation about the vertical +25 degrees (trained on -15 ... +15)",)
+    assert aside.caveats == ()  # the alarm says it
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("aside", "rotation about the vertical +25 degrees (trained on -15 ... +15)"),
+        ("far", "distance 1.71 times that of the calibrated viewpoint (trained on 0.82 ... 1.22)"),
+    ],
+)
+def test_a_camera_outside_is_named_and_not_measured_with(bench, capsys, name, problem):
+    assert check(bench, name) == 3
+    assert problem in capsys.readouterr().out
+    words = ["--camera", str(bench / f"{name}.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words]) == 2
+    said = capsys.readouterr().err
+    assert problem in said and "--force measures anyway" in said
+    assert main(["measure", str(bench / "no.mp4"), *words, "--force"]) == 2
+    assert "no.mp4: no such file" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("name", "seen"), [("panned_away", 0), ("long_focus", 6)])
+def test_a_camera_that_does_not_see_the_track_is_told_so_before_any_film_is_read(
+    bench, capsys, name, seen
+):
+    problem = f"the camera sees only {seen} % of the crop; at least 80 % needed"
+    assert check(bench, name) == 3
+    told = capsys.readouterr().out
+    assert "OUTSIDE" in told and problem in told
+    assert f"sees {seen} % of the crop, at the worst time of the protocol" in told
+    words = ["--camera", str(bench / f"{name}.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words, "--force"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert problem in said and "no.mp4" not in said
+
+
+def test_a_camera_that_sees_the_cloth_too_coarsely_is_told_so(bench, capsys):
+    """As with a focal length in millimetres: everything is in view, in a few pixels."""
+    problem = "pixels for each of the instrument's; at least 0.8 needed"
+    assert check(bench, "focal_mm") == 3
+    assert problem in capsys.readouterr().out
+    words = ["--camera", str(bench / "focal_mm.json"), "--model", str(bench / "instrument")]
+    assert main(["measure", str(bench / "no.mp4"), *words]) == 2
+    assert problem in capsys.readouterr().err
+
+
+def test_the_picture_shows_the_range_the_tolerance_and_the_roll(bench):
+    figure = check_figure(check_camera(bench / "edge.json", bench / "instrument"))
+    above, aside, roll = figure.axes
+    for view in (above, aside):
+        trained, admitted = (
+            next(line for line in view.lines if line.get_label().startswith(name))
+            for name in ("training range", "tolerance")
+        )
+        assert admitted.get_linestyle() == "--"
+        assert np.ptp(admitted.get_xdata()) > np.ptp(trained.get_xdata())
+    assert [float(line.get_xdata()[0]) for line in roll.lines] == pytest.approx(
+        [-4, 4, 0], abs=1e-6
+    )
+    assert "just beyond the training range" in figure.get_suptitle()
+
+
+def test_the_range_is_that_of_the_videos():
+    rows = [{"pose_yaw_deg": -3.0, "pose_log_distance": 0.1}, {"pose_yaw_deg": 4.0}]
+    tested = pose_range(poses_of(rows))
+    assert tested["yaw_deg"] == [-3.0, 4.0] and tested["roll_deg"] == [0.0, 0.0]
+    near = {"yaw_deg": 5.0, "pitch_deg": 0.0, "roll_deg": 0.0, "log_distance": 0.0}
+    assert outside(near, tested) == []
+    assert len(outside(near | {"yaw_deg": 9.0, "roll_deg": -9.0}, tested)) == 2
+
+
+def test_the_pose_reaches_the_network():
+    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
+    instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=6)
+    frames = np.random.default_rng(0).integers(0, 255, (6, 32, 32, 3), dtype=np.uint8)
+    answers = {
+        yaw: instrument.measure(frames, pose=np.array([yaw, 0, 0, 0])).distribution[1]
+        for yaw in (0.0, 15.0)
+    }
+    assert np.abs(answers[0.0] - answers[15.0]).max() > 1e-6
+    assert (answers[0.0] == instrument.measure(frames).distribution[1]).all()

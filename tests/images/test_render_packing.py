@@ -1,0 +1,253 @@
+"""Shading packs: Blender once, then every texture without it; verification against Blender."""
+
+import json
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_cloth
+
+from slipstitch.base.provenance import read_metadata, read_provenance, read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config
+from slipstitch.images import verification
+from slipstitch.images.packing import Job
+from slipstitch.images.surroundings import draw_surroundings
+from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
+
+ONE = "m05_f0300_r00"
+CONFIG = {
+    "seed": 5,
+    "render": {
+        "pixels": 32,
+        "textures": ["dots"],
+        "viewpoints": ["side", "calibrated"],
+        "floors": ["stainless-steel"],
+        "augmentation": {
+            "lamp_m": 0.1, "exposure_stops": 0.5, "colour_cast": 0.1, "noise": 0.02,
+            "jpeg_quality": 60,
+        },
+        "verified_images": 2,
+    },
+    "sample": {"frames": 3},
+    "simulation": {"frames": 12},
+}  # fmt: skip
+
+
+def configure(folder, name="config.json", **render):
+    config = CONFIG | {"render": CONFIG["render"] | render}
+    (folder / name).write_text(json.dumps(config))
+    return str(folder / name)
+
+
+def shade(folder, view, config="config.json", out=None):
+    path = folder / "packs" / f"{out or ONE}_{view}.parquet"
+    words = ["--trajectory", str(folder / f"{ONE}.parquet"), "--viewpoint", view]
+    return main(["render", "--config", str(folder / config), *words, "--shading", str(path)])
+
+
+def compose_words(folder, *views, config="config.json", out_dir="images"):
+    packs = [str(folder / "packs" / f"{ONE}_{view}.parquet") for view in views]
+    return [
+        "render", "--config", str(folder / config), "--trajectory", str(folder / f"{ONE}.parquet"),
+        "--from-shading", *packs, "--out-dir", str(folder / out_dir),
+    ]  # fmt: skip
+
+
+def images(path):
+    rows = pq.read_table(path).to_pylist()
+    return {
+        (row["texture"], row["frame"]): cv2.imdecode(
+            np.frombuffer(row["image"]["bytes"], np.uint8), cv2.IMREAD_COLOR
+        )
+        for row in rows
+    }
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("packing")
+    configure(folder)
+    motion = synthetic_cloth.motion(12, n=11, frame_rate_hz=0.15)
+    write_trajectory(folder / f"{ONE}.parquet", Trajectory(**motion))
+    for view in ("v00", "v01"):
+        assert shade(folder, view) == 0
+    assert main(compose_words(folder, "v00", "v01")) == 0
+    return folder
+
+
+def test_textures_are_put_on_without_blender(work):
+    # In a process in which bpy cannot be imported, with a texture that the pack never heard of.
+    configure(work, "more.json", textures=["dots", "tartan"], test_textures=["chevron"])
+    words = compose_words(work, "v00", config="more.json", out_dir="more")
+    code = (
+        "import sys; sys.modules['bpy'] = None\n"
+        f"from slipstitch.cli.main import main; sys.exit(main({words!r}))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    more, before = (images(work / of / f"{ONE}_v00.parquet") for of in ("more", "images"))
+    assert {texture for texture, _ in more} == {"t00", "t01", "t02"}
+    for key, image in before.items():
+        np.testing.assert_array_equal(image, more[key])
+
+
+def test_images_from_a_pack_are_those_of_one_go(work):
+    path = work / f"{ONE}_whole.parquet"
+    words = ["--trajectory", str(work / f"{ONE}.parquet"), "--viewpoint", "v01"]
+    configuration = ["--config", str(work / "config.json")]
+    assert main(["render", *configuration, *words, "--out", str(path)]) == 0
+    whole, parts = images(path), images(work / "images" / f"{ONE}_v01.parquet")
+    assert whole.keys() == parts.keys()
+    for key, image in whole.items():
+        np.testing.assert_array_equal(image, parts[key])
+
+
+def test_floor_lamp_and_cameras_are_recorded(work):
+    side, calibrated = (
+        read_metadata(work / "images" / f"{ONE}_{view}.parquet") for view in ("v00", "v01")
+    )
+    surroundings = side["surroundings"]
+    assert surroundings["floor"] == "stainless-steel"
+    assert 0.5 <= surroundings["reflectance"] <= 0.62
+    assert 0.2 <= surroundings["roughness"] <= 0.4
+    assert surroundings["lamp_position_m"] != [0.8, -0.5, 1.0]
+    # One bench for all viewpoints, a camera for each video.
+    assert calibrated["surroundings"] == surroundings
+    cameras = side["augmentation"]["t00"], calibrated["augmentation"]["t00"]
+    assert cameras[0] != cameras[1]
+    for camera in cameras:
+        assert abs(camera["exposure_stops"]) <= 0.5
+        assert 0 < camera["noise"] <= 0.02
+        assert 60 <= camera["jpeg_quality"] <= 100
+        assert 0.9 <= camera["red"] <= 1.1
+
+
+def test_a_pack_s_record_holds_what_the_light_depends_on(work):
+    record = read_provenance(work / "packs" / f"{ONE}_v00.parquet")
+    assert record["stage"] == "render.packing"
+    assert record["config"]["render"]["augmentation"] == {"lamp_m": 0.1}
+    assert "textures" not in record["config"]["render"]
+    shard = read_provenance(work / "images" / f"{ONE}_v00.parquet")
+    assert any(name.endswith("_v00.parquet") for name in shard["inputs"])
+
+
+def test_an_image_file_is_a_texture(work, tmp_path):
+    drawing = np.zeros((300, 300, 3), np.uint8)
+    drawing[:, 150:] = (0, 0, 255)  # red for u > 1/2, as OpenCV orders colours
+    cv2.imwrite(str(tmp_path / "mine.png"), drawing)
+    plain = {"textures": [str(tmp_path / "mine.png")], "augmentation": {"lamp_m": 0.1}}
+    configure(work, "mine.json", **plain)
+    assert main(compose_words(work, "v01", config="mine.json", out_dir="mine")) == 0
+    image = next(iter(images(work / "mine" / f"{ONE}_v01.parquet").values())).astype(int)
+    assert (image[..., 2] > image[..., 0] + 60).sum() > 20
+    inputs = read_provenance(work / "mine" / f"{ONE}_v01.parquet")["inputs"]
+    assert any(name.endswith("mine.png") for name in inputs)
+
+
+def _no_image(folder):
+    (folder / "bad.png").write_text("not an image")
+    return {"textures": [str(folder / "bad.png")]}
+
+
+def _no_file(folder):
+    return {"textures": [str(folder / "none.jpg")]}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_no_image, "bad.png: not an image file, or a damaged image"),
+        (_no_file, "none.jpg: no such texture file"),
+    ],
+)
+def test_a_texture_that_is_no_image_is_one_clear_line(work, tmp_path, capsys, change, message):
+    configure(work, "bad.json", **change(tmp_path))
+    assert main(compose_words(work, "v00", config="bad.json", out_dir="bad")) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (work / "bad").exists() or not list((work / "bad").iterdir())
+
+
+def test_a_pack_of_another_trajectory_is_one_clear_line(work, tmp_path, capsys):
+    motion = synthetic_cloth.motion(12, n=11, frame_rate_hz=0.2)
+    write_trajectory(tmp_path / f"{ONE}.parquet", Trajectory(**motion))
+    words = compose_words(work, "v00")
+    words[words.index("--trajectory") + 1] = str(tmp_path / f"{ONE}.parquet")
+    assert main(words) == 2
+    assert "not rendered from" in capsys.readouterr().err
+
+
+def test_what_is_no_pack_is_one_clear_line(work, capsys):
+    words = compose_words(work, "v00")
+    words[words.index("--from-shading") + 1] = str(work / "images" / f"{ONE}_v00.parquet")
+    assert main(words) == 2
+    assert "not a shading pack" in capsys.readouterr().err
+
+
+def verify(work, out, shards="images"):
+    paths = [str(work / shards / f"{ONE}_{view}.parquet") for view in ("v00", "v01")]
+    folders = ["--trajectories", str(work), "--packs", str(work / "packs")]
+    configuration = ["--config", str(work / "config.json")]
+    return main(["render", *configuration, "--verify", *folders, "--out", str(out), *paths])
+
+
+def test_a_sample_of_the_dataset_is_compared_with_direct_renders(work, capsys):
+    out = work / "verification.json"
+    assert verify(work, out) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    content = json.loads(out.read_text())
+    assert content["images"] == 2
+    assert content["lowest_psnr_db"] >= 36
+    assert content["lowest_ssim"] >= 0.97
+    assert all(one["as_stored"] for one in content["comparisons"])
+    assert read_sidecar(out)["stage"] == "render"
+
+
+def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(verification, "LEAST_PSNR_DB", {False: 99.0, True: 99.0})
+    assert verify(work, tmp_path / "verification.json") == 1
+    error = capsys.readouterr().err
+    assert "floor stainless-steel" in error
+    assert "at least 99 dB" in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_altered_image_fails_the_verification(work, tmp_path, capsys):
+    for view in ("v00", "v01"):
+        path = work / "images" / f"{ONE}_{view}.parquet"
+        table = pq.read_table(path)
+        rows = table.to_pylist()
+        for row in rows:
+            image = cv2.imdecode(np.frombuffer(row["image"]["bytes"], np.uint8), cv2.IMREAD_COLOR)
+            image[5, 5] ^= 1
+            row["image"]["bytes"] = cv2.imencode(".png", image)[1].tobytes()
+        (work / "altered").mkdir(exist_ok=True)
+        altered = table.from_pylist(rows, schema=table.schema)
+        pq.write_table(altered, work / "altered" / path.name)
+    assert verify(work, tmp_path / "verification.json", "altered") == 1
+    assert (
+        "the stored image differs from the one composed from its shading pack"
+        in capsys.readouterr().err
+    )
+
+
+def test_a_viewpoint_of_the_second_training_set_keeps_its_id_and_its_floors(tmp_path):
+    """It shares its name with another."""
+    render = {"viewpoints": ["calibrated", "side"], "reflective_floors": ["aluminium"]}
+    config = resolve_config({"render": render})
+    path = tmp_path / "m05_f0100_r00.parquet"
+    ids = ("v00", "v02", "calibrated", "frontal")
+    jobs = {name: Job.of(config, path, name) for name in ids}
+    assert {name: job.viewpoint_id for name, job in jobs.items()} == {
+        "v00": "v00", "v02": "v02", "calibrated": "v00", "frontal": "frontal"
+    }  # fmt: skip
+    assert jobs["v02"].viewpoint == "calibrated"
+    assert list(jobs["v02"].catalogue_entries()["floors"]) == ["aluminium"]
+    assert list(jobs["v00"].catalogue_entries()["floors"]) == ["matte"]
+    floors = {draw_surroundings(config.render, 1, path.stem, name).floor for name in ("v02", "v03")}
+    assert floors == {"aluminium"}

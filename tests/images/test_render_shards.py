@@ -1,0 +1,385 @@
+"""``slipstitch render``: shards, previews, and what it says to bad input."""
+
+import json
+
+import av
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_cloth
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_metadata, read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.render import RenderSettings
+from slipstitch.design.grid import simulations
+from slipstitch.design.interpolation import Interpolation, interpolations
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.images import interpolation, shards
+from slipstitch.images.camera import pose
+from slipstitch.images.camera_file import write_camera_file
+from slipstitch.images.packing import Job
+from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
+
+FRAMES, SAMPLED = 12, 4
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """A folder with a configuration, a made-up trajectory and its two shards."""
+    folder = tmp_path_factory.mktemp("render")
+    (folder / "config.json").write_text(
+        json.dumps(
+            {
+                "render": {
+                    "pixels": 32,
+                    "textures": ["dots", "denim"],
+                    "test_textures": ["chevron"],
+                    "viewpoints": ["side", "calibrated"],
+                    "test_viewpoints": ["calibrated_+5"],
+                },
+                "sample": {"frames": SAMPLED},
+                "simulation": {"frames": FRAMES},
+            }
+        )
+    )
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    write_trajectory(folder / "m05_f0300_r00.parquet", Trajectory(**motion))
+    for viewpoint in ("v00", "v01"):
+        assert render(folder, "--viewpoint", viewpoint, out=f"{viewpoint}.parquet") == 0
+    return folder
+
+
+def render(folder, *words, out="out.parquet", trajectory="m05_f0300_r00.parquet"):
+    files = ["--trajectory", str(folder / trajectory), "--out", str(folder / out)]
+    return main(["render", "--config", str(folder / "config.json"), *files, *words])
+
+
+def images(path):
+    table = pq.read_table(path).to_pylist()
+    return {
+        (row["texture"], row["frame"]): cv2.imdecode(
+            np.frombuffer(row["image"]["bytes"], np.uint8), cv2.IMREAD_COLOR
+        )
+        for row in table
+    }
+
+
+def test_a_trajectory_file_gives_back_what_was_written(work):
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    read = read_trajectory(work / "m05_f0300_r00.parquet")
+    for name, values in motion.items():
+        np.testing.assert_array_equal(getattr(read, name), values)
+
+
+def test_a_shard_has_one_row_for_every_texture_and_sampled_frame(work):
+    table = pq.read_table(work / "v00.parquet")
+    assert table.schema.equals(shards.SCHEMA)
+    rows = table.to_pylist()
+    expected = [(f, t) for f in sampled_frames(FRAMES, SAMPLED) for t in ("t00", "t01", "t02")]
+    assert [(row["frame"], row["texture"]) for row in rows] == expected
+    assert {row["simulation"] for row in rows} == {"m05_f0300_r00"}
+    assert {row["viewpoint"] for row in rows} == {"v00"}
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    for row in rows:
+        assert row["time_s"] == motion["time_s"][row["frame"]]
+        assert row["stage_x_m"] == motion["stage_x_m"][row["frame"]]
+        assert row["image"]["path"].startswith(f"m05_f0300_r00_{row['texture']}_v00_")
+    assert all(image.shape == (32, 32, 3) for image in images(work / "v00.parquet").values())
+
+
+def test_a_shard_tells_its_cameras_and_where_it_comes_from(work):
+    metadata = read_metadata(work / "v01.parquet")
+    assert metadata["viewpoint"] == {"id": "v01", "name": "calibrated"}
+    assert metadata["textures"] == {"t00": "dots", "t01": "denim", "t02": "chevron"}
+    assert metadata["smallest_share_of_cloth_in_image"] == 1
+    assert set(metadata["camera"]["frames"]) == {"0", "3", "6", "9"}
+    record = metadata["provenance"]
+    assert record["stage"] == "render"
+    assert len(record["inputs"]) == 1
+    assert record["config"]["render"]["pixels"] == 32
+
+
+def test_the_recorded_camera_projects_the_cloth_onto_its_image(work):
+    # In the denim images of a side view the cloth is the only thing that is blue.
+    metadata = read_metadata(work / "v00.parquet")["camera"]
+    trajectory = read_trajectory(work / "m05_f0300_r00.parquet")
+    for frame, crop in metadata["frames"].items():
+        local = trajectory.positions_m[int(frame)] @ np.array(metadata["rotation"]).T
+        local = local + metadata["translation_m"]
+        place = local[:, :2] / local[:, 2:] * crop["focal_px"] + crop["principal_point_px"]
+        image = images(work / "v00.parquet")["t01", int(frame)].astype(int)
+        y, x = np.nonzero(image[..., 0] > image[..., 2] + 12)
+        assert place[:, 0].min() == pytest.approx(x.min(), abs=1.2)
+        assert place[:, 0].max() == pytest.approx(x.max(), abs=1.2)
+        assert place[:, 1].min() == pytest.approx(y.min(), abs=1.6)
+
+
+def test_a_shard_tells_where_nine_points_of_the_cloth_are(work):
+    trajectory = read_trajectory(work / "m05_f0300_r00.parquet")
+    marked = read_metadata(work / "v00.parquet")["marked_points_m"]
+    assert set(marked) == {"0", "3", "6", "9"}
+    # 11 x 11 vertices; rows 3, 7 and 10 are nearest to a third, two thirds and the lower edge.
+    vertices = [11 * row + column for row in (3, 7, 10) for column in (0, 5, 10)]
+    for frame, places in marked.items():
+        expected = trajectory.positions_m[int(frame), vertices].astype(np.float64)
+        expected[:, 0] -= trajectory.stage_x_m[int(frame)]
+        np.testing.assert_allclose(np.reshape(places, (9, 3)), expected, atol=6e-6)
+
+
+def test_equal_inputs_give_equal_pixels(work):
+    assert render(work, "--viewpoint", "v01", out="again.parquet") == 0
+    first, again = images(work / "v01.parquet"), images(work / "again.parquet")
+    assert first.keys() == again.keys()
+    for key, image in first.items():
+        np.testing.assert_array_equal(image, again[key])
+
+
+def test_a_viewpoint_can_be_given_by_name(work, capfd):
+    assert render(work, "--viewpoint", "frontal", out="frontal.parquet") == 0
+    assert set(pq.read_table(work / "frontal.parquet")["viewpoint"].to_pylist()) == {"frontal"}
+    # Results on standard output, and nothing of Blender's.
+    assert capfd.readouterr().out.count("\n") == 1
+
+
+def test_the_calibrated_viewpoint_stands_where_the_camera_file_says(work):
+    rotation, translation = pose(VIEWPOINTS["calibrated_-15"])
+    lens = {
+        "image_size_px": [1920, 1080],
+        "focal_px": [1500.0, 1520.0],
+        "principal_point_px": [970.0, 530.0],
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        "rotation": rotation.tolist(),
+        "translation_m": translation.tolist(),
+    }
+    write_camera_file(work / "camera.json", lens)
+    over = work / "camera.yaml"
+    over.write_text(f"render: {{camera: {work / 'camera.json'}, pixels: 16}}\n")
+    for name, seen_from in (("calibrated", "calibrated_-15"), ("calibrated_+5", "calibrated_-10")):
+        words = ["--config", str(over), "--viewpoint", name]
+        assert render(work, *words, out="camera.parquet") == 0
+        metadata = read_metadata(work / "camera.parquet")
+        found = metadata["camera"]["rotation"]
+        np.testing.assert_allclose(found, pose(VIEWPOINTS[seen_from])[0], atol=1e-12)
+        assert len(metadata["provenance"]["inputs"]) == 2
+    assert render(work, "--config", str(over), "--viewpoint", "side", out="camera.parquet") == 0
+    assert len(read_metadata(work / "camera.parquet")["provenance"]["inputs"]) == 1
+
+
+def test_a_camera_file_that_is_none_is_one_clear_line(work, capsys):
+    over = work / "no_camera.yaml"
+    over.write_text("render: {camera: nowhere.json}\n")
+    assert render(work, "--config", str(over), "--viewpoint", "calibrated", out="bad.parquet") == 2
+    assert "nowhere.json: no such file" in capsys.readouterr().err
+
+
+def test_a_fixed_crop_is_the_same_for_every_frame(work):
+    over = work / "fixed.yaml"
+    over.write_text("render: {crop: fixed, frames: all, pixels: 16}\n")
+    assert render(work, "--config", str(over), "--viewpoint", "v00", out="fixed.parquet") == 0
+    frames = read_metadata(work / "fixed.parquet")["camera"]["frames"]
+    assert len(frames) == FRAMES
+    assert len({json.dumps(crop) for crop in frames.values()}) == 1
+    follow = read_metadata(work / "v00.parquet")["camera"]["frames"]
+    assert len({json.dumps(crop) for crop in follow.values()}) > 1
+
+
+def test_interrupted_work_leaves_nothing(work, monkeypatch):
+    def interrupt(layers, names):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shards, "compose_light", interrupt)
+    before = sorted(work.iterdir())
+    assert render(work, "--viewpoint", "v00", out="interrupted.parquet") == 130
+    assert sorted(work.iterdir()) == before
+
+
+def test_a_preview_is_a_contact_sheet_and_a_video_that_play(work, capsys):
+    sheet, video = work / "m05_f0300_r00.png", work / "m05_f0300_r00.mp4"
+    words = ["render", "--preview", "--out-sheet", str(sheet), "--out-video", str(video)]
+    assert main([*words, str(work / "v00.parquet"), str(work / "v01.parquet")]) == 0
+    assert capsys.readouterr().out.splitlines() == [str(sheet), str(video)]
+    # Two rows of 4 frames and two of 3 textures, 32 pixels each, with gaps of 2.
+    assert cv2.imread(str(sheet)).shape == (4 * 34 - 2, 4 * 34 - 2, 3)
+    with av.open(str(video)) as film:  # what browsers play
+        codec = film.streams.video[0].codec_context
+        assert (codec.name, codec.pix_fmt) == ("h264", "yuv420p")
+    capture = cv2.VideoCapture(str(video))
+    pictures = []
+    while (read := capture.read())[0]:
+        pictures.append(read[1])
+    assert len(pictures) == SAMPLED
+    # What plays back is the first texture, seen from both viewpoints.
+    expected = images(work / "v00.parquet")["t00", 0]
+    scale = pictures[0].shape[0] // 32
+    shown = cv2.resize(
+        pictures[0][: 32 * scale, : 32 * scale], (32, 32), interpolation=cv2.INTER_AREA
+    )
+    assert np.abs(shown.astype(int) - expected).mean() < 6
+    assert read_sidecar(sheet)["stage"] == "render"
+
+
+def _without(column):
+    def damage(source, path):
+        table = pq.read_table(source)
+        pq.write_table(table.drop_columns([column]), path)
+
+    return damage
+
+
+def _cut(source, path):
+    path.write_bytes(source.read_bytes()[:3000])
+
+
+def _not_finite(source, path):
+    trajectory = read_trajectory(source)
+    trajectory.positions_m[1, 5, 2] = np.nan
+    write_trajectory(path, trajectory)
+
+
+def _texture_coordinates_in_metres(source, path):
+    trajectory = read_trajectory(source)
+    trajectory.uv[:] *= 3
+    write_trajectory(path, trajectory)
+
+
+def _another_parquet(source, path):
+    pq.write_table(pa.table({"a": [1]}), path)
+
+
+def _bare_mesh(source, path):
+    pq.write_table(pq.read_table(source).replace_schema_metadata(None), path)
+
+
+def _missing(source, path):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_missing, "no such file"),
+        (_cut, "damaged or not a Parquet file"),
+        (_another_parquet, "no column 'frame'"),
+        (_without("positions_m"), "no column 'positions_m'"),
+        (_bare_mesh, "no 'rest_positions_m' in its metadata"),
+        (_not_finite, "positions_m contains non-finite numbers"),
+        (_texture_coordinates_in_metres, "texture coordinates are outside 0 ... 1"),
+    ],
+)
+def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message):
+    path = work / "bad_trajectory.parquet"
+    path.unlink(missing_ok=True)
+    damage(work / "m05_f0300_r00.parquet", path)
+    assert render(work, "--viewpoint", "v00", out="bad.parquet", trajectory=path.name) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "bad_trajectory.parquet" in error
+    assert message in error
+    assert not (work / "bad.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--viewpoint", "v07"], "no viewpoint 'v07'; the configuration has v00 (side)"),
+        ([], "rendering requires --viewpoint"),
+        (["--viewpoint", "v00", "--out-sheet", "a.png"], "cannot be combined with rendering"),
+    ],
+)
+def test_wrong_options_are_one_clear_line(work, capsys, words, message):
+    assert render(work, *words, out="bad.parquet") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--out-sheet", "a.png"], "--preview requires image shards"),
+        (["v00.parquet"], "requires --out-sheet or --out-video"),
+        (["--out-sheet", "a.png", "m05_f0300_r00.parquet"], "not an image shard"),
+        (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),
+        (["--out-video", "a.avi", "v00.parquet"], "must end in .mp4"),
+        (["--out-sheet", "a.png", "v00.parquet", "v00.parquet"], "which is also in another shard"),
+        (["--out-sheet", "a.png", "none.parquet"], "no such file"),
+    ],
+)
+def test_an_impossible_preview_is_one_clear_line(work, capsys, monkeypatch, words, message):
+    monkeypatch.chdir(work)
+    assert main(["render", "--preview", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monkeypatch):
+    """Pixel for pixel as a film of the mean trajectory; its label is the coefficient between."""
+    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
+    settings = {
+        "grid": {
+            "materials": ["gray-interlock", "ivory-rib-knit"],
+            "frictions": [0.1, 0.3, 0.5],
+            "replicates": 1,
+        },
+        "render": {
+            "pixels": 32,
+            "textures": ["dots"],
+            "viewpoints": ["bench_1"],
+            "interpolation": {"share": 1.0, "from_friction": 0.0},
+        },
+        "sample": {"frames": SAMPLED, "validation_fraction": 0.0, "test_fraction": 0.1},
+        "simulation": {"frames": FRAMES},
+        "train": {"splits": ["by_simulation"]},
+    }
+    config = resolve_config(settings)
+    (tmp_path / "config.json").write_text(json.dumps(settings))
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    for number, one in enumerate(simulations(config)):
+        aside = motion["positions_m"] + np.float32([0, 0.004 * number, 0])
+        write_trajectory(
+            tmp_path / f"{one.id}.parquet", Trajectory(**{**motion, "positions_m": aside})
+        )
+    (simulation, _), shown = next(
+        (film, shown) for film, shown in interpolations(config).items() if len(shown.weights) == 2
+    )
+    assert render(tmp_path, "--viewpoint", "v00", trajectory=f"{simulation}.parquet") == 0
+    metadata = read_metadata(tmp_path / "out.parquet")
+    assert metadata["interpolation"] == {"friction": shown.friction, "weights": shown.weights}
+    assert metadata["interpolated_frames"] == {"mixed": 0, "of_one_fabric": FRAMES, "simulated": 0}
+    assert set(metadata["provenance"]["inputs"]) == {f"{name}.parquet" for name in shown.weights}
+
+    mean = sum(
+        weight * read_trajectory(tmp_path / f"{name}.parquet").positions_m.astype(np.float64)
+        for name, weight in shown.weights.items()
+    )
+    write_trajectory(
+        tmp_path / f"{simulation}.parquet",
+        Trajectory(**{**motion, "positions_m": mean.astype(np.float32)}),
+    )
+    plain = json.loads((tmp_path / "config.json").read_text())
+    del plain["render"]["interpolation"]
+    (tmp_path / "config.json").write_text(json.dumps(plain))
+    words = ("--viewpoint", "v00")
+    assert render(tmp_path, *words, out="mean.parquet", trajectory=f"{simulation}.parquet") == 0
+    between, alone = (images(tmp_path / name) for name in ("out.parquet", "mean.parquet"))
+    for key, image in alone.items():
+        np.testing.assert_array_equal(between[key], image)
+
+
+def test_trajectories_that_do_not_fit_one_another_are_refused(tmp_path):
+    motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
+    write_trajectory(tmp_path / "m00_a.parquet", Trajectory(**motion))
+    other = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.2)
+    write_trajectory(tmp_path / "m00_b.parquet", Trajectory(**other))
+    job = Job(
+        tmp_path / "m00_a.parquet", "v00", "bench_1", RenderSettings(), SAMPLED, 1,
+        Interpolation(0.2, {"m00_a": 0.5, "m00_b": 0.5}),
+    )  # fmt: skip
+    with pytest.raises(BadInput, match="m00_b: its time_s is not that of m00_a"):
+        job.trajectory()

@@ -1,0 +1,98 @@
+"""What rays meet: areas, depth order and perspective against closed forms."""
+
+import numpy as np
+import pytest
+
+from slipstitch.images.camera import Camera
+from slipstitch.images.visibility import ray_places, sees_quad, visible_cloth
+
+
+def camera(pixels=64):
+    """At the origin, looking along z; a unit square at distance 2 fills half the image."""
+    matrix = np.array([[pixels, 0, (pixels - 1) / 2], [0, pixels, (pixels - 1) / 2], [0, 0, 1.0]])
+    return Camera(np.eye(3), np.zeros(3), matrix, pixels)
+
+
+def square(depth, side=1.0, centre=(0.0, 0.0)):
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2 + centre
+    return np.column_stack([corners, np.broadcast_to(depth, 4)])
+
+
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+UV = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+
+
+def test_a_square_covers_its_area():
+    found = visible_cloth(square(2.0, 0.777), FACES, UV, camera())
+    # Its image is 0.777 * 64 / 2 = 24.9 pixels wide.
+    assert len(found.seen) == pytest.approx((0.777 * 32) ** 2, rel=0.02)
+    assert (np.diff(found.seen) > 0).all()
+
+
+def test_no_ray_falls_between_two_triangles():
+    found = visible_cloth(square(2.0), FACES, UV, camera())
+    seen = np.zeros(64 * 64, bool)
+    seen[found.seen] = True
+    assert seen.reshape(64, 64)[17:47, 17:47].all()
+
+
+def test_texture_coordinates_are_those_of_the_point_that_the_ray_meets():
+    # Tilted strongly, so that interpolation without perspective would be off by 0.1.
+    corners = square(np.array([1.2, 3.0, 3.0, 1.2]))
+    view = camera()
+    found = visible_cloth(corners, FACES, UV, view)
+    point = corners[0] + found.uv[:, :1] * (corners[1] - corners[0])
+    point = point + found.uv[:, 1:] * (corners[3] - corners[0])
+    y, x = np.divmod(found.seen, 64)
+    np.testing.assert_allclose(view.project(point), np.column_stack(ray_places(x, y, 4)), atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_the_nearer_of_two_layers_is_seen_whichever_comes_first(order):
+    near, far = square(2.0, 0.5), square(2.5, 1.2)
+    layers = [(near, 0.25), (far, 0.75)] if order else [(far, 0.75), (near, 0.25)]
+    positions = np.concatenate([layer for layer, _ in layers])
+    uv = np.concatenate([np.full((4, 2), value) for _, value in layers])
+    found = visible_cloth(positions, np.concatenate([FACES, FACES + 4]), uv, camera())
+    share = np.isclose(found.uv[:, 0], 0.25).sum()
+    assert share == pytest.approx((0.5 * 32) ** 2, rel=0.03)
+
+
+def test_back_faces_count():
+    both = [
+        visible_cloth(square(2.0), faces, UV, camera()).seen for faces in (FACES, FACES[:, ::-1])
+    ]
+    np.testing.assert_array_equal(*both)
+
+
+def test_cloth_outside_the_image_is_not_met():
+    assert not len(visible_cloth(square(2.0, 0.5, (5.0, 0.0)), FACES, UV, camera()).seen)
+
+
+def test_a_quadrilateral_is_met_by_the_same_rays_as_its_two_triangles():
+    corners = square(np.array([1.2, 3.0, 3.0, 1.2]))
+    inside = np.flatnonzero(sees_quad(corners, camera()))
+    np.testing.assert_array_equal(inside, visible_cloth(corners, FACES, UV, camera()).seen)
+    np.testing.assert_array_equal(inside, np.flatnonzero(sees_quad(corners[::-1], camera())))
+
+
+@pytest.mark.parametrize("tile", [4, 8])
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 301.0])
+def test_a_turned_quadrilateral_is_met_by_every_ray_inside_its_edges(tile, angle_deg):
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    corners = square(2.0, 1.3, (0.1, -0.2))
+    corners[:, :2] = corners[:, :2] @ np.array([[c, s], [-s, c]])
+    pixels = np.arange(64)
+    x, y = ray_places(*np.meshgrid(pixels, pixels), tile)
+    # Where the rays meet the plane of the square, turned back.
+    plane = np.stack([x - 31.5, y - 31.5], axis=-1) / 32 @ np.array([[c, -s], [s, c]])
+    expected = (np.abs(plane - [0.1, -0.2]) <= 0.65).all(axis=-1)
+    np.testing.assert_array_equal(sees_quad(corners, camera(), tile), expected)
+
+
+@pytest.mark.parametrize("tile", [4, 8])
+def test_the_rays_of_a_tile_share_no_row_and_no_column(tile):
+    y, x = np.divmod(np.arange(tile**2), tile)
+    for places in ray_places(x, y, tile):
+        # Evenly spread over the tile, each within its own pixel.
+        np.testing.assert_allclose(np.sort(places), -0.5 + (np.arange(tile**2) + 0.5) / tile)

@@ -1,0 +1,209 @@
+"""The sentences follow from the predictions: a planted difference is found, none is not."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.learning.ablation.ablations_page import ablations_page
+from slipstitch.learning.ablation.summary import interval, summarise
+
+TEXTURES = 3
+
+
+def answers(
+    gain, seeds=3, simulations=20, at_chance=0, failures=0, tested_on="held-out", noise=0.02
+):
+    """A question with two variants; the second one's errors are smaller by `gain`."""
+    generator = np.random.default_rng(7)
+    hard = generator.uniform(0.05, 0.15, simulations)  # errors go by simulation
+    found = []
+    for seed in range(seeds):
+        predictions, variants = [], []
+        for name, less in (("first", 0.0), ("second", gain)):
+            failed = name == "second" and seed < failures
+            variants.append(
+                {
+                    "network": "lrcn",
+                    "variant": name,
+                    "phrase": f"the {name} way",
+                    "training_videos": 12,
+                    "training_simulations": 6,
+                    "passes": 30.0,
+                    "train_loss": None if failed else 0.5,
+                    "chance_loss": None if failed else 1.4,
+                    "failure": "the loss became nan" if failed else None,
+                    "stayed_at_chance": not failed and seed < at_chance,
+                }
+            )
+            if failed:
+                continue
+            for number in range(simulations):
+                error = max(0.0, hard[number] - less + generator.normal(0, noise))
+                for texture in range(TEXTURES):
+                    true = 0.1 + 0.1 * (number % 5)
+                    predictions.append(
+                        {
+                            "network": "lrcn",
+                            "variant": name,
+                            "tested_on": tested_on,
+                            "video": f"s{number}_t{texture}",
+                            "simulation": f"s{number}",
+                            "true": true,
+                            "predicted": true + error,
+                        }
+                    )
+        found.append(
+            {
+                "question": "diversity",
+                "seed": seed,
+                "asks": "Which way?",
+                "left_out": None,
+                "dataset_digest": "d",
+                "variants": variants,
+                "predictions": predictions,
+            }
+        )
+    return found
+
+
+def summed(*words, **options):
+    return summarise(answers(*words, **options), 0.1)["questions"]["diversity"]
+
+
+def concluded(*words, **options):
+    (found,) = summed(*words, **options)["comparisons"]
+    return found
+
+
+def test_a_planted_difference_is_found_and_said():
+    found = concluded(0.04)
+    assert found["verdict"] == "better"
+    assert found["low"] < -0.04 < found["high"] < 0
+    assert re.fullmatch(
+        r"lrcn: the second way is better than the first way: mean error smaller by 0\.0[34]\d "
+        r"\(0\.0[23]\d \.\.\. 0\.0[45]\d\), 20 simulations and 3 seeds\.",
+        found["sentence"],
+    )
+    assert concluded(-0.04)["verdict"] == "worse"
+    assert "is worse than the first way: mean error larger by 0.0" in concluded(-0.04)["sentence"]
+
+
+def test_equal_variants_cannot_be_told_apart():
+    found = concluded(0.0)
+    assert found["verdict"] == "no significant difference" and found["low"] < 0 < found["high"]
+    assert "no significant difference" in found["sentence"]
+    assert "with 20 simulations and 3 seeds: difference" in found["sentence"]
+
+
+def test_the_rows_are_scores_with_their_spread_over_seeds():
+    first, second = summed(0.04)["rows"]
+    assert (first["n"], first["simulations"], first["seeds"]) == (60, 20, 3)
+    assert second["mean"]["mean_absolute_error"] < first["mean"]["mean_absolute_error"]
+    assert 0 < first["spread"]["mean_absolute_error"] < 0.02
+    assert first["constant_error"] == pytest.approx(0.12)
+    assert summed(0.04, seeds=1)["rows"][0]["spread"] is None
+
+
+def test_videos_of_one_simulation_are_not_independent():
+    """Copies of every video leave the interval as it is."""
+    few = concluded(0.01)
+    tripled = answers(0.01)
+    for one in tripled:
+        one["predictions"] *= 3
+    (many,) = summarise(tripled, 0.1)["questions"]["diversity"]["comparisons"]
+    assert (few["low"], few["high"]) == pytest.approx((many["low"], many["high"]))
+
+
+def test_runs_at_chance_and_diverged_ones_are_in_the_row_and_the_sentence():
+    found = summed(0.04, at_chance=1)
+    assert [row["stayed_at_chance"] for row in found["rows"]] == [1, 1]
+    assert (
+        "the second way stayed at chance with 1 of 3 seeds" in found["comparisons"][0]["sentence"]
+    )
+    found = concluded(0.04, at_chance=3)
+    assert found["verdict"] == "nothing learnt"
+    assert "both stayed at chance at this budget" in found["sentence"]
+    found = concluded(0.04, failures=1)
+    assert found["seeds"] == 2 and "the second way diverged with 1 of 3 seeds" in found["sentence"]
+    found = concluded(0.04, failures=3)
+    assert (found["verdict"], found["low"]) == ("not compared", None)
+    assert "in no seed did both train without diverging" in found["sentence"]
+
+
+def test_one_seed_or_one_simulation_says_so():
+    assert "the interval does not cover other seeds" in concluded(0.04, seeds=1)["sentence"]
+    found = concluded(0.04, simulations=1)
+    assert found["verdict"] == "not compared" and found["difference"] is not None
+    assert "one test simulation does not generalise to others" in found["sentence"]
+
+
+def test_the_test_set_stands_in_the_sentence():
+    sentence = concluded(0.04, tested_on="mirroring floors")["sentence"]
+    assert sentence.startswith("lrcn, tested on mirroring floors: ")
+
+
+def test_answers_of_different_datasets_are_refused():
+    mixed = answers(0.0)
+    mixed[1]["dataset_digest"] = "another"
+    with pytest.raises(BadInput, match="from different datasets"):
+        summarise(mixed, 0.1)
+
+
+def test_the_page_has_every_sentence_picture_and_reason():
+    left_out = {**answers(0.0)[0], "question": "floors", "left_out": "floors: mirrors are needed"}
+    left_out |= {"variants": [], "predictions": []}
+    summary = summarise([*answers(0.04), left_out], 0.1)
+    page = ablations_page(summary)
+    (found,) = summary["questions"]["diversity"]["comparisons"]
+    for text in (found["sentence"], "floors: mirrors are needed", "Diversity: Which way?"):
+        assert text in page
+    assert page.count("data:image/svg+xml") == 1
+    assert "Of 1 comparison, about 0.1" in page
+    assert "–" in ablations_page(summarise(answers(0.04, failures=3), 0.1))
+
+
+def held(method, seed_size, simulation_size, noise, seeds=3, simulations=20, draws=600):
+    """How often an interval holds the true mean, 0, of crossed random effects."""
+    generator = np.random.default_rng(0)
+    hits = 0
+    for _ in range(draws):
+        drawn = (
+            seed_size * generator.normal(size=(seeds, 1))
+            + simulation_size * generator.normal(size=(1, simulations))
+            + noise * generator.normal(size=(seeds, simulations))
+        )
+        low, high = method(drawn, generator)
+        hits += low <= 0 <= high
+    return hits / draws
+
+
+def two_way(drawn, _):
+    return interval(drawn)[1:]
+
+
+def bootstrap(drawn, generator):
+    seeds, simulations = drawn.shape
+    which = generator.integers(seeds, size=(100, seeds))
+    where = generator.integers(simulations, size=(100, simulations))
+    means = drawn[which[:, :, None], where[:, None]].mean((1, 2))
+    return np.quantile(means, [0.05, 0.95])
+
+
+@pytest.mark.parametrize(
+    "sizes", [(0, 1, 1), (0, 0, 1), (0.3, 1, 1), (1, 1, 1), (1, 0, 0.3)], ids=str
+)
+def test_the_interval_holds_as_often_as_it_says(sizes):
+    assert 0.85 <= held(two_way, *sizes) <= 0.99
+
+
+def test_a_bootstrap_over_three_seeds_would_be_too_narrow():
+    assert held(bootstrap, 1, 0, 0.3) < 0.72
+
+
+def test_an_interval_of_equal_differences_is_a_point():
+    assert interval(np.full((3, 5), 0.02)) == (0.02, 0.02, 0.02)
+    mean, low, high = interval(np.zeros((3, 1)))
+    assert mean == 0 and math.isinf(low) and math.isinf(high)

@@ -1,0 +1,455 @@
+"""Trained networks go through the tables: every number can be recomputed from the predictions."""
+
+import contextlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_videos
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest, read_provenance
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.train import REFLECTIVE, TRAINED_ON
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.design.grid import friction_id
+from slipstitch.learning.evaluation.evaluation import find_models, write_evaluation
+from slipstitch.learning.evaluation.metrics import FIELDS
+from slipstitch.learning.evaluation.probes import PREFIX
+from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
+from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
+from slipstitch.learning.instrument.training import train_instrument
+from slipstitch.learning.training import train_network
+
+CONFIG = synthetic_videos.config(
+    grid={"test_frictions": [0.35], "test_materials": ["royal-target"]},
+    instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
+    render={
+        "test_textures": ["chevron"],
+        "test_viewpoints": ["calibrated_-15", "calibrated_+5"],
+        "test_viewpoint_videos": 5,
+        "reflective_floors": ["ceramic"],
+    },
+    train={"splits": list(TRAINED_ON)},
+)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    """A dataset with test-only textures, views and floors, and all networks."""
+    folder = tmp_path_factory.mktemp("chain")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    for split in TRAINED_ON:
+        for network, _ in CONFIG.train.trainings(split):
+            material = folder / "train" / split / "material_baseline" / "seed0"
+            train_network(
+                CONFIG.train,
+                folder / "sample",
+                network,
+                split,
+                0,
+                folder / "train" / split / network / "seed0",
+                view_order=CONFIG.render.viewpoints,
+                material_model=material if network == "friction_conditional" else None,
+            )
+        if split == REFLECTIVE:
+            continue
+        train_instrument(
+            CONFIG.instrument,
+            folder / "sample",
+            split,
+            0,
+            folder / "instrument" / split / "seed0",
+            viewpoints=["calibrated"],
+            frames=6,
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluated(chain):
+    out = chain / "evaluate"
+    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    with contextlib.chdir(chain):  # records name files by their path from the working folder
+        write_evaluation(
+            EvaluateSettings(),
+            chain / "sample",
+            chain / "train",
+            *names,
+            calibrated="calibrated",
+            instruments_folder=chain / "instrument",
+        )
+    return out
+
+
+def content(path):
+    return json.loads(path.read_text())
+
+
+def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluated):
+    metrics = content(evaluated / "metrics.json")
+    assert list(metrics) == [
+        "by_video",
+        "by_simulation",
+        "off_grid",
+        "unseen_texture",
+        "unseen_fabric",
+        "view_-15",
+        "view_+5",
+        "reflective_floors",
+        "by_video_reflective",
+    ]
+    for split, models in metrics.items():
+        # Of the split by video, the instrument's viewpoint may have no test video.
+        probed = {model for model in models if model.startswith(PREFIX)}
+        assert bool(probed) == (split in TRAINED_ON)
+        models = {model: row for model, row in models.items() if model not in probed}
+        assert list(models)[:2] == ["lrcn_baseline", "lrcn_conditional"]
+        of_few = ("by_video", "reflective_floors", REFLECTIVE)
+        assert split in of_few or list(models)[2:] == ["instrument"]
+        for model, row in models.items():
+            assert tuple(row) == FIELDS
+            known = model != "lrcn_conditional" and split != "unseen_fabric"
+            assert (row["material_top1"] is not None) == known
+            assert row["seeds"] == [0]
+            assert (row["coverage_90"] is None) == (model != "instrument")
+
+
+def test_the_test_sets_hold_what_they_should(evaluated):
+    metrics = content(evaluated / "metrics.json")
+    n = {split: models["lrcn_baseline"]["n"] for split, models in metrics.items()}
+    # 8 simulations, 2 + 1 textures, 2 + 2 views; 32 trainable videos, 3 of them test by video;
+    # by simulation 1 of the 2 held out of each friction tests: 2 simulations of 4 videos.
+    assert n == {
+        "by_video": 3,
+        "by_simulation": 8,
+        "off_grid": 8,
+        "unseen_fabric": 8,
+        "unseen_texture": 16,
+        "view_-15": 5,  # drawn, as in the paper
+        "view_+5": 5,
+        "reflective_floors": 3,  # those of by_video on the other floor
+        "by_video_reflective": 3,
+    }
+
+
+def test_networks_beat_chance_on_held_out_simulations(evaluated):
+    entry = content(evaluated / "details.json")["by_simulation"]["friction_baseline"]
+    assert entry["chance"]["uniform"] == entry["chance"]["majority"] == 0.5
+    assert entry["mean"]["friction_lt_0.1"] > 0.5
+    assert entry["mean"]["mean_absolute_error"] < entry["chance"]["mean_absolute_error"]
+
+
+def test_the_tables_follow_from_the_predictions(evaluated):
+    rows = pq.read_table(evaluated / "predictions.parquet").to_pylist()
+    metrics = content(evaluated / "metrics.json")
+    details = content(evaluated / "details.json")
+    for model, network in (
+        ("lrcn_baseline", "friction_baseline"),
+        ("lrcn_conditional", "friction_conditional"),
+    ):
+        for split in metrics:
+            chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
+            if not chosen:  # no such network on reflective floors
+                assert (split, network) == (REFLECTIVE, "friction_baseline")
+                continue
+            error = np.array([row["predicted_value"] - row["true_value"] for row in chosen])
+            right = np.mean(abs(error) < 0.05)
+            assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
+            assert metrics[split][model]["n"] == len(chosen)
+            views = details[split][network]["viewpoints"]
+            for view, scores in views.items():
+                seen = np.array([row["viewpoint"] == view for row in chosen])
+                mean = np.mean(abs(error[seen]) < 0.05)
+                assert scores["mean"]["friction_lt_0.1"] == pytest.approx(mean)
+                assert (scores["n"], scores["spread"]) == (seen.sum(), None)
+            if split == "off_grid":
+                assert details[split][network]["confusion"] is None
+                continue
+            counts = np.array(details[split][network]["confusion"])
+            assert counts.trace() / counts.sum() == pytest.approx(right)
+    assert all(sum(row["probabilities"]) == pytest.approx(1.0) for row in rows)
+    held_out = {row["simulation"] for row in rows if row["split"] == "by_simulation"}
+    manifest = pq.read_table(evaluated.parent / "sample" / "manifest.parquet").to_pylist()
+    trained = {row["simulation"] for row in manifest if row["split_by_simulation"] == "train"}
+    assert held_out and not held_out & trained
+
+
+def test_the_instruments_rows_follow_from_its_predictions(evaluated):
+    rows = pq.read_table(evaluated / "predictions.parquet").to_pylist()
+    details = content(evaluated / "details.json")
+    entry = content(evaluated / "metrics.json")["by_simulation"]["instrument"]
+    said = [r for r in rows if (r["split"], r["network"]) == ("by_simulation", "instrument")]
+    assert {row["viewpoint"] for row in said} == {"calibrated"}
+    assert entry["n"] == len(said) == 4
+    errors = [abs(row["predicted_value"] - row["true_value"]) for row in said]
+    assert entry["mean_absolute_error"] == pytest.approx(np.mean(errors))
+    # True and predicted are ids of coefficients, as the networks' are; the fabric has a column.
+    grid = {friction_id(friction): friction for friction in CONFIG.grid.frictions}
+    for row in said:
+        assert row["true_value"] == pytest.approx(grid[row["true"]])
+        nearest = min(grid, key=lambda name, row=row: abs(grid[name] - row["predicted_value"]))
+        assert row["predicted"] == nearest
+        assert row["likeliest_material"] in CONFIG.grid.materials
+    covered = [row["low"] <= row["true_value"] <= row["high"] for row in said]
+    assert entry["coverage_90"] == pytest.approx(np.mean(covered))
+    alarms = details["by_simulation"]["instrument"]["alarms"]["0"]
+    assert alarms["good"] == np.mean([row["alarm"] != "" for row in said])
+    assert {"reversed", "protocol", "empty", "object", "viewpoint"} <= set(alarms)
+
+
+def test_wrong_inputs_are_what_they_are_called():
+    # Grey floor that grows brighter downwards, a red cloth that moves across it.
+    videos = np.zeros((3, 8, 32, 32, 3), np.uint8)
+    videos[:] = (np.arange(32) * 4 + 40)[:, None, None]
+    for frame in range(8):
+        videos[:, frame, 8:20, 3 * frame : 3 * frame + 8] = (200, 30, 40)
+    made = wrong_inputs(videos)
+    assert np.array_equal(made["reversed"][:, 0], videos[:, -1])
+    assert np.array_equal(made["protocol"][:, 7], videos[:, 3])
+    assert np.array_equal(made["upside_down"][:, :, 0], videos[:, :, -1])
+    floor = (np.arange(32) * 4 + 40)[:, None, None]
+    assert abs(made["empty"].astype(int) - floor).max() <= 6
+    changed = (made["object"] != made["empty"]).any(-1)
+    assert changed[:, :, 14:18, 14:18].all() and not changed[:, :, :6].any()
+
+
+def test_every_file_says_where_it_comes_from(evaluated):
+    for name in ("metrics.json", "details.json", "predictions.parquet"):
+        record = read_provenance(evaluated / name)
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 8 + 2
+
+
+def test_the_command_prints_the_table(chain, evaluated, tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["evaluate", "--config", str(tmp_path / "config.json")]
+    words += ["--dataset", str(chain / "sample"), "--models", str(chain / "train")]
+    words += ["--instruments", str(chain / "instrument"), "--out", str(tmp_path / "metrics.json")]
+    assert main([*words, "--predictions", str(tmp_path / "predictions.parquet")]) == 0
+    said = capsys.readouterr().out
+    assert "by_simulation    lrcn_conditional" in said
+    assert content(tmp_path / "metrics.json") == content(evaluated / "metrics.json")
+
+
+def test_a_folder_without_models_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no models found"):
+        find_models(tmp_path)
+
+
+def test_models_of_an_earlier_configuration_do_not_count(chain):
+    every = find_models(chain / "train")
+    of_video = find_models(
+        chain / "train", CONFIG.train.model_copy(update={"splits": ["by_video"]})
+    )
+    assert {split for split, _, _ in every} == set(TRAINED_ON)
+    assert {split for split, _, _ in of_video} == {"by_video"}
+    with pytest.raises(BadInput, match="no models found"):
+        seeds = {"seeds": [7], "reflective_seeds": [7]}
+        find_models(chain / "train", CONFIG.train.model_copy(update=seeds))
+
+
+def test_the_record_names_the_models_that_count_and_no_others(chain, tmp_path, monkeypatch):
+    monkeypatch.chdir(chain)
+    metrics = write_evaluation(
+        EvaluateSettings(),
+        chain / "sample",
+        chain / "train",
+        *(tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")),
+        calibrated="calibrated",
+        train=CONFIG.train.model_copy(update={"splits": ["by_simulation"]}),
+        instruments_folder=chain / "instrument",
+    )
+    assert set(metrics) == {"by_simulation", "off_grid", "unseen_fabric"}
+    inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
+    weights = sorted(name for name in inputs if name.endswith(".safetensors"))
+    assert weights == [
+        "instrument/by_simulation/seed0/instrument.safetensors",
+        "train/by_simulation/friction_baseline/seed0/model.safetensors",
+        "train/by_simulation/friction_conditional/seed0/model.safetensors",
+        "train/by_simulation/material_baseline/seed0/model.safetensors",
+    ]
+
+
+def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
+    source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
+    shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
+    with pytest.raises(BadInput, match="does not match its folder"):
+        find_models(tmp_path)
+
+
+def test_a_conditional_network_without_its_material_network_is_refused(chain, tmp_path):
+    models = tmp_path / "train"
+    shutil.copytree(chain / "train", models)
+    shutil.rmtree(models / "by_video" / "material_baseline")
+    with pytest.raises(BadInput, match="has no matching material_baseline"):
+        _evaluate(chain / "sample", models, tmp_path)
+
+
+def test_models_of_another_dataset_are_refused(chain, tmp_path):
+    sample = CONFIG.sample.model_copy(update={"test_fraction": 0.3})
+    config = CONFIG.model_copy(update={"sample": sample})
+    shards = sorted((chain / "render").glob("*.parquet"))
+    write_dataset(config, shards, tmp_path / "sample")
+    with pytest.raises(BadInput, match="was not trained on"):
+        _evaluate(tmp_path / "sample", chain / "train", tmp_path)
+
+
+def _evaluate(dataset, models, out):
+    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    write_evaluation(EvaluateSettings(), dataset, models, *names, calibrated="calibrated")
+
+
+def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_path):
+    config = synthetic_videos.config(
+        instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},
+        render={"viewpoints": ["calibrated", "bench_1"]},
+        train={"splits": ["by_simulation"]},
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render")
+    write_dataset(config, shards, tmp_path / "sample")
+    trained = Path("instrument/by_simulation/seed0/instrument.safetensors")
+    for seed in (0, 1):
+        train_instrument(
+            config.instrument,
+            tmp_path / "sample",
+            "by_simulation",
+            seed,
+            tmp_path / f"instrument/by_simulation/seed{seed}",
+            viewpoints=["calibrated", "bench_1"],
+            frames=6,
+        )
+    left_over = tmp_path / "instrument/by_simulation/seed7" / trained.name
+    left_over.parent.mkdir()
+    left_over.write_text("of an earlier configuration")
+    names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+
+    def evaluated(seeds, **options):
+        with contextlib.chdir(tmp_path):
+            return write_evaluation(
+                EvaluateSettings(),
+                tmp_path / "sample",
+                None,
+                *names,
+                calibrated="calibrated",
+                instruments_folder=tmp_path / "instrument",
+                instrument_seeds=seeds,
+                **options,
+            )
+
+    metrics = evaluated([0])
+    assert set(metrics) == {"by_simulation"}
+    for name in names:
+        assert set(read_provenance(name)["inputs"]) == {"sample/manifest.parquet", str(trained)}
+    instrument = content(names[2])["by_simulation"]["instrument"]
+    rows = pq.read_table(names[1]).to_pylist()
+    assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
+    assert len(rows) == instrument["n"]
+    poses = {"yaw_deg": 5, "pitch_deg": 4, "farther_percent": 10}
+    assert set(instrument["by"]) == {"material", "friction", "floor", "texture", *poses}
+    for kind, step in poses.items():
+        assert "+0" in instrument["by"][kind]  # the calibrated view
+        assert all(int(value) % step == 0 for value in instrument["by"][kind])
+    for kind, parts in instrument["by"].items():
+        assert sum(part["n"] for part in parts.values()) == instrument["n"], kind
+    off = {mu: part["mean_absolute_error"] for mu, part in instrument["by"]["friction"].items()}
+    for mu, error in off.items():
+        errors = [
+            abs(row["predicted_value"] - row["true_value"])
+            for row in rows
+            if f"{row['true_value']:g}" == mu
+        ]
+        assert error == pytest.approx(np.mean(errors))
+
+    # Averaged later, when the images of all but the test's simulations are gone.
+    evaluated([0, 1])
+    before = [content(name) for name in (names[0], names[2])]
+    rows = pq.read_table(names[1]).to_pylist()
+    members = [tmp_path / f"instrument/by_simulation/seed{seed}" for seed in (0, 1)]
+    with contextlib.chdir(tmp_path):
+        combine_instruments(
+            [member.relative_to(tmp_path) for member in members],
+            tmp_path / "sample",
+            "by_simulation",
+            tmp_path / "instrument/by_simulation/ensemble",
+        )
+    tested = {f"{row['simulation']}.parquet" for row in rows}
+    images = shutil.copytree(tmp_path / "sample", tmp_path / "images")
+    for shard in (tmp_path / "sample").glob("m0*.parquet"):
+        if shard.name not in tested:
+            shard.unlink()
+    evaluated([0, 1], update=True)
+    after = [content(name) for name in (names[0], names[2])]
+    average = {
+        name: one["by_simulation"].pop("instrument_ensemble")
+        for name, one in zip(("metrics", "details"), after, strict=True)
+    }
+    assert after == before
+    assert average["metrics"]["seeds"] == [0, 1]
+    assert list(average["details"]["seeds"]) == list(average["details"]["alarms"]) == ["ensemble"]
+    now = pq.read_table(names[1]).to_pylist()
+    assert [row for row in now if row["network"] == "instrument"] == rows
+    averaged = [row for row in now if row["network"] == "instrument_ensemble"]
+    assert [row["video"] for row in averaged] == [row["video"] for row in rows if not row["seed"]]
+    assert {row["seed"] for row in averaged} == {None}
+    inputs = read_provenance(names[0])["inputs"]
+    assert {Path(name).parent.name for name in inputs} == {"sample", "seed0", "seed1", "ensemble"}
+    evaluated([0, 1], update=True)  # nothing to do
+    assert content(names[0])["by_simulation"]["instrument_ensemble"] == average["metrics"]
+
+    # Stretched by what it reads of other benches, when all images are gone.
+    ensemble = tmp_path / "instrument/by_simulation/ensemble"
+    scored = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    bench = synthetic_videos.config(seed=5, grid={"frictions": [0.3, 0.4, 0.7], "replicates": 4})
+    shards = synthetic_videos.write_shards(bench, tmp_path / "bench/render")
+    write_dataset(bench, shards, tmp_path / "bench/sample")
+    with contextlib.chdir(tmp_path):
+        recalibrate_instrument(ensemble, tmp_path / "again", ["bench/sample"])
+    shutil.copytree(tmp_path / "again", ensemble, dirs_exist_ok=True)
+    shutil.copytree(images, tmp_path / "sample", dirs_exist_ok=True)
+    evaluated([0, 1])
+    with_images = [content(name)["by_simulation"] for name in (names[0], names[2])]
+    whole = pq.read_table(names[1]).to_pylist()
+    for path, held in scored.items():
+        path.write_bytes(held)
+    for shard in (tmp_path / "sample").glob("m0*.parquet"):
+        shard.unlink()
+    evaluated([0, 1], update=True)
+    for one, other in zip((names[0], names[2]), with_images, strict=True):
+        assert content(one)["by_simulation"] == other
+    assert with_images[0]["instrument_ensemble"] != average["metrics"]
+    assert pq.read_table(names[1]).to_pylist() == whole
+    inputs = read_provenance(names[0])["inputs"]
+    assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
+
+
+def test_scores_of_another_dataset_or_other_settings_are_not_updated(
+    chain, evaluated, tmp_path, capsys
+):
+    out = shutil.copytree(evaluated, tmp_path / "evaluate")
+    config = tmp_path / "c.json"
+
+    def said(dataset, settings, words):
+        write_config(CONFIG.model_copy(update={"evaluate": settings}), config)
+        arguments = ["--config", str(config), "--dataset", str(dataset), "--update"]
+        arguments += ["--instruments", str(chain / "instrument")]
+        arguments += ["--predictions", str(out / "predictions.parquet")]
+        assert main(["evaluate", *arguments, "--out", str(out / "metrics.json")]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and words in error
+
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    said(chain / "sample", EvaluateSettings(friction_step=0.2), "scores by other settings")
+    other = shutil.copytree(chain / "sample", tmp_path / "other")
+    table = pq.read_table(other / "manifest.parquet")
+    pq.write_table(table, other / "manifest.parquet", compression="none")
+    said(other, EvaluateSettings(), "scores of another dataset")
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+    for path in list(out.iterdir()):
+        path.unlink()
+    said(chain / "sample", EvaluateSettings(), "no scores to update: run without --update")

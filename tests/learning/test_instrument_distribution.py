@@ -1,0 +1,135 @@
+"""Distributions of mu on a grid, and intervals whose coverage is promised."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import norm
+
+from slipstitch.base.errors import BadInput
+from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.distribution import (
+    friction_grid,
+    mixture_cumulative,
+    probabilities_on_grid,
+    quantiles,
+    ranked_probability_score,
+    spread,
+)
+from slipstitch.learning.instrument.error_bars import fitted_spread
+from slipstitch.learning.instrument.measuring import stretch_scores, stretched
+
+GRID = friction_grid(1.5, 0.01)
+
+
+def cumulative_of(mean, deviation):
+    """F of one normal distribution at the middles of the grid, by way of the mixture."""
+    parameters = torch.tensor([[[0.3, -1.0], [mean, mean], [np.log(deviation)] * 2]])
+    middles = torch.from_numpy((GRID[1:] + GRID[:-1]) / 2)
+    return mixture_cumulative(parameters.double(), middles)
+
+
+def test_a_mixture_of_two_equal_normals_is_that_normal():
+    middles = (GRID[1:] + GRID[:-1]) / 2
+    np.testing.assert_allclose(
+        cumulative_of(0.6, 0.1)[0].numpy(), norm.cdf(middles, 0.6, 0.1), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(("truth", "deviation"), [(0.6, 0.1), (0.734, 0.1), (0.5, 0.03)])
+def test_the_loss_is_the_closed_form_of_a_normal_distribution(truth, deviation):
+    # Gneiting & Raftery 2007, eq. 21: sigma [z (2 Phi(z) - 1) + 2 phi(z) - 1 / sqrt(pi)].
+    z = (truth - 0.6) / deviation
+    closed = deviation * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi))
+    score = ranked_probability_score(
+        cumulative_of(0.6, deviation), torch.tensor([truth]), torch.from_numpy(GRID)
+    )
+    assert score.item() == pytest.approx(closed, abs=2e-4)
+
+
+def test_quantiles_of_a_normal_distribution_on_the_grid():
+    shares = probabilities_on_grid(cumulative_of(0.6, 0.1).numpy())
+    assert shares.sum() == pytest.approx(1.0)
+    found = quantiles(shares, GRID, np.array([0.05, 0.5, 0.95]))[0]
+    np.testing.assert_allclose(found, norm.ppf([0.05, 0.5, 0.95], 0.6, 0.1), atol=1e-3)
+
+
+def test_a_spread_of_two_doubles_a_normal_distributions_deviation():
+    shares = spread(probabilities_on_grid(cumulative_of(0.7, 0.05).numpy()), GRID, 2.0)
+    mean = (shares * GRID).sum()
+    assert np.sqrt((shares * (GRID - mean) ** 2).sum()) == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_spread_keeps_the_median_of_two_modes():
+    one, other = (probabilities_on_grid(cumulative_of(m, 0.02).numpy()) for m in (0.3, 1.2))
+    shares = 0.7 * one + 0.3 * other
+    medians = [
+        quantiles(s, GRID, np.array([0.5]))[0, 0] for s in (shares, spread(shares, GRID, 5.0))
+    ]
+    assert medians[0] == pytest.approx(medians[1], abs=2e-3)
+    assert abs(medians[0] - 0.3) < 0.02
+
+
+def test_the_fitted_spread_is_that_of_the_errors():
+    random = np.random.default_rng(3)
+    truth = random.uniform(0.3, 1.2, 400)
+    said = truth + random.normal(size=400) * 0.06
+    shares = np.concatenate([probabilities_on_grid(cumulative_of(m, 0.02).numpy()) for m in said])
+    assert fitted_spread(shares, GRID, truth, [str(n) for n in range(400)]) == pytest.approx(3, 0.1)
+
+
+def test_the_quantile_counts_every_group_once():
+    # Three groups of 1, 1 and 8 scores, and one at infinity: weights 1/4, 1/4, 8 times 1/32.
+    scores = np.array([1.0, 2.0, *range(3, 11)])
+    groups = ["a", "b", *"c" * 8]
+    assert grouped_quantile(scores, groups, 0.25) == 1.0
+    assert grouped_quantile(scores, groups, 0.5) == 2.0
+    assert grouped_quantile(scores, groups, 0.625) == 6.0
+    assert grouped_quantile(scores, groups, 0.76) == np.inf
+
+
+def test_too_few_groups_promise_nothing():
+    scores = np.arange(9.0)
+    assert np.isfinite(grouped_quantile(scores, [str(n) for n in range(9)], 0.9))
+    assert grouped_quantile(scores[:8], [str(n) for n in range(8)], 0.9) == np.inf
+
+
+@pytest.mark.parametrize("scores", [[], [1.0, 2.0], [np.nan]])
+def test_scores_that_are_none_are_refused(scores):
+    with pytest.raises(BadInput, match="one number each"):
+        grouped_quantile(np.array(scores), ["a"], 0.9)
+
+
+def test_intervals_cover_new_groups_as_promised_and_not_much_more():
+    # Errors shared within a group: 30 groups of unequal size calibrate, one more is tested.
+    random = np.random.default_rng(5)
+    hits, naive_hits, trials = 0, 0, 3000
+    for _ in range(trials):
+        sizes = random.integers(1, 12, 31)
+        groups = np.repeat(np.arange(31), sizes)
+        scores = abs(random.normal(size=31)[groups] + 0.3 * random.normal(size=len(groups)))
+        old = groups < 30
+        limit = grouped_quantile(scores[old], groups[old].astype(str), 0.9)
+        hits += (scores[~old] <= limit).mean()
+        naive_hits += (scores[~old] <= np.quantile(scores[old], 0.9)).mean()
+    assert 0.89 < hits / trials < 0.935  # promised: 0.9 ... 0.9 + 1 / 31
+    assert naive_hits < hits
+
+
+def test_stretched_intervals_reach_the_truths_they_were_stretched_for():
+    means, truth = np.array([0.4, 0.7, 1.0]), np.array([0.45, 0.4, 1.05])
+    shares = np.concatenate([probabilities_on_grid(cumulative_of(m, 0.03).numpy()) for m in means])
+    factors = stretch_scores(shares, GRID, 0.9, truth)
+    for row, factor in enumerate(factors):
+        _, low, high = stretched(shares, GRID, 0.9, factor)[row]
+        assert min(abs(low - truth[row]), abs(high - truth[row])) < 1e-9
+
+
+def test_without_a_promise_the_interval_is_the_whole_grid():
+    shares = probabilities_on_grid(cumulative_of(0.5, 0.1).numpy())
+    np.testing.assert_allclose(stretched(shares, GRID, 0.9, np.inf), [[0.5, 0.0, 1.5]], atol=1e-3)
+
+
+def test_coverage_counts_every_simulation_once():
+    low, high = np.zeros(5), np.ones(5)
+    share, error = covered(low, high, np.array([0.5, 0.5, 0.5, 0.5, 2.0]), ["a"] * 4 + ["b"])
+    assert (share, error) == (0.5, 0.5)

@@ -1,0 +1,451 @@
+"""Several trainings of the instrument, averaged, stored and calibrated as one."""
+
+import contextlib
+import json
+import shutil
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_videos
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest, read_metadata, read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.evaluation.instruments import find_instruments
+from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.instrument.augmentation import phased
+from slipstitch.learning.instrument.calibration_answers import FILE, read_answers
+from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
+from slipstitch.learning.instrument.calibration_readings import kept_readings, read_readings
+from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.distribution import quantiles, spread
+from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, stretch_scores
+from slipstitch.learning.instrument.training import train_instrument
+
+CONFIG = synthetic_videos.config(
+    grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
+    render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+    sample={"frames": 6, "validation_fraction": 0.34, "test_fraction": 0.16},
+    instrument={
+        "seeds": [0, 1, 2],
+        "channels": [8, 16, 24],
+        "features": 128,
+        "recurrent_units": 64,
+        "epochs": 10,
+        "rectification_error": 0.01,
+        "blur_px": 0.0,
+        "precision": "float32",
+        "points_weight": 1.0,
+        "plateau_margin": None,
+    },
+)
+SEEDS = CONFIG.instrument.seeds
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render", marked=True)
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def train(dataset, folder, seed, **changes):
+    settings = InstrumentSettings(**{**CONFIG.instrument.model_dump(), **changes})
+    out = folder / "by_simulation" / f"seed{seed}"
+    train_instrument(
+        settings, dataset, "by_simulation", seed, out, viewpoints=["calibrated"], frames=6
+    )
+    return out
+
+
+def combine(members, dataset, out):
+    return combine_instruments(members, dataset, "by_simulation", out)
+
+
+@pytest.fixture(scope="module")
+def folder(dataset, tmp_path_factory):
+    """Three trainings and their average."""
+    folder = tmp_path_factory.mktemp("instrument")
+    members = [train(dataset, folder, seed) for seed in SEEDS]
+    with contextlib.chdir(folder):  # records name files by their path from the working folder
+        inside = [member.relative_to(folder) for member in members]
+        combine(inside, dataset, folder / "by_simulation" / "ensemble")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def members(folder):
+    return [folder / "by_simulation" / f"seed{seed}" for seed in SEEDS]
+
+
+@pytest.fixture(scope="module")
+def average(folder):
+    return load_instrument(folder / "by_simulation" / "ensemble")
+
+
+def held_out(dataset, side):
+    return read_videos(
+        dataset, lambda row: row["split_by_simulation"] == side and row["viewpoint"] == "calibrated"
+    )
+
+
+def answers_of(instrument, videos):
+    return instrument.answers(phased(videos.pixels, 6, None), np.random.default_rng(0))
+
+
+def test_its_distribution_is_the_mixture_of_its_members(dataset, members, average):
+    """To the rounding of the weights, of which a float16 keeps eleven bits."""
+    videos = held_out(dataset, "test")
+    each = [answers_of(load_instrument(member), videos) for member in members]
+    whole = answers_of(average, videos)
+    for name in ("probabilities", "material_logits", "order", "attention_weights", "points_m"):
+        mean = np.mean([getattr(one, name) for one in each], axis=0)
+        assert getattr(whole, name) == pytest.approx(mean, abs=0.02 * np.abs(mean).max()), name
+    assert not np.allclose(each[0].probabilities, each[1].probabilities, atol=1e-3)
+    assert whole.embedding.shape == (len(videos), 3 * each[0].embedding.shape[1])
+
+
+def test_it_errs_less_than_its_members_do_on_average(dataset, members, average):
+    """As any average does, of answers whose errors are of either sign."""
+    videos = held_out(dataset, "test")
+    truth = np.array([row["friction"] for row in videos.rows])
+
+    def error(instrument):
+        shares = answers_of(instrument, videos).probabilities
+        return abs(quantiles(shares, instrument.grid, np.array([0.5]))[:, 0] - truth).mean()
+
+    assert error(average) < np.mean([error(load_instrument(member)) for member in members])
+
+
+def test_its_alarm_is_quiet_for_its_like_and_rings_for_other_videos(dataset, average):
+    videos = held_out(dataset, "test")
+    frames = phased(videos.pixels, 6, None)
+    assert np.mean([average.measure(one).alarm for one in frames]) <= 0.25
+    assert all(average.measure(one).alarm for one in np.full_like(frames[:4], 20))
+    assert np.mean([average.measure(one).alarm for one in 255 - frames]) >= 0.95
+
+
+def test_it_takes_half_the_space_of_its_members(members, average, folder):
+    size = (folder / "by_simulation/ensemble" / WEIGHTS).stat().st_size
+    assert size < 0.6 * sum((member / WEIGHTS).stat().st_size for member in members)
+
+
+def test_its_card_and_its_records_name_its_members(members, average, folder):
+    card = average.card
+    assert card["networks"] == 3
+    assert card["seeds"] == SEEDS
+    assert card["members_sha256"] == [file_digest(member / WEIGHTS) for member in members]
+    assert card["calibration_simulations"] == 12
+    inputs = read_sidecar(folder / "by_simulation/ensemble" / WEIGHTS)["inputs"]
+    assert {inputs[name] for name in inputs if name.endswith(WEIGHTS)} == {*card["members_sha256"]}
+    assert len(inputs) == 3 + 1  # the manifest has the digests of all pixels
+    kept = read_metadata(folder / "by_simulation/ensemble" / FILE)["provenance"]
+    assert kept["inputs"] == inputs
+
+
+def test_the_same_members_give_the_same_bits(dataset, members, folder, tmp_path):
+    combine(members, dataset, tmp_path)
+    for name in (WEIGHTS, CARD):
+        first = (folder / "by_simulation/ensemble" / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == first, name
+
+
+def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
+    kept = read_answers(folder / "by_simulation/ensemble" / FILE)
+    assert len({*kept.groups}) == 12
+    wide = spread(kept.probabilities, average.grid, average.error_bars.spread)
+    scores = stretch_scores(wide, average.grid, 0.9, kept.friction)
+    assert grouped_quantile(scores, kept.groups, 0.9) == average.error_bars.factor
+    assert kept_readings(folder / "by_simulation/ensemble").rows == []
+
+
+@pytest.fixture(scope="module")
+def other_bench(tmp_path_factory):
+    """Other simulations, between the coefficients that train; their pictures are noisier."""
+    folder = tmp_path_factory.mktemp("other_bench")
+    config = synthetic_videos.config(
+        seed=5,
+        grid={"frictions": [0.3, 0.4, 0.7], "replicates": 4},
+        render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+        sample={"frames": 6},
+    )
+    shards = synthetic_videos.write_shards(config, folder / "render", marked=True)
+    write_dataset(config, shards, folder / "sample")
+    return folder / "sample"
+
+
+@pytest.fixture(scope="module")
+def recalibrated(folder, other_bench, tmp_path_factory):
+    out = tmp_path_factory.mktemp("recalibrated")
+    with contextlib.chdir(folder):
+        recalibrate_instrument("by_simulation/ensemble", out, [other_bench])
+    return out
+
+
+def test_further_datasets_calibrate_it_with_or_without_its_members(
+    recalibrated, average, dataset, members, other_bench, folder, tmp_path
+):
+    """To the same bits: what it says of its own videos is kept."""
+    with contextlib.chdir(folder):
+        inside = [member.relative_to(folder) for member in members]
+        combine_instruments(inside, dataset, "by_simulation", tmp_path, [other_bench])
+    later, at_once = load_instrument(recalibrated), load_instrument(tmp_path)
+    assert later.card["recalibrated_from"] == {
+        "weights_sha256": average.card["weights_sha256"],
+        "factor": average.factor,
+    }
+    own = ("weights_sha256", "recalibrated_from")
+    cards = [{k: v for k, v in one.card.items() if k not in own} for one in (later, at_once)]
+    assert cards[0] == cards[1]
+    assert later.factor == at_once.factor
+    for name in (FILE, READINGS):
+        tables = [pq.read_table(one / name) for one in (recalibrated, tmp_path)]
+        assert tables[0].equals(tables[1]), name
+    inputs = [read_sidecar(one / WEIGHTS)["inputs"] for one in (recalibrated, tmp_path)]
+    assert inputs[0] == inputs[1]
+    manifest = file_digest(other_bench / "manifest.parquet")
+    assert inputs[0]["calibration_datasets/0/manifest.parquet"] == manifest
+
+
+def test_intervals_alone_change_and_hold_on_all_simulations_together(
+    recalibrated, average, other_bench, folder
+):
+    videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
+    again = load_instrument(recalibrated)
+    (noted,) = again.card["calibration_readings"]
+    simulations = len({row["simulation"] for row in videos.rows})
+    assert noted == {"digest": videos.digest, "videos": len(videos), "simulations": simulations}
+    assert again.card["calibration_simulations"] == 12 + simulations
+    own, readings = read_answers(recalibrated / FILE), kept_readings(recalibrated)
+    assert own.rows == read_answers(folder / "by_simulation/ensemble" / FILE).rows
+    told = again.intervals(again.spread_out(own.probabilities))
+    stretch = np.array([row["stretch"] for row in readings.rows])
+    holds = (told[:, 1] <= own.friction) & (own.friction <= told[:, 2])
+    inside = np.concatenate([holds, stretch <= again.factor]).astype(float)
+    share, _ = covered(np.zeros(len(inside)), inside, np.ones(len(inside)),
+                       [*own.groups, *readings.groups])  # fmt: skip
+    assert 0.9 <= share < 1
+    assert again.factor != average.factor
+    # The medians stay, and both halves are longer by one factor.
+    for row, frames in zip(videos.rows[:3], phased(videos.pixels[:3], 6, None), strict=True):
+        one, other = average.measure(frames), again.measure(frames)
+        assert one.friction_coefficient == other.friction_coefficient
+        assert one.material_probabilities == other.material_probabilities
+        assert one.alarm_reason == other.alarm_reason
+        ratio = again.factor / average.factor
+        low, high = (abs(end - one.friction_coefficient) for end in one.interval_90)
+        low_now, high_now = (abs(end - one.friction_coefficient) for end in other.interval_90)
+        assert low_now == pytest.approx(min(ratio * low, one.friction_coefficient)), row
+        assert high_now == pytest.approx(
+            min(ratio * high, again.grid[-1] - one.friction_coefficient)
+        )
+
+
+def readings_file(instrument, videos, path, **entries):
+    """As benchmarks publish them, with a reading by a single training among them."""
+    rows = []
+    frames = phased(videos.pixels, 6, None)
+    told = instrument.answers(frames, np.random.default_rng(0))
+    intervals = instrument.intervals(instrument.distributions(told))
+    for row, (reading, low, high) in zip(videos.rows, intervals.tolist(), strict=True):
+        known = {"simulation": row["simulation"], "friction": row["friction"], "seed": None}
+        rows.append({**known, "reading": reading, "low": low, "high": high})
+    rows.append(rows[0] | {"seed": 0, "friction": 1.0, "reading": 0.1, "low": 0.1, "high": 0.1})
+    weights = instrument.card["weights_sha256"]
+    path.write_text(json.dumps({"weights_sha256": weights, "readings": rows} | entries))
+    return path
+
+
+def test_readings_calibrate_it_as_their_videos_do(
+    recalibrated, average, other_bench, folder, tmp_path
+):
+    videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
+    file = readings_file(average, videos, tmp_path / "readings.json", dataset=videos.digest)
+    words = ["instrument", "--recalibrate", str(folder / "by_simulation/ensemble")]
+    words += ["--out-dir", str(tmp_path / "out")]
+    assert main([*words, "--readings", str(file)]) == 0
+    found, wanted = load_instrument(tmp_path / "out"), load_instrument(recalibrated)
+    # What an interval that the grid cuts off would have needed is not known, but held already.
+    assert found.factor == pytest.approx(wanted.factor)
+    (noted,) = found.card["calibration_readings"]
+    assert noted["digest"] == file_digest(file)
+    assert noted["videos"] == len(videos)  # not what the training read
+    inputs = read_sidecar(tmp_path / "out" / WEIGHTS)["inputs"]
+    assert inputs["calibration_readings/0/readings.json"] == file_digest(file)
+    # The same videos do not count twice, as a dataset or in another file.
+    some = videos.chosen(np.arange(len(videos)) % 2 == 0)
+    again = readings_file(found, some, tmp_path / "b.json", dataset=videos.digest)
+    for further in ({"further": [other_bench]}, {"files": [again]}):
+        with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+            recalibrate_instrument(tmp_path / "out", tmp_path / "twice", **further)
+    # Once more on others: those of before stay.
+    again = readings_file(found, some, tmp_path / "b.json")
+    recalibrate_instrument(tmp_path / "out", tmp_path / "twice", files=[again])
+    twice = load_instrument(tmp_path / "twice")
+    assert [one["digest"] for one in twice.card["calibration_readings"]] == [
+        file_digest(file),
+        file_digest(again),
+    ]
+    inputs = read_sidecar(tmp_path / "twice" / WEIGHTS)["inputs"]
+    assert {f"calibration_readings/{n}" for n in ("0/readings.json", "1/b.json")} <= set(inputs)
+
+
+@pytest.mark.parametrize(
+    ("entries", "problem"),
+    [
+        ({"readings": None}, "must be a mapping with readings, a list of mappings"),
+        ({"readings": []}, "has no reading of the instrument"),
+        ({"readings": [{"simulation": "a"}]}, "reading 0: simulation must be a text, friction"),
+        ({"weights_sha256": "f" * 64}, "names no readings of this instrument: its record, or"),
+    ],
+)
+def test_a_file_without_readings_of_it_is_refused(
+    entries, problem, average, other_bench, folder, tmp_path, capsys
+):
+    videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
+    file = readings_file(average, videos, tmp_path / "readings.json", **entries)
+    words = ["instrument", "--recalibrate", str(folder / "by_simulation/ensemble")]
+    assert main([*words, "--out-dir", str(tmp_path / "out"), "--readings", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"{file}: {problem}" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"low": 0.9, "reading": 0.5, "high": 0.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"low": 0.5, "reading": 0.5, "high": 0.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"low": 0.4, "reading": 0.5, "high": 1.6}, "0 <= low < reading < high <= 1.5 is required"),
+        ({"high": 10**400}, "must be numbers"),
+        ({"high": True}, "must be numbers"),
+        ({"friction": 9.0}, "friction is 9; the instrument can say 0 to 1.5"),
+        ({"friction": float("nan")}, "must be numbers"),
+        ({"simulation": 3}, "simulation must be a text"),
+    ],
+)
+def test_a_reading_that_cannot_be_one_is_named(change, problem, average, other_bench, tmp_path):
+    videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
+    file = readings_file(average, videos, tmp_path / "readings.json")
+    content = json.loads(file.read_text())
+    content["readings"][1] |= change
+    file.write_text(json.dumps(content))
+    with pytest.raises(BadInput, match=f"reading 1: .*{problem}"):
+        read_readings(file, average)
+
+
+def test_what_cannot_calibrate_is_refused(
+    folder, members, dataset, other_bench, recalibrated, tmp_path, capsys
+):
+    whole, out = folder / "by_simulation/ensemble", tmp_path / "out"
+    with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+        recalibrate_instrument(whole, out, [dataset])
+    with pytest.raises(BadInput, match="trained or calibrates the instrument already"):
+        recalibrate_instrument(recalibrated, out, [other_bench])
+    with pytest.raises(BadInput, match="is a single training; averages alone keep"):
+        recalibrate_instrument(members[0], out, [other_bench])
+    unknown = shutil.copytree(whole, tmp_path / "unknown")
+    (unknown / f"{WEIGHTS}.provenance.json").unlink()
+    with pytest.raises(BadInput, match="has no record of what trained it"):
+        recalibrate_instrument(unknown, out, [other_bench])
+    (unknown / FILE).unlink()
+    with pytest.raises(BadInput, match=r"calibration\.parquet: no such file"):
+        recalibrate_instrument(unknown, out, [other_bench])
+    config = synthetic_videos.config(
+        grid={"frictions": [0.3, 1.75]}, render={"pixels": 24}, sample={"frames": 6}
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    with pytest.raises(BadInput, match=r"has a coefficient of 1\.75; the instrument"):
+        recalibrate_instrument(whole, out, [tmp_path / "sample"])
+    words = ["instrument", "--recalibrate", str(whole), "--out-dir", str(out)]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "--recalibrate requires --calibration-datasets, --readings or both" in said
+    words += ["--calibration-datasets", str(other_bench)]
+    assert main([*words, "--dataset", str(dataset)]) == 2
+    assert "--dataset cannot be combined with --recalibrate" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(words) == 0
+    assert "average of seeds 0, 1, 2; calibrated on 36 simulations" in capsys.readouterr().out
+
+
+def test_members_that_nothing_calibrates_give_an_average_without_error_bars(other_bench, tmp_path):
+    config = synthetic_videos.config(
+        grid={"replicates": 1}, sample={"frames": 6, "validation_fraction": 0.0}
+    )
+    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
+    write_dataset(config, shards, tmp_path / "sample")
+    members = [train(tmp_path / "sample", tmp_path, seed, epochs=1) for seed in (0, 1)]
+    assert all(load_instrument(member).error_bars is None for member in members)
+    card = combine(members, tmp_path / "sample", tmp_path / "out")
+    assert card["error_bars"] is None
+    with pytest.raises(BadInput, match="has no alarm, as nothing has calibrated it"):
+        recalibrate_instrument(tmp_path / "out", tmp_path / "again", [other_bench])
+    average = load_instrument(tmp_path / "out")
+    assert "not calibrated" in average.measure(np.zeros((6, 16, 16, 3), np.uint8)).alarm_reason
+    assert pq.read_table(tmp_path / "out" / FILE).num_rows == 0
+
+
+def test_what_does_not_belong_together_is_refused(dataset, members, folder, tmp_path):
+    whole = folder / "by_simulation/ensemble"
+    with pytest.raises(BadInput, match=r"1 instrument\(s\) given; 2 to 16 are combined"):
+        combine(members[:1], dataset, tmp_path)
+    with pytest.raises(BadInput, match=r"has seed 0, as .*seed0 has"):
+        combine([members[0], members[0]], dataset, tmp_path)
+    with pytest.raises(BadInput, match="is itself combined of 3 trainings"):
+        combine([members[0], whole], dataset, tmp_path)
+    with pytest.raises(BadInput, match="was trained on the split by_simulation, not by_video"):
+        combine_instruments(members, dataset, "by_video", tmp_path)
+    other = train(dataset, tmp_path, 3, epochs=2)
+    with pytest.raises(BadInput, match=r"seed3: differs from .*seed0 in its settings"):
+        combine([*members, other], dataset, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_it_is_found_beside_its_members_and_only_with_them(members, folder, tmp_path):
+    found = find_instruments(folder, None, SEEDS)
+    assert [key[1] for key in found] == [0, 1, 2, None]
+    assert [key[1] for key in find_instruments(folder, None, [1])] == [1]
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    shutil.rmtree(copy / "by_simulation/seed2")
+    with pytest.raises(BadInput, match="is the average of other instruments than those beside it"):
+        find_instruments(copy)
+    shutil.copytree(members[0], copy / "by_simulation/ensemble", dirs_exist_ok=True)
+    with pytest.raises(BadInput, match="holds by_simulation seed 0: does not match its folder"):
+        find_instruments(copy)
+
+
+def test_weights_of_fewer_networks_than_its_card_says_are_refused(folder, tmp_path):
+    whole = shutil.copytree(folder / "by_simulation/ensemble", tmp_path / "model")
+    card = json.loads((whole / CARD).read_text())
+    (whole / CARD).write_text(json.dumps(card | {"networks": 2}))
+    with pytest.raises(BadInput, match="differs from the card inside"):
+        load_instrument(whole)
+
+
+def test_the_command_averages_and_says_so(dataset, members, tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "c.json")
+    words = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
+    words += ["--split", "by_simulation", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *words, "--members", *map(str, members)]) == 0
+    said = capsys.readouterr().out
+    assert "average of seeds 0, 1, 2; calibrated on 12 simulations" in said
+    assert main(["instrument", *words, "--members", *map(str, members), "--seed", "0"]) == 2
+    assert "not allowed with argument --members" in capsys.readouterr().err
+    assert main(["instrument", *words]) == 2
+    assert (
+        "one of the arguments --seed --members --recalibrate is required" in capsys.readouterr().err
+    )
+    missing = tmp_path / "missing"
+    assert main(["instrument", *words, "--members", str(members[0]), str(missing)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and f"{missing / WEIGHTS}: no such file" in said

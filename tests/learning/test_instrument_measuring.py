@@ -1,0 +1,268 @@
+"""The instrument's files and what it says of any array of frames."""
+
+import dataclasses
+import json
+import math
+from itertools import permutations
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from support.untrained import untrained_instrument
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.dataset.videos import Videos
+from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.instrument.augmentation import (
+    augmented,
+    rectified_with_errors,
+    standardised,
+)
+from slipstitch.learning.instrument.conformal import covered
+from slipstitch.learning.instrument.error_bars import calibrated
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, ErrorBars, save_instrument
+from slipstitch.learning.instrument.network import shifted_in_time
+from slipstitch.learning.model_file import write_weights
+
+SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
+FABRICS = ["gray-interlock", "royal-target"]
+HALVES = (slice(0, 16), slice(16, 32))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("instrument")
+    save_instrument(untrained_instrument(SETTINGS, FABRICS, 32, frames=6), folder)
+    return folder
+
+
+def frames(side=32, count=6, seed=0):
+    random = np.random.default_rng(seed)
+    return random.integers(0, 256, (count, side, side, 3), dtype=np.uint8)
+
+
+def test_an_untrained_instrument_is_well_formed_and_says_that_it_knows_nothing(folder):
+    measured = load_instrument(folder).measure(frames())
+    grid, shares = measured.distribution
+    assert grid[0] == 0.0
+    assert grid[-1] == 1.5
+    assert shares.sum() == pytest.approx(1.0)
+    assert measured.interval_90 == (0.0, 1.5)
+    assert 0.0 <= measured.friction_coefficient <= 1.5
+    assert set(measured.material_probabilities) == set(FABRICS)
+    assert measured.attention_weights.shape == (6,)
+    assert measured.attention_weights.sum() == pytest.approx(1.0)
+    assert measured.alarm
+    assert "not calibrated" in measured.alarm_reason
+
+
+def test_the_same_frames_give_the_same_answer_also_from_disk(folder):
+    fresh, stored = (
+        untrained_instrument(SETTINGS, FABRICS, 32, frames=6),
+        load_instrument(folder / WEIGHTS),
+    )
+    answers = [one.measure(frames()).friction_coefficient for one in (fresh, stored, stored)]
+    assert len(set(answers)) == 1
+
+
+def test_larger_frames_are_brought_to_the_networks_size(folder):
+    doubled = frames().repeat(2, axis=1).repeat(2, axis=2)
+    instrument = load_instrument(folder)
+    small, large = instrument.measure(frames()), instrument.measure(doubled)
+    assert large.friction_coefficient == small.friction_coefficient
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [frames(count=5), frames()[:, :, :20], frames().astype(np.float32), frames()[..., 0], "frames"],
+)
+def test_other_arrays_are_refused(folder, wrong):
+    with pytest.raises(BadInput, match=r"uint8 of shape \(6, side, side, 3\) is required"):
+        load_instrument(folder).measure(wrong)
+
+
+def test_exposure_and_colour_cast_do_not_matter():
+    video = frames()[None] // 2
+    darker = (video * np.array([0.5, 0.8, 0.9])).round().astype(np.uint8)
+    torch.testing.assert_close(standardised(video), standardised(darker), atol=0.06, rtol=0)
+
+
+def test_a_move_by_a_quarter_of_a_pixel_takes_a_quarter_of_the_slope():
+    row = (np.arange(32) * 4).astype(np.uint8)  # brighter by 4 a pixel
+    across = np.broadcast_to(row[None, :, None], (32, 32, 3)).copy()
+    down = across.transpose(1, 0, 2).copy()
+    move = np.tile([0.25, 0.5], (3, 1))
+    moved = rectified_with_errors(across, move, 0.0)
+    assert np.array_equal(moved[:, 1:], across[:, 1:] - 1)
+    moved = rectified_with_errors(down, move, 0.0)
+    assert np.array_equal(moved[1:], down[1:] - 2)
+
+
+def test_corners_that_move_apart_stretch_the_image_between_them():
+    frame = np.zeros((32, 32, 3), np.uint8)
+    frame[:, 10], frame[:, 20] = 200, 200
+    lines = rectified_with_errors(frame, np.array([[-3.1, 0], [3.1, 0], [-3.1, 0]]), 0.0)[16, :, 0]
+    left, right = (
+        (lines.astype(float) * np.arange(32))[half].sum() / lines[half].sum() for half in HALVES
+    )
+    assert right - left == pytest.approx(10 * (31 + 6.2) / 31, abs=0.1)
+
+
+def test_a_blurred_edge_has_the_width_of_its_gaussian():
+    frame = np.zeros((32, 32, 3), np.uint8)
+    frame[:, 16:] = 255
+    step = np.diff(rectified_with_errors(frame, np.zeros((3, 2)), 0.7)[16, :, 0].astype(float))
+    centre = (step * np.arange(31)).sum() / step.sum()
+    assert (step * (np.arange(31) - centre) ** 2).sum() / step.sum() == pytest.approx(0.49, rel=0.1)
+
+
+def test_an_augmented_video_moves_as_a_whole_by_parts_of_a_pixel():
+    reach = 0.02
+    settings = InstrumentSettings(noise=0.0, rectification_error=reach, blur_px=0.0)
+    video = np.zeros((1, 6, 32, 32, 3), np.uint8)
+    video[:, :, :, 10:20] = 200  # a bar, centred at 14.5
+
+    def centre(look):
+        weights = look[0, :, 16, :, 0] - look.min()
+        return (weights * torch.arange(32)).sum(1) / weights.sum(1)
+
+    moves = []
+    for seed in range(20):
+        at = centre(augmented(video, settings, np.random.default_rng(seed)))
+        assert at.max() == at.min()  # all frames by the same
+        moves.append(float(at[0]) - 14.5)
+    assert max(np.abs(moves)) <= reach * 32 + 1 / 32
+    assert len({round(move, 1) for move in moves}) > 5
+
+
+def test_an_augmented_videos_colours_change_places():
+    settings = InstrumentSettings(noise=0.0, rectification_error=0.0, blur_px=0.0)
+    video = frames()[None]
+    orders = set()
+    for seed in range(30):
+        looked = augmented(video, settings, np.random.default_rng(seed))
+        found = [
+            order
+            for order in permutations(range(3))
+            if torch.equal(looked, standardised(video)[..., list(order)])
+        ]
+        assert len(found) == 1
+        orders.add(found[0])
+    assert len(orders) == 6
+
+
+def test_features_shift_by_one_frame_within_their_video():
+    maps = torch.arange(2 * 3 * 8.0).view(6, 8, 1, 1).expand(6, 8, 2, 2)
+    moved = shifted_in_time(maps, 3)
+    assert moved[0, 0, 0, 0] == 0.0  # nothing before a video's first frame
+    assert moved[3, 0, 0, 0] == 0.0
+    assert torch.equal(moved[1, 0], maps[0, 0])  # from the frame before
+    assert torch.equal(moved[1, 1], maps[2, 1])  # from the frame after
+    assert torch.equal(moved[:, 2:], maps[:, 2:])
+
+
+def test_the_shifts_derivative_is_its_transpose():
+    maps = torch.randn(6, 16, 3, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: shifted_in_time(x, 3), maps)
+
+
+def test_altered_files_are_refused(folder, tmp_path):
+    for name in (WEIGHTS, CARD):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    card = json.loads((tmp_path / CARD).read_text())
+    (tmp_path / CARD).write_text(json.dumps({**card, "materials": ["silk", "wool"]}))
+    with pytest.raises(BadInput, match="altered"):
+        load_instrument(tmp_path)
+    (tmp_path / CARD).write_text(json.dumps(card))
+    (tmp_path / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:-1] + b"?")
+    with pytest.raises(BadInput, match="altered or damaged"):
+        load_instrument(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        {"frames": None},
+        {"frames": 0},
+        {"materials": ["silk", 7]},
+        {"materials": []},
+        {"bfloat16": 1},
+        {"pixels": 10**9},
+        {"settings": {"friction_step": 1e-12}},
+        {"error_bars": {"spread": 1.0}},
+    ],
+)
+def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, claim):
+    """The digests fit; what the card says is looked at before anything is built from it."""
+    with safe_open(folder / WEIGHTS, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    card = json.loads((folder / CARD).read_text())
+    card.pop("weights_sha256")
+    write_weights(tensors, {**card, **claim}, tmp_path / WEIGHTS, tmp_path / CARD)
+    with pytest.raises(BadInput, match="do not match the card"):
+        load_instrument(tmp_path)
+
+
+def test_foreign_files_are_refused(folder, tmp_path):
+    with pytest.raises(BadInput, match="no such file"):
+        load_instrument(tmp_path)
+    save_file({"weight": torch.zeros(2)}, tmp_path / WEIGHTS)
+    (tmp_path / CARD).write_text("{}")
+    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
+        load_instrument(tmp_path)
+    (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
+    with pytest.raises(BadInput, match="'slipstitch-instrument-3' is needed"):
+        load_instrument(tmp_path)
+
+
+def test_too_few_calibration_simulations_are_told_from_enough(folder):
+    instrument = load_instrument(folder)
+    for factor, groups, said in (
+        (math.inf, 4, "no error bar: calibrated on 4 simulations; 9 are needed"),
+        (math.inf, 1, "no error bar: calibrated on 1 simulation; 9 are needed"),
+        (1.3, 12, ""),
+    ):
+        bars = ErrorBars(1.0, 1.0, factor, alarm=None)
+        card = instrument.card | {"calibration_simulations": groups}
+        told = dataclasses.replace(instrument, error_bars=bars, card=card)
+        assert told.without_error_bar == said
+
+
+def test_an_instrument_trained_by_video_says_so(folder):
+    instrument = load_instrument(folder)
+    by = {
+        split: dataclasses.replace(instrument, card=instrument.card | {"split": split})
+        for split in ("by_video", "by_video_reflective", "by_simulation")
+    }
+    for split in ("by_video", "by_video_reflective"):
+        assert "trained with the split by video" in by[split].caveats[0]
+    assert by["by_simulation"].caveats == []
+
+
+def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
+    """1.3 is none of the numbers of float32, in which the network has its grid."""
+    settings = SETTINGS.model_copy(update={"friction_max": 1.3})
+    low, high = untrained_instrument(settings, FABRICS, 32, frames=6).measure(frames()).interval_90
+    share, _ = covered(*np.array([[low], [high], [1.3]]), ["m00_f1300_r00"])
+    assert share == 1.0
+
+
+def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
+    instrument = untrained_instrument(SETTINGS, FABRICS, 32, frames=6)
+    instrument = dataclasses.replace(instrument, card=instrument.card | {"dataset_digest": "own"})
+    rows = [
+        {
+            "video": f"v{k}",
+            "simulation": f"s{k}",
+            "friction": 0.1 * k,
+            "material": "gray-interlock" if k < 4 else "x",
+        }
+        for k in range(1, 16)
+    ]
+    videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "own")
+    bars = calibrated(instrument, videos, np.arange(15) < 3).error_bars
+    assert bars.material_temperature == 1.0
+    assert math.isfinite(bars.factor)

@@ -1,0 +1,413 @@
+"""The instrument learns, goes on after a kill to the same bits, and refuses what cannot work."""
+
+import csv
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from support import synthetic_videos
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import attach_metadata
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.manifest import dataset_digest
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.curves import curve
+from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.instrument import training as training_module
+from slipstitch.learning.instrument.augmentation import disordered, phased
+from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.training import (
+    POINT_ERROR_M,
+    chance_score,
+    losses,
+    next_frictions,
+    noisy_places,
+    points_off,
+    train_instrument,
+    training_views,
+)
+from slipstitch.learning.loop import DivergedError, PlateauError
+
+CONFIG = synthetic_videos.config(
+    grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
+    render={"pixels": 24, "viewpoints": ["calibrated", "side"]},
+    sample={"frames": 6, "phases": 2, "validation_fraction": 0.34, "test_fraction": 0.16},
+)
+SETTINGS = InstrumentSettings(
+    channels=[8, 16, 24],
+    features=32,
+    recurrent_units=16,
+    epochs=40,
+    rectification_error=0.01,  # a quarter of a pixel
+    blur_px=0.0,
+    material_weight=0.5,
+    order_weight=0.5,
+    precision="float32",
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None, **changes):
+    settings = SETTINGS.model_copy(update=changes)
+    return train_instrument(
+        settings,
+        dataset,
+        split,
+        seed,
+        out,
+        viewpoints=["calibrated"],
+        frames=frames,
+        after_step=after_step,
+    )
+
+
+@pytest.fixture(scope="module")
+def marked(tmp_path_factory):
+    """The same dataset with the places of points of the cloth."""
+    folder = tmp_path_factory.mktemp("marked")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render", marked=True)
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def altered_copy(dataset, folder, change):
+    """A copy of the dataset whose manifest rows went through `change`, with its digest anew."""
+    shutil.copytree(dataset, folder)
+    table = pq.read_table(folder / "manifest.parquet")
+    rows = table.to_pylist()
+    change(rows)
+    changed = pa.Table.from_pylist(rows, schema=table.schema)
+    changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(changed, folder / "manifest.parquet")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    train(dataset, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tests(dataset):
+    """Videos of simulations that neither trained nor calibrated, from the measuring viewpoint."""
+    videos = read_videos(
+        dataset,
+        lambda row: row["split_by_simulation"] == "test" and row["viewpoint"] == "calibrated",
+    )
+    return videos, phased(videos.pixels, 6, None)
+
+
+def test_it_measures_new_simulations(folder, tests):
+    videos, frames = tests
+    instrument = load_instrument(folder)
+    truth = np.array([row["friction"] for row in videos.rows])
+    measured = [instrument.measure(one) for one in frames]
+    errors = [abs(one.friction_coefficient - mu) for one, mu in zip(measured, truth, strict=True)]
+    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
+    inside = [
+        one.interval_90[0] <= mu <= one.interval_90[1]
+        for one, mu in zip(measured, truth, strict=True)
+    ]
+    assert np.mean(inside) > 0.7
+    assert np.mean([np.diff(one.interval_90)[0] for one in measured]) < 0.7
+    fabric = [
+        max(one.material_probabilities, key=one.material_probabilities.get) for one in measured
+    ]
+    assert np.mean(np.array(fabric) == [row["material"] for row in videos.rows]) > 0.7
+
+
+def test_the_alarm_stays_quiet_for_its_like_and_rings_for_other_videos(folder, tests):
+    _, frames = tests
+    instrument = load_instrument(folder)
+
+    def alarms(some):
+        return np.mean([instrument.measure(one).alarm for one in some])
+
+    assert alarms(frames) <= 0.25  # 12 videos; promised at most a twentieth of very many
+    assert alarms(np.full_like(frames[:4], 20)) == 1.0
+    assert alarms(255 - frames[:12]) >= 0.95
+    assert alarms(frames[:12, :, ::-1]) >= 0.95
+
+
+def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked, tests, tmp_path):
+    train(marked, tmp_path, points_weight=1.0, through_points=True, epochs=80)
+    history = list(csv.DictReader((tmp_path / "history.csv").open()))
+    videos, frames = tests
+    instrument = load_instrument(tmp_path)
+    # On simulations that did not train, beside the mean distance from a constant place.
+    off_m = float(history[-1]["validation_points"]) * POINT_ERROR_M
+    assert off_m < 0.3 * float(instrument.networks[0].points_spread_m.mean())
+    truth = np.array([row["friction"] for row in videos.rows])
+    errors = [
+        abs(instrument.measure(one).friction_coefficient - mu)
+        for one, mu in zip(frames, truth, strict=True)
+    ]
+    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
+
+
+def test_the_learning_curve_falls_and_is_kept(folder):
+    with open(folder / "history.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["epoch"]) for row in rows] == list(range(1, 41))
+    assert float(rows[-1]["train_loss"]) < 0.4 * float(rows[0]["chance_loss"])
+    card = load_instrument(folder).card
+    assert card["train_loss"] == float(rows[-1]["train_loss"])
+    assert card["training_simulations"] == 18
+    assert card["calibration_simulations"] == 12
+
+
+class KilledError(Exception):
+    pass
+
+
+FEW = {"epochs": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed")
+    train(dataset, folder, **FEW)
+    return folder
+
+
+@pytest.mark.parametrize("steps", [1, 5, 9])
+def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_path, steps):
+    left = iter(range(steps - 1, -1, -1))
+
+    def kill(progress):
+        if not next(left):
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        train(dataset, tmp_path, after_step=kill, **FEW)
+    train(dataset, tmp_path, **FEW)
+    for name in ("instrument.safetensors", "history.csv"):
+        assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
+
+
+def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_path, capsys):
+    def kill(progress):
+        if progress.step == 2:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        train(dataset, tmp_path, after_step=kill, **FEW)
+    train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
+    assert "continuing from" in capsys.readouterr().err
+    weights = load_instrument(tmp_path).networks[0].state_dict()
+    for name, value in load_instrument(undisturbed).networks[0].state_dict().items():
+        assert torch.equal(value, weights[name]), name
+
+
+def test_a_loss_that_is_no_number_stops_it(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(training_module, "learning_rate", lambda settings, done: 1e30)
+    with pytest.raises(DivergedError, match="the loss became nan in epoch 1, step"):
+        train(dataset, tmp_path)
+    assert not (tmp_path / "instrument.safetensors").exists()
+
+
+def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
+    with pytest.raises(PlateauError, match=r"still .* at chance"):
+        train(dataset, tmp_path, epochs=1, learning_rate=1e-9)
+    assert not (tmp_path / "instrument.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"frames": 13}, "videos have 12 frames; the instrument requires 13"),
+        ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
+        ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
+        ({"points_weight": 1.0}, "has no places of points of the cloth"),
+    ],
+)
+def test_settings_that_do_not_fit_the_data_are_refused(dataset, tmp_path, changes, words):
+    with pytest.raises(BadInput, match=words):
+        train(dataset, tmp_path, **changes)
+
+
+def emptied(rows):
+    for row in rows:
+        if row["friction"] == 0.8:
+            row["split_by_simulation"] = "validation"
+
+
+def leaking(rows):
+    same = [row for row in rows if row["simulation"] == rows[0]["simulation"]]
+    same[0]["split_by_simulation"], same[1]["split_by_simulation"] = "train", "validation"
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "code", "words"),
+    [
+        (emptied, {}, 2, "friction 0.8 has no training video"),
+        (leaking, {}, 2, "is in train and validation"),
+        (None, {"learning_rate": 1e30}, 1, "the loss became nan in epoch 1, step"),
+        (None, {"learning_rate": 1e-9}, 1, "at chance"),
+    ],
+    ids=["an empty class", "a leaking split", "no number", "a plateau"],
+)
+def test_what_cannot_be_learnt_stops_the_command_with_one_line(
+    dataset, tmp_path, capsys, change, settings, code, words
+):
+    data = dataset if change is None else altered_copy(dataset, tmp_path / "data", change)
+    section = InstrumentSettings(**{**SETTINGS.model_dump(), "epochs": 1, **settings})
+    config = CONFIG.model_copy(update={"instrument": section})
+    write_config(config, tmp_path / "c.json")
+    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(data)]
+    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *arguments]) == code
+    said = [line for line in capsys.readouterr().err.splitlines() if ": epoch 1/1: " not in line]
+    assert len(said) == 1 and words in said[0]
+    assert said[0].startswith("slipstitch instrument: ")
+    assert not (tmp_path / "out" / "instrument.safetensors").exists()
+
+
+def test_chance_is_the_score_of_the_labels_distribution():
+    # Uniform in [0, 1]: mean distance 1/3, so 1/6.
+    assert chance_score(np.linspace(0, 1, 401)) == pytest.approx(1 / 6, rel=0.01)
+
+
+def test_the_reported_median_is_a_point_of_the_grid_not_the_middle_above_it():
+    """Two videos, one in order: the network is sure of 0.75, which is true."""
+    grid = torch.arange(151) / 100
+    sure = torch.tensor([[[0.0], [0.75], [-7.0]]])
+    said = {"friction": sure, "material": torch.zeros(1, 2), "order": torch.zeros(2)}
+
+    class Sure(SimpleNamespace):
+        def __call__(self, *_):
+            return said
+
+    network = Sure(grid=grid, middles=(grid[1:] + grid[:-1]) / 2)
+    ordered = torch.tensor([1.0, 0.0])
+    found = losses(network, None, torch.tensor([0.75]), torch.tensor([0]), ordered, False)
+    assert found["median_error"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_gradients_in_bfloat16_are_those_in_float32(tests):
+    _, frames = tests
+    settings = InstrumentSettings(channels=[8, 16, 24], dropout=0.0)
+    torch.manual_seed(0)
+    network = InstrumentNetwork(settings, 2, 24)
+    views, ordered, _, _ = training_views(frames[:8], 6, settings, np.random.default_rng(0))
+    gradients = []
+    for bfloat16 in (False, True):
+        network.zero_grad()
+        part = losses(
+            network, views, torch.linspace(0.2, 0.8, 8), torch.arange(8) % 2, ordered, bfloat16
+        )
+        (part["friction"] / 0.15 + 0.1 * part["material"] + 0.1 * part["order"]).backward()
+        gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))
+    assert torch.nn.functional.cosine_similarity(*gradients, dim=0) > 0.999
+
+
+def test_places_lie_between_neighbours_of_a_fabric_where_a_cloth_changes_smoothly():
+    known = [  # fabric, replicate, coefficient, interpolated, trains
+        ("a", "r00", 0.2, False, True),
+        ("a", "r00", 0.4, False, True),
+        ("a", "r00", 0.47, True, True),
+        ("a", "r00", 0.47, True, True),
+        ("b", "r00", 0.5, True, True),
+        ("a", "r00", 0.6, False, True),
+        ("a", "r00", 0.55, True, False),
+        ("a", "r01", 0.5, True, True),  # of another bench: its cloth may lie on the other side
+    ]
+    names = ("material_id", "replicate_id", "friction", "interpolated")
+    rows = [dict(zip(names, one[:4], strict=True)) for one in known]
+    training = np.array([one[4] for one in known])
+    assert next_frictions(rows, training).tolist() == [0, 2, 5, 5, 4, 5, 6, 7]
+
+
+def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():
+    spread_m = torch.tensor([0.01, 0.02, 0.04]).repeat(9, 1)
+    noisy = noisy_places(torch.zeros(4000, 2, 9, 3), spread_m, 0.002, np.random.default_rng(0))
+    off_m = noisy * spread_m
+    # Three errors of 2 mm; all points of a cloth share one, all frames of a point two.
+    assert float(off_m.std()) == pytest.approx(0.002 * 3**0.5, rel=0.02)
+    of_points = (off_m[:, 0, 0] * off_m[:, 1, 5]).mean() ** 0.5
+    of_frames = (off_m[:, 0] * off_m[:, 1]).mean() ** 0.5
+    assert float(of_points) == pytest.approx(0.002, rel=0.05)
+    assert float(of_frames) == pytest.approx(0.002 * 2**0.5, rel=0.05)
+
+
+def test_a_network_through_points_reads_the_same_from_places_as_from_the_images_of_them(tests):
+    _, frames = tests
+    settings = InstrumentSettings(channels=[8, 16, 24], points_weight=1.0, through_points=True)
+    network = InstrumentNetwork(settings, 2, 24).eval()
+    with torch.inference_mode():
+        seen = network(torch.from_numpy(frames[:3]).float() / 255)
+        read = network.of_places(seen["points"])
+    for name, value in read.items():
+        assert torch.equal(value, seen[name]), name
+
+
+def test_friction_does_not_teach_a_network_through_points_where_the_points_are(tests):
+    """Else it shifts them a little, by which it tells the videos that train."""
+    _, frames = tests
+    settings = InstrumentSettings(channels=[8, 16, 24], points_weight=1.0, through_points=True)
+    network = InstrumentNetwork(settings, 2, 24)
+    seen = network(torch.from_numpy(frames[:3]).float() / 255)
+    (seen["friction"].sum() + seen["order"].sum() + seen["material"].sum()).backward()
+    assert network.points.weight.grad is None
+    assert all(layer.weight.grad is None for layer in network.convolutions)
+    assert network.of_points[0].weight.grad is not None
+    seen["points"].sum().backward()
+    assert all(layer.weight.grad.abs().max() > 0 for layer in network.convolutions)
+
+
+def test_a_millimetre_is_as_wrong_at_every_point():
+    settings = InstrumentSettings(points_weight=1.0)
+    network = InstrumentNetwork(settings, 2, 32)
+    network.points_spread_m.copy_(torch.linspace(0.001, 0.06, 27).view(9, 3))
+    off = points_off(network, -0.001 / network.points_spread_m.expand(2, 4, -1, -1))
+    assert off.numpy() == pytest.approx(0.001 / POINT_ERROR_M)
+
+
+def test_frames_are_drawn_at_any_phase_of_the_first_interval():
+    videos = np.arange(12, dtype=np.uint8)[None, :, None, None, None].repeat(50, axis=0)
+    taken = phased(videos, 4, np.random.default_rng(0))[..., 0, 0, 0]
+    assert {tuple(row) for row in taken.tolist()} == {(k, k + 3, k + 6, k + 9) for k in range(3)}
+    assert phased(videos, 4, None)[7, :, 0, 0, 0].tolist() == [0, 3, 6, 9]
+
+
+def test_disorder_is_never_the_order():
+    video = np.arange(8)[:, None, None, None]
+    for seed in range(30):
+        assert not np.array_equal(disordered(video, np.random.default_rng(seed)), video)
+
+
+def test_the_curve_in_the_terminal_falls_as_the_loss_does():
+    assert curve([4.0, 3.0, 2.0, 1.0], width=4) == "█▆▃▁"
+    assert curve([1.0, float("nan"), 2.0]) == "▁ █"
+    assert len(curve(list(range(100)))) == 16
+    assert curve([]) == ""
+
+
+def test_the_command_trains_and_says_how_it_went(dataset, tmp_path, capsys):
+    small = {**SETTINGS.model_dump(), "epochs": 1, "plateau_margin": None}
+    write_config(
+        CONFIG.model_copy(update={"instrument": InstrumentSettings(**small)}), tmp_path / "c.json"
+    )
+    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
+    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    assert main(["instrument", *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "1 epochs on 36 videos of 18 simulations" in said
+    assert "calibrated on 12 simulations" in said

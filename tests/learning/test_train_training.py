@@ -1,0 +1,375 @@
+"""A training learns, resumes to the same bits, and says so where it cannot."""
+
+import csv
+import json
+import math
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
+from support import synthetic_videos
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import attach_metadata, read_sidecar
+from slipstitch.cli.main import main
+from slipstitch.config import write_config
+from slipstitch.config.train import TrainSettings
+from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.manifest import dataset_digest
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.loop import DivergedError, Phase, PlateauError
+from slipstitch.learning.model_file import load_model
+from slipstitch.learning.training import learning_rate, progressive_schedule, train_network
+
+CONFIG = synthetic_videos.config()
+VIEWS = ["calibrated", "side"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
+    write_dataset(CONFIG, shards, folder / "sample")
+    return folder / "sample"
+
+
+def train(dataset, out, network="friction_baseline", split="by_simulation", seed=0, **options):
+    changes = options.pop("changes", {})
+    settings = TrainSettings(**{**CONFIG.train.model_dump(), **changes})
+    view_order = options.pop("view_order", VIEWS)
+    return train_network(
+        settings, dataset, network, split, seed, out, view_order=view_order, **options
+    )
+
+
+def kill(progress):
+    """Interrupts a training at its second step."""
+    if progress.step == 2:
+        raise KeyboardInterrupt
+
+
+def history(folder):
+    with open(folder / "history.csv", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def material(dataset, tmp_path_factory):
+    """A trained material network of the split by simulation."""
+    folder = tmp_path_factory.mktemp("material")
+    train(dataset, folder, "material_baseline")
+    return folder
+
+
+def altered_copy(dataset, folder, change, renew_digest=True):
+    """A copy of the dataset whose manifest rows went through `change`."""
+    folder.mkdir()
+    for path in dataset.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    table = pq.read_table(folder / "manifest.parquet")
+    rows = table.to_pylist()
+    change(rows)
+    changed = pa.Table.from_pylist(rows, schema=table.schema)
+    if renew_digest:
+        changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(changed, folder / "manifest.parquet")
+    return folder
+
+
+def test_the_schedule_adds_a_viewpoint_each_cycle_and_ends_on_the_calibrated_one():
+    settings = TrainSettings(epochs_per_cycle=5, fine_tuning_epochs=2)
+    phases = [
+        (phase.viewpoints, phase.epochs)
+        for phase in progressive_schedule(settings, ["a", "b", "c"])
+    ]
+    assert phases == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
+
+
+def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuning():
+    settings = TrainSettings(learning_rate=2.0, annealed_share=0.1, fine_tuning_epochs=2)
+    phases = progressive_schedule(settings, ["a", "b"])
+
+    def rates(settings, phase):
+        return [learning_rate(settings, phases, phase, done) for done in (0.0, 0.5, 1.0)]
+
+    assert rates(settings, phases[0]) == pytest.approx([2.0, 2.0, 2.0])
+    assert rates(settings, phases[1]) == pytest.approx([2.0, 1.1, 0.2])
+    assert rates(settings, phases[2]) == pytest.approx([0.2, 0.2, 0.2])
+    constant = settings.model_copy(update={"annealed_share": 1.0})
+    assert [rates(constant, phase) for phase in phases] == [[2.0, 2.0, 2.0]] * 3
+
+
+@pytest.mark.parametrize("split", ["by_video", "by_simulation"])
+def test_a_network_learns_friction(dataset, tmp_path, split):
+    card = train(dataset, tmp_path, split=split)
+    assert card["chance_loss"] == pytest.approx(math.log(2), abs=0.03)
+    assert card["train_loss"] < 0.3 * card["chance_loss"]
+    rows = history(tmp_path)
+    assert [row["stage"] for row in rows] == ["cycle 1"] * 20 + ["cycle 2"] * 20 + [
+        "fine-tuning"
+    ] * 2
+    assert float(rows[-1]["train_loss"]) == card["train_loss"]
+
+
+def test_the_conditional_network_listens_to_the_material_network(dataset, material, tmp_path):
+    card = train(dataset, tmp_path, "friction_conditional", material_model=material)
+    assert card["condition_sha256"] == load_model(material).card["weights_sha256"]
+    assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
+    assert card["train_loss"] < 0.5 * card["chance_loss"]
+
+
+def test_a_network_may_be_told_the_true_materials(dataset, tmp_path):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None}
+    card = train(dataset, tmp_path, "friction_conditional", true_materials=True, changes=few)
+    assert card["true_materials"] and card["condition_sha256"] is None
+    assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
+
+
+def test_a_training_may_use_part_of_the_videos_in_phases_of_its_own(dataset, tmp_path):
+    card = train(
+        dataset,
+        tmp_path,
+        phases=[Phase("joint", ("calibrated", "side"), 2)],
+        uses=lambda row: row["texture"] == "tartan",
+        changes={"plateau_margin": None},
+    )
+    assert card["training_videos"] == 4 * 2  # simulations, viewpoints
+    assert [(row["stage"], row["videos"]) for row in history(tmp_path)] == [("joint", "8")] * 2
+
+
+def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp_path):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None}
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(dataset, tmp_path / name, seed=seed, changes=few)
+    content = {
+        name: {
+            file: (tmp_path / name / file).read_bytes()
+            for file in ("model.safetensors", "model.json", "history.csv")
+        }
+        for name in "abc"
+    }
+    assert content["a"] == content["b"]
+    assert content["a"]["model.safetensors"] != content["c"]["model.safetensors"]
+
+
+@pytest.mark.parametrize("steps", [1, 5, 13])
+@pytest.mark.parametrize("changes", [{}, {"precision": "bfloat16"}], ids=["float32", "bfloat16"])
+def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, changes):
+    few = {"epochs_per_cycle": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0, **changes}
+    train(dataset, tmp_path / "undisturbed", changes=few)
+
+    done = 0
+
+    def kill(_):
+        nonlocal done
+        done += 1
+        if done == steps:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path / "killed", changes=few, after_step=kill)
+    assert (tmp_path / "killed" / "checkpoint.safetensors").exists()
+    assert not (tmp_path / "killed" / "model.safetensors").exists()
+    train(dataset, tmp_path / "killed", changes=few, after_step=kill)
+    for file in ("model.safetensors", "history.csv"):
+        assert (tmp_path / "killed" / file).read_bytes() == (
+            tmp_path / "undisturbed" / file
+        ).read_bytes()
+    assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
+
+
+def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path, changes=few, after_step=kill)
+    train(dataset, tmp_path, changes=few, seed=1)
+    assert "from another training" in capsys.readouterr().err
+    train(dataset, tmp_path / "fresh", changes=few, seed=1)
+    weights = "model.safetensors"
+    assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
+
+
+def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_path, capsys):
+    """Sums over several threads round otherwise: the result would be neither run's."""
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path, changes=few, after_step=kill, threads=2)
+    train(dataset, tmp_path, changes=few)
+    assert "from another training" in capsys.readouterr().err
+
+
+def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None}
+
+    with pytest.raises(KeyboardInterrupt):
+        often = {**few, "checkpoint_interval_s": 0.0}
+        train(dataset, tmp_path, changes=often, after_step=kill)
+    train(dataset, tmp_path, changes={**few, "checkpoint_interval_s": 1e3})
+    assert "continuing from" in capsys.readouterr().err
+
+
+def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
+    train(dataset, tmp_path, changes={"epochs_per_cycle": 1, "plateau_margin": None})
+    assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape"])
+def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path, changes=few, after_step=kill)
+    path = tmp_path / "checkpoint.safetensors"
+    with safe_open(path, "pt") as file:
+        notes = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if part == "weights":
+        tensors["network.fully_connected.3.bias"][0] += 1
+    elif part == "shape":
+        tensors["random"] = tensors["random"][None]
+    else:
+        edited = {"progress": ('"step": 2', '"step": 1'), "identity": ('"seed": 0', '"seed": 1')}
+        assert edited[part][0] in notes[part]
+        notes[part] = notes[part].replace(*edited[part])
+    save_file(tensors, path, notes)
+    train(dataset, tmp_path, seed=int(part == "identity"), changes=few)
+    assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
+
+
+def test_a_network_that_learns_nothing_fails_and_writes_no_model(dataset, tmp_path):
+    with pytest.raises(PlateauError, match=r"still .*, at chance \(0\.69"):
+        train(dataset, tmp_path, changes={"learning_rate": 1e-9})
+    assert not (tmp_path / "model.safetensors").exists()
+
+
+def test_a_training_at_chance_is_given_up_early(dataset, tmp_path):
+    with pytest.raises(PlateauError, match="after 3 epochs"):
+        train(dataset, tmp_path, seed=1, changes={"learning_rate": 1e-9, "plateau_epochs": 3})
+
+
+def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
+    with pytest.raises(DivergedError, match="the loss became nan"):
+        train(dataset, tmp_path, changes={"learning_rate": 1e38})
+
+
+def test_a_leaking_split_is_refused(dataset, tmp_path):
+    def leak(rows):
+        rows[0]["split_by_simulation"] = "test"
+        rows[1]["split_by_simulation"] = "train"
+
+    leaking = altered_copy(dataset, tmp_path / "leaking", leak)
+    with pytest.raises(BadInput, match=r"leaks: m\d\d_f\d+_r\d\d is in train and test"):
+        train(leaking, tmp_path / "out")
+
+
+def test_an_altered_manifest_is_refused(dataset, tmp_path):
+    def swap(rows):
+        for row in rows:
+            row["friction"] = 0.7 - row["friction"]
+
+    altered = altered_copy(dataset, tmp_path / "altered", swap, renew_digest=False)
+    with pytest.raises(BadInput, match="was altered"):
+        train(altered, tmp_path / "out")
+
+
+def test_a_class_without_training_videos_is_named(dataset, tmp_path):
+    def empty(rows):
+        for row in rows:
+            if row["friction_id"] == "f0600":
+                row["split_by_simulation"] = "validation"
+
+    emptied = altered_copy(dataset, tmp_path / "emptied", empty)
+    with pytest.raises(BadInput, match="friction class f0600 has no training video"):
+        train(emptied, tmp_path / "out")
+
+
+def test_a_wrong_number_of_classes_is_refused(dataset, tmp_path):
+    with pytest.raises(BadInput, match=r"2 friction classes \(0\.1, 0\.6\), the configuration 3"):
+        train(dataset, tmp_path, expected_classes={"friction": [0.1, 0.3, 0.6]})
+
+
+def test_swapped_images_are_noticed(dataset, tmp_path):
+    swapped = altered_copy(dataset, tmp_path / "swapped", lambda rows: None)
+    path = sorted(swapped.glob("m*.parquet"))[0]
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    rows[0]["image"], rows[7]["image"] = rows[7]["image"], rows[0]["image"]
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    with pytest.raises(BadInput, match="its pixels do not match the manifest"):
+        read_videos(swapped)
+
+
+def test_a_missing_file_of_the_dataset_is_named(dataset, tmp_path):
+    partial = altered_copy(dataset, tmp_path / "partial", lambda rows: None)
+    path = sorted(partial.glob("m*.parquet"))[0]
+    path.unlink()
+    with pytest.raises(BadInput, match=f"{path.name}: no such file"):
+        read_videos(partial)
+
+
+def test_an_unknown_viewpoint_is_refused(dataset, tmp_path):
+    with pytest.raises(BadInput, match="no training viewpoint 'frontal'"):
+        train(dataset, tmp_path, view_order=["frontal"])
+
+
+def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_path):
+    with pytest.raises(BadInput, match="has split 'by_simulation', 'by_video' is needed"):
+        train(dataset, tmp_path, "friction_conditional", "by_video", material_model=material)
+    with pytest.raises(BadInput, match="requires --material-model"):
+        train(dataset, tmp_path, "friction_conditional")
+    with pytest.raises(BadInput, match="does not take --material-model"):
+        train(dataset, tmp_path, "friction_baseline", material_model=material)
+
+
+def test_a_model_file_that_was_altered_is_refused(material, tmp_path):
+    for name in ("model.safetensors", "model.json"):
+        (tmp_path / name).write_bytes((material / name).read_bytes())
+    weights = tmp_path / "model.safetensors"
+    content = bytearray(weights.read_bytes())
+    content[-1] ^= 1
+    weights.write_bytes(content)
+    with pytest.raises(BadInput, match="altered or damaged"):
+        load_model(tmp_path)
+
+
+def test_a_model_card_that_was_altered_is_refused(material, tmp_path):
+    for name in ("model.safetensors", "model.json"):
+        (tmp_path / name).write_bytes((material / name).read_bytes())
+    card = json.loads((tmp_path / "model.json").read_text())
+    card["classes"].reverse()
+    (tmp_path / "model.json").write_text(json.dumps(card))
+    with pytest.raises(BadInput, match="differs from the card inside"):
+        load_model(tmp_path)
+
+
+def test_a_foreign_model_file_is_refused(material, tmp_path):
+    (tmp_path / "model.safetensors").write_bytes((material / "model.safetensors").read_bytes())
+    with pytest.raises(BadInput, match=r"model\.json: no such file"):
+        load_model(tmp_path)
+    (tmp_path / "model.json").write_text('{"architecture": "something else"}')
+    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
+        load_model(tmp_path)
+
+
+def test_the_model_says_what_it_is_and_where_it_comes_from(material):
+    card = load_model(material).card
+    assert card["network"] == "material_baseline" and card["training_simulations"] == 4
+    record = read_sidecar(material / "model.safetensors")
+    assert record["stage"] == "train" and record["seed"] == 0 and record["threads"] == 1
+    assert any(name.endswith("manifest.parquet") for name in record["inputs"])
+
+
+def test_the_command_trains_and_answers_bad_input_in_one_line(dataset, tmp_path, capsys):
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["train", "--config", str(tmp_path / "config.json"), "--dataset", str(dataset)]
+    words += ["--split", "by_video", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    assert main([*words, "--network", "friction_baseline"]) == 0
+    assert "42 epochs on 26 videos" in capsys.readouterr().out
+    assert main([*words, "--network", "friction_conditional"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "requires --material-model" in message

@@ -1,0 +1,251 @@
+"""Choosing settings by the pushed strip, on a runner that answers as told; no simulator here."""
+
+import json
+import re
+from functools import partial
+from pathlib import Path
+
+import pytest
+from support import synthetic_results
+
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.page.figures import save_figure
+from slipstitch.base.provenance import file_digest, read_provenance
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config, write_config
+from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics.calibration.calibration import (
+    DemandNotMet,
+    calibrate_to_file,
+    read_sweeps,
+    strip_calibration,
+)
+from slipstitch.physics.calibration.pictures import draw_again, draw_pictures
+from slipstitch.physics.calibration.strip_figure import settings_figure, strip_figure
+from slipstitch.physics.calibration.sweep import gamma_of, sweep, sweep_to_file, variations
+from slipstitch.physics.simulation.convergence import MEASURED
+
+SIMULATION = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
+SETTINGS = CalibrateSettings(
+    strip_frictions=(0.1, 0.3, 0.4),
+    sweep_time_step_s=(0.005, 0.1, 0.4),
+    sweep_friction_tolerance=(1e-5, 10.0),
+    sweep_newton_iterations_max=(5,),
+    sweep_damping_s=(0.0,),
+)
+
+
+def answer(name, options, simulation):
+    """The error grows with the step; a loose tolerance slips where it should not.
+
+    Ten times finer steps or tolerances cost more, five iterations fewer.
+    """
+    if name != "strip":
+        return synthetic_results.protocol_answer(name, options, simulation)
+    if simulation.time_step_s > 0.3:
+        raise NotConverged("at 0.4 s a step did not converge")
+    iterations = round(20 / simulation.time_step_s) + (simulation.newton_iterations_max - 30)
+    iterations += 50 * (simulation.friction_tolerance < 1e-4)
+    result = dict(
+        synthetic_results.strip_answer(
+            options["friction"], 0.1 * simulation.time_step_s, iterations
+        )
+    )
+    if simulation.friction_tolerance > 1:
+        result |= {"slip_strain": 0.001, "regime": "slipped", "friction_read_from_strain": 0.01}
+    return result
+
+
+def trials(settings=SETTINGS, runner=answer):
+    return [one for key in (BASE, *KEYS) for one in sweep(key, settings, SIMULATION, runner)]
+
+
+def calibrated(**demands):
+    settings = SETTINGS.model_copy(update=demands)
+    return strip_calibration(settings, SIMULATION, trials(settings), answer)
+
+
+def test_the_configured_settings_are_chosen_where_they_meet_the_demand():
+    strip = calibrated()
+    # Five iterations at most, or 0.1 s steps, would make a push cheaper.
+    assert strip["chosen"]["key"] == BASE
+    assert strip["chosen"]["settings"]["newton_iterations_max"] == 30
+    assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
+
+
+def test_where_the_configured_settings_fail_the_cheapest_that_meet_the_demand_are_chosen():
+    def fails_at_thirty(name, options, simulation):
+        at_thirty = name == "strip" and simulation.newton_iterations_max == 30
+        if at_thirty and simulation.time_step_s == SIMULATION.time_step_s:
+            raise NotConverged("as configured")
+        return answer(name, options, simulation)
+
+    strip = strip_calibration(SETTINGS, SIMULATION, trials(runner=fails_at_thirty), fails_at_thirty)
+    assert strip["chosen"]["settings"]["newton_iterations_max"] == 5
+    assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
+
+
+def test_looser_settings_than_configured_are_shown_but_never_chosen():
+    strip = calibrated(strip_slip_strain=0.02, strip_friction=0.02)
+    coarse = next(one for one in strip["trials"] if one["settings"]["time_step_s"] == 0.1)
+    assert coarse["meets"]
+    assert not coarse["may_be_chosen"]
+    assert coarse["work"] < strip["chosen"]["work"]
+    assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
+
+
+def test_a_closer_demand_chooses_a_smaller_step():
+    assert calibrated(strip_slip_strain=1e-3)["chosen"]["settings"]["time_step_s"] == 0.005
+
+
+def test_a_demand_that_nothing_meets_says_what_came_closest():
+    with pytest.raises(DemandNotMet) as caught:
+        calibrated(strip_slip_strain=1e-6)
+    said = str(caught.value.args[0])
+    assert said.startswith("no settings meet the requirements (slip strain within 1e-06")
+    assert "closest: time_step_s = 0.005 with slip strain within 0.0005" in said
+    assert "\n" not in said
+
+
+def test_wrong_regimes_are_counted_and_kept_beside_the_right_ones():
+    strip = calibrated()
+    loose = next(one for one in strip["trials"] if one["settings"]["friction_tolerance"] == 10.0)
+    assert not loose["meets"]
+    assert loose["wrong_regimes"] == 2  # friction 0.4, two fabrics
+    assert {run["theory_regime"] for run in loose["runs"]} == {"slipped", "partially slipped"}
+
+
+def test_a_push_that_cannot_be_solved_is_recorded_and_counts_as_wrong():
+    strip = calibrated()
+    coarse = next(one for one in strip["trials"] if one["settings"]["time_step_s"] == 0.4)
+    assert coarse["wrong_regimes"] == len(coarse["runs"]) == 6
+    assert "did not converge" in coarse["runs"][0]["failure"]
+    json.dumps(strip, allow_nan=False)
+
+
+def test_changes_that_save_work_are_tried_together():
+    def two_savings(name, options, simulation):
+        configured = simulation.damping_s == 0.002 and simulation.newton_iterations_max == 30
+        if name == "strip" and configured:
+            raise NotConverged("as configured")
+        result = answer(name, options, simulation)
+        saved = 300 * (simulation.damping_s < 0.002)
+        return result | {"newton_iterations": result["newton_iterations"] - saved}
+
+    strip = strip_calibration(SETTINGS, SIMULATION, trials(runner=two_savings), two_savings)
+    chosen = strip["chosen"]
+    assert chosen["key"] == "combination"
+    assert chosen["settings"]["damping_s"] == 0.0
+    assert chosen["settings"]["newton_iterations_max"] == 5
+
+
+def test_settings_differ_from_the_configured_ones_in_one_key_only():
+    base = variations(BASE, SETTINGS, SIMULATION)[0]
+    for key in KEYS:
+        for one in variations(key, SETTINGS, SIMULATION):
+            assert {name for name in KEYS if one[name] != base[name]} == {key}
+
+
+def test_the_strip_is_the_protocol_s():
+    from slipstitch.physics.experiments import strip
+    from slipstitch.physics.experiments.specimen import AREAL_DENSITY_KG_M2
+    from slipstitch.physics.gravity import GRAVITY_M_S2
+
+    rigidity_Nm = 1e9 * strip.THICKNESS_M**3 / 12
+    weight = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * strip.LENGTH_M**3
+    assert gamma_of(1e9) == pytest.approx(weight / rigidity_Nm)
+    assert gamma_of(6.3e8) <= strip.LARGEST_GAMMA
+
+
+def test_pictures_are_the_same_every_time(tmp_path):
+    data = {"strip": calibrated()}
+    for name, figure in (("strip", strip_figure), ("settings", settings_figure)):
+        for copy in "ab":
+            save_figure(figure(data), tmp_path / f"{name}_{copy}.svg", "svg")
+        first, second = (tmp_path / f"{name}_{copy}.svg" for copy in "ab")
+        assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.fixture
+def config(monkeypatch):
+    monkeypatch.setattr("slipstitch.physics.experiments.registry.run_protocol", answer)
+    return resolve_config(
+        {
+            "simulation": {"time_step_s": 0.02, "friction_tolerance": 1e-4},
+            "calibrate": SETTINGS.model_dump(mode="json"),
+        }
+    )
+
+
+def sweeps(config, folder):
+    paths = [folder / f"{key}.json" for key in (BASE, *KEYS)]
+    for key, path in zip((BASE, *KEYS), paths, strict=True):
+        sweep_to_file(config, key, path)
+    return paths
+
+
+def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, tmp_path):
+    out = tmp_path / "calibration.json"
+    pictures = {name: tmp_path / f"{name}.svg" for name in ("checks", "strip", "settings")}
+    calibrate_to_file(config, out, sweeps(config, tmp_path), partial(draw_pictures, pictures))
+    written = json.loads(out.read_text())
+    assert written["settings"]["newton_iterations_max"] == 30
+    assert written["strip"]["not_told"]
+    assert written["convergence"]
+    assert written["convergence_table_sha256"] == file_digest(MEASURED)
+    assert all(path.exists() for path in pictures.values())
+
+
+def test_sweeps_settings_and_pictures_name_the_code_that_their_rules_compare(config, tmp_path):
+    """Else a release would refuse as made by other code what the workflow finds up to date."""
+    out, picture = tmp_path / "calibration.json", tmp_path / "strip.svg"
+    paths = sweeps(config, tmp_path)
+    calibrate_to_file(config, out, paths)
+    draw_again(out, {"strip": picture})
+    stages = {path: read_provenance(path)["stage"] for path in (*paths, out, picture)}
+    assert stages == dict.fromkeys(paths, "calibrate.sweep") | {
+        out: "calibrate.calibration", picture: "calibrate.pictures"
+    }  # fmt: skip
+    rules = (Path(__file__).parents[2] / "rules/calibrate.smk").read_text(encoding="utf-8")
+    assert set(stages.values()) == set(re.findall(r'code_of\("(.*?)"\)', rules))
+
+
+def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed(config, tmp_path):
+    paths = sweeps(config, tmp_path)
+    demand = config.calibrate.model_copy(update={"strip_friction": 1e-9})
+    impossible = config.model_copy(update={"calibrate": demand})
+    out = tmp_path / "calibration.json"
+    draw = partial(draw_pictures, {"settings": tmp_path / "settings.svg"})
+    with pytest.raises(DemandNotMet, match="closest: "):
+        calibrate_to_file(impossible, out, paths, draw)
+    assert not out.exists()
+    assert (tmp_path / "settings.failed.svg").exists()
+    assert not (tmp_path / "settings.svg").exists()
+
+
+@pytest.mark.parametrize("only_failures", [False, True])
+def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_demand(
+    config, tmp_path, only_failures
+):
+    write_config(config, tmp_path / "config.json")
+    words = ["calibrate", "--config", str(tmp_path / "config.json")]
+    words += ["--sweeps", *map(str, sweeps(config, tmp_path))]
+    words += ["--out", str(tmp_path / "calibration.json")]
+    words += ["--settings-picture", str(tmp_path / "settings.svg")]
+    assert main(words + ["--only-failures"] * only_failures) == 0
+    assert (tmp_path / "settings.svg").exists() != only_failures
+
+
+def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
+    paths = sweeps(config, tmp_path)
+    other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
+    with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
+        read_sweeps(paths, other)
+    for changed in ({"step_error_m": 1e-5}, {"bending_stiffness_at": "end"}):
+        stepped = config.simulation.model_copy(update=changed)
+        with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
+            read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
+    (tmp_path / "base.json").write_text("{")
+    with pytest.raises(BadInput, match=r"base\.json: damaged or not a JSON file"):
+        read_sweeps(paths, config)

@@ -1,0 +1,430 @@
+"""The convergence study: which runs, how far apart they are, what simulations say of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import file_digest, recorded_path, write_json
+from slipstitch.cli.main import main
+from slipstitch.config import resolve_config
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.convergence.cases import case_settings, cases
+from slipstitch.physics.convergence.distance_figure import convergence_figure
+from slipstitch.physics.convergence.study import (
+    SHIFT_MAX_S,
+    common_vertices,
+    compare,
+    describe,
+    events,
+)
+from slipstitch.physics.simulation.convergence import (
+    BUT_FOR_ITS_COURSE,
+    BUT_FOR_ITS_MOMENT,
+    measured_convergence,
+    worst_verdict,
+)
+from slipstitch.physics.simulation.trajectory import Trajectory
+
+CONFIG = resolve_config(
+    {
+        "convergence": {
+            "materials": ["gray-interlock", "royal-target"],
+            "frictions": [0.1, 0.5],
+            "vertices_per_side": [9, 17],
+            "window_s": 20,
+        }
+    }
+)
+
+
+def made_up_run(side=9, late_s=0.0, offset_m=0.0, offset_from_s=0.0, bump_m=0.0):
+    """A flat square carried by the stage that rolls over at 12 s, touches down at 2 s.
+
+    ``bump_m``: how far it is thrown aside as it rolls over.
+    """
+    time_s = np.arange(201) / 10
+    u, v = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side))
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    x, z = StagePath().position_m(time_s)
+    turned = 0.03 * np.tanh((time_s - 12 - late_s) / 0.2)
+    # The lower edge stays where the stage found it until 10 s, then follows.
+    height_m = np.where(uv[:, 1] == 1, 0.0, 0.05) + np.maximum(0.02 - 0.01 * time_s, 0)[:, None]
+    positions = np.zeros((len(time_s), side**2, 3))
+    positions[..., 0] = x[:, None] + turned[:, None] * uv[:, 1]
+    positions[..., 1] = 0.2 * uv[:, 0] + offset_m * (time_s >= offset_from_s)[:, None]
+    positions[..., 1] += bump_m * np.exp(-(((time_s - 12 - late_s) / 0.3) ** 2))[:, None]
+    positions[..., 2] = height_m
+    settings = SimulationSettings(vertices_per_side=side)
+    return Trajectory(
+        np.zeros((side**2, 3)), uv, np.zeros((1, 3), int), np.array([0]), np.arange(201), time_s,
+        x, z, positions.astype(np.float32),
+        {"step_s": 0.02, "settings": settings.model_dump(mode="json"),
+         "solver": {"steps": 1}, "provenance": {"cpu_s": 1.0}},
+    )  # fmt: skip
+
+
+def test_steps_are_refined_on_the_first_mesh_and_meshes_at_the_first_step():
+    found = [(c.friction, c.vertices_per_side, c.halvings) for c in cases(CONFIG)]
+    assert len(found) == 2 * len(set(found))  # both fabrics
+    assert sorted(set(found)) == [
+        (friction, *refined) for friction in (0.1, 0.5) for refined in ((9, 0), (9, 2), (17, 0))
+    ]
+
+
+def test_unless_told_every_fabric_is_studied():
+    assert len({case.pair for case in cases(resolve_config({}))}) == 30
+
+
+def test_the_finest_run_has_all_of_stepping_finer_and_the_same_frames():
+    finest = next(c for c in cases(CONFIG) if c.halvings == 2)
+    chosen = SimulationSettings(time_step_s=0.02, step_error_m=1.6e-4, friction_tolerance=1.6e-4)
+    settings = case_settings(finest, CONFIG, chosen)
+    assert settings.time_step_s == settings.steady_step_s == 0.005
+    assert settings.step_error_m == settings.friction_tolerance == pytest.approx(1e-5)
+    assert settings.bending_stiffness_at == "end"
+    assert settings.frames == 241  # 20 s at 12 a second
+
+
+@pytest.mark.parametrize("side", [41, 61, 81])
+def test_common_vertices_are_the_same_places_on_every_mesh(side):
+    line = np.linspace(0, 1, side)
+    uv = np.stack(np.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
+    expected = np.linspace(0, 1, 21)
+    places = uv[common_vertices(side, (41, 61, 81))].reshape(21, 21, 2)
+    np.testing.assert_allclose(places[0, :, 0], expected)
+    np.testing.assert_allclose(places[:, 0, 1], expected)
+
+
+def test_equal_runs_on_different_meshes_are_no_distance_apart():
+    found = compare(made_up_run(9), made_up_run(17), (9, 17))
+    assert found["worst_m"] < 1e-7
+
+
+def test_a_constant_offset_is_the_mean_and_the_worst_distance():
+    found = compare(made_up_run(offset_m=0.002), made_up_run(), (9,))
+    assert found["mean_m"] == pytest.approx(0.002, rel=1e-4)
+    assert found["worst_m"] == pytest.approx(0.002, rel=1e-4)
+    assert found["shifted_mean_m"] == pytest.approx(0.002, rel=1e-2)
+
+
+def test_what_only_happens_later_is_found_to_be_a_matter_of_time():
+    found = compare(made_up_run(late_s=0.5), made_up_run(), (9,))
+    assert found["events"]["flip"]["shift_s"] == pytest.approx(0.5, abs=0.101)
+    assert found["mean_largest_m"] > 0.02
+    assert found["shifted_largest_m"] < 1e-4
+    assert found["steady_largest_m"] < 1e-4
+    assert abs(found["worst_time_s"] - 12) < 1
+
+
+def test_between_frames_a_motion_is_compared_with_the_way_from_one_to_the_next():
+    found = compare(made_up_run(late_s=0.05), made_up_run(), (9,))  # half a frame
+    assert found["mean_largest_m"] > 1e-3
+    assert found["shifted_largest_m"] < 3e-4
+
+
+@pytest.mark.parametrize(
+    "run, verdict",
+    [
+        ({"late_s": 0.0}, "converged"),
+        ({"late_s": 0.5}, "converged but for the moment of an event (± 0.50 s)"),
+        # 0.3 mm may be what a straight line from frame to frame leaves out.
+        ({"bump_m": 3e-3}, "converged but for the course of an event (± 0.00 s, 2.7 mm)"),
+        (
+            {"bump_m": 3e-3, "late_s": 0.5},
+            "converged but for the course of an event (± 0.50 s, 2.7 mm)",
+        ),
+        ({"offset_m": 0.002, "offset_from_s": 16.0}, "not converged"),  # at rest in another shape
+        ({"late_s": 100.0}, "not converged"),  # it never rolls over
+    ],
+    ids=["same", "later", "thrown aside", "both", "other shape", "no event"],
+)
+def test_what_happens_at_another_time_is_told_from_what_is_something_else(run, verdict):
+    finest = {case.id: made_up_run(case.vertices_per_side) for case in cases(CONFIG)}
+    rows = describe(CONFIG, finest | {"m09_f0500_n9_h0": made_up_run(**run)})["summary"]
+    found = {(row["material"], row["friction"]): row for row in rows}["royal-target", 0.5]
+    assert found["verdict"] == found["time_step"]["verdict"] == verdict
+    assert {row["verdict"] for row in rows if row is not found} == {"converged"}
+
+
+def test_events_are_told_by_the_motion():
+    found = events(made_up_run())
+    assert found["landing"] == pytest.approx(1.9, abs=0.01)
+    assert found["flip"] == pytest.approx(12.0, abs=0.06)
+    # v = a t on the ramp: 2 mm after sqrt(2 * 0.002 / 0.01) s.
+    assert found["slip"] == pytest.approx(7 + np.sqrt(0.4), abs=0.02)
+
+
+def test_every_stroke_has_its_own_events():
+    run = made_up_run()
+    object.__setattr__(run, "time_s", run.time_s * 3)  # to 60 s, the flip at 36 s
+    found = events(run)
+    assert {"slip", "flip", "slip 2", "flip 2"} < set(found) and "flip 3" not in found
+    assert found["flip 2"] is None
+
+
+@pytest.mark.parametrize(
+    "first_m, second_m, shift_s",
+    [
+        (2.1e-3, 1.9e-3, 0.0),  # one is dragged a little farther than where it counts
+        (1.9e-3, 2.1e-3, 0.0),
+        (3.5e-3, 0.5e-3, None),
+        (1.9e-3, 1.8e-3, "no event"),
+    ],
+)
+def test_an_edge_that_stops_a_little_short_has_not_slipped_at_another_time(
+    first_m, second_m, shift_s
+):
+    def dragged(far_m):
+        run = made_up_run()
+        lower = run.uv[:, 1] == 1
+        run.positions_m[:, lower, 0] = far_m * np.clip(run.time_s - 8, 0, 1)[:, None]
+        return run
+
+    found = compare(dragged(first_m), dragged(second_m), (9,))["events"].get("slip")
+    if shift_s == "no event":
+        assert found is None
+    else:
+        assert found["shift_s"] == (shift_s if shift_s is None else pytest.approx(shift_s, abs=0.1))
+
+
+def test_an_edge_that_is_thrown_and_falls_back_has_not_slipped():
+    run = made_up_run()
+    lower = run.uv[:, 1] == 1
+    run.positions_m[:, lower, 0] = 7e-3 * (np.abs(run.time_s - 12) < 0.15)[:, None]
+    assert events(run)["slip"] is None
+    run.positions_m[np.ix_(run.time_s > 14, lower, [0])] = 3e-3
+    assert events(run)["slip"] == pytest.approx(14, abs=0.11)
+
+
+def test_a_run_without_a_roll_over_has_no_flip():
+    assert events(made_up_run(late_s=100.0))["flip"] is None
+
+
+def test_shifts_are_bounded():
+    found = compare(made_up_run(late_s=SHIFT_MAX_S + 1.5), made_up_run(), (9,))
+    assert found["shifted_largest_m"] > 1e-3
+
+
+def test_runs_with_different_frames_are_refused():
+    run = made_up_run()
+    other = made_up_run()
+    object.__setattr__(other, "time_s", other.time_s * 2)
+    with pytest.raises(BadInput, match="different frames"):
+        compare(run, other, (9,))
+
+
+def test_a_study_is_described_and_drawn():
+    late = {0: 0.3, 2: 0.0}
+    runs = {
+        case.id: made_up_run(case.vertices_per_side, late[case.halvings]) for case in cases(CONFIG)
+    }
+    study = describe(CONFIG, runs)
+    json.dumps(study, allow_nan=False)
+    by_pair = {(row["material"], row["friction"]): row for row in study["summary"]}
+    assert len(by_pair) == 4
+    found = by_pair["gray-interlock", 0.5]
+    assert found["time_step"]["event_shift_s"] == pytest.approx(0.3, abs=0.101)
+    assert found["mesh"]["worst_m"] < 1e-7
+    assert len(convergence_figure(study).axes) == 4
+
+
+def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_convergence():
+    runs = {name: made_up_run() for name in ("m09_f0500_n9_h0", "m09_f0500_n9_h2")}
+    late = describe(CONFIG, runs | {"m09_f0500_n9_h0": made_up_run(late_s=0.5)})["summary"][0]
+    assert late["time_step"]["verdict"].startswith("converged but") and late["verdict"] is None
+    study = describe(CONFIG, runs)
+    assert len(study["missing"]) == len(cases(CONFIG)) - 2
+    (row,) = study["summary"]
+    assert row["time_step"]["finest"] == "m09_f0500_n9_h2"
+    assert row["mesh"] is None and row["verdict"] is None
+    with pytest.raises(BadInput, match="no runs of the study found"):
+        describe(CONFIG, {})
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"vertices_per_side": [41, 61, 82]}, "too few positions in common"),
+        ({"vertices_per_side": [81, 41]}, "must increase"),
+        ({"materials": ["silk"]}, "unknown material 'silk'"),
+        ({"window_s": 0}, "window_s: must be greater than 0"),
+        ({"halvings": 0, "vertices_per_side": [41]}, "convergence: nothing to compare: halvings"),
+        ({"frictions": [0.1234, 0.1232]}, "frictions: friction coefficients must increase"),
+        ({"frictions": [0.5, 0.5]}, "frictions: friction coefficients must increase"),
+        # Both would be run as f0123, once.
+        ({"frictions": [0.1232, 0.1234]}, "frictions: must be a multiple of 0.001, .* not 0.1232"),
+        ({"materials": ["royal-target", "royal-target"]}, "materials: duplicate material"),
+    ],
+)
+def test_an_impossible_study_is_refused(change, message):
+    with pytest.raises(BadInput, match=message):
+        resolve_config({"convergence": change})
+
+
+@pytest.mark.parametrize(
+    "change", [{"halvings": 0}, {"vertices_per_side": [41]}, {"frictions": [0.123, 0.124]}]
+)
+def test_time_step_or_mesh_alone_may_be_studied_and_every_run_has_an_id_of_its_own(change):
+    found = cases(resolve_config({"convergence": change}))
+    assert len({case.id for case in found}) == len(found)
+
+
+def _record(tmp_path, material, friction, **settings):
+    path = tmp_path / "convergence.json"
+    found = {"mean_m": 2e-4, "mean_largest_m": 1.5e-3, "shifted_largest_m": 4e-4}
+    studied = SimulationSettings(time_step_s=0.02)
+    table = {
+        "studied": {"time_step_s": studied.step_used_s, "window_s": 56.0, "mean_distance_m": 1e-3,
+                    "simulation": studied.model_dump(mode="json")},
+        "cases": [
+            {"material": name, "friction": mu, "time_step": found, "mesh": None, "verdict": verdict}
+            for name, mu, verdict in (
+                ("gray-interlock", 0.1, "converged"),
+                ("gray-interlock", 0.5, BUT_FOR_ITS_MOMENT.format(0.2)),
+                ("gray-interlock", 1.5, "not converged"),
+                ("royal-target", 0.1, "converged"),
+                ("royal-target", 1.5, None),
+            )
+        ],
+    }  # fmt: skip
+    path.write_text(json.dumps(table))
+    chosen = studied.model_copy(update=settings)
+    return measured_convergence(material, friction, chosen, path)
+
+
+@pytest.mark.parametrize(
+    "material, friction, frictions, verdict",
+    [
+        ("gray-interlock", 0.1, [0.1], "converged"),
+        ("gray-interlock", 0.3, [0.1, 0.5], "converged but for the moment of an event (± 0.20 s)"),
+        ("gray-interlock", 0.7, [0.5, 1.5], "not converged"),
+        ("gray-interlock", 1.6, [], None),
+        ("royal-target", 0.1, [0.1], "converged"),
+        ("royal-target", 0.2, [0.1, 1.5], None),
+        ("ivory-rib-knit", 0.1, [], None),
+    ],
+)
+def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
+    tmp_path, material, friction, frictions, verdict
+):
+    found = _record(tmp_path, material, friction)
+    assert [case["friction"] for case in found["cases"]] == frictions
+    assert found["verdict"] == verdict
+    assert found["note"].startswith("this fabric was not studied") == (not frictions)
+    assert found["table_sha256"] == file_digest(tmp_path / "convergence.json")
+
+
+@pytest.mark.parametrize(
+    "changes, differ",
+    [
+        ({"time_step_s": 0.04}, ["time_step_s"]),
+        ({"vertices_per_side": 31}, ["vertices_per_side"]),
+        ({"friction_tolerance": 0.5}, ["friction_tolerance"]),
+        ({"step_error_m": 1e9}, ["step_error_m"]),
+        ({"steady_step_s": 0.9}, ["steady_step_s"]),
+        ({"pins": "corner"}, ["pins"]),
+        (
+            {"bending_stiffness_at": "start", "damping_s": 0.0},
+            ["bending_stiffness_at", "damping_s"],
+        ),
+        ({"time_step_s": 0.01, "vertices_per_side": 61, "step_error_m": 1e-5}, []),
+        ({"frames": 3, "yaw_sd_deg": 0.0, "halvings_max": 2}, []),
+    ],
+)
+def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, changes, differ):
+    found = _record(tmp_path, "gray-interlock", 0.1, **changes)
+    assert found["differ"] == differ
+    assert found["verdict"] == (None if differ else "converged")
+    assert ("other settings than those studied" in found["note"]) == bool(differ)
+
+
+@pytest.mark.parametrize(
+    "verdicts",
+    [
+        ("converged", BUT_FOR_ITS_MOMENT.format(0.1)),
+        (BUT_FOR_ITS_MOMENT.format(9.0), BUT_FOR_ITS_MOMENT.format(10.5)),
+        (BUT_FOR_ITS_MOMENT.format(10.5), BUT_FOR_ITS_COURSE.format(0.1, 1.5)),
+        (BUT_FOR_ITS_COURSE.format(9.0, 20.0), BUT_FOR_ITS_COURSE.format(10.5, 1.5)),
+        (BUT_FOR_ITS_COURSE.format(0.5, 9.5), BUT_FOR_ITS_COURSE.format(0.5, 10.0)),
+        (BUT_FOR_ITS_COURSE.format(99.0, 99.0), "not converged"),
+    ],
+)
+def test_of_two_verdicts_the_worse_has_the_larger_numbers(verdicts):
+    assert worst_verdict(verdicts) == worst_verdict(verdicts[::-1]) == verdicts[1]
+
+
+def test_without_a_study_the_record_is_empty(tmp_path):
+    settings = SimulationSettings()
+    assert measured_convergence("silk", 0.1, settings, tmp_path / "none.json") is None
+
+
+@pytest.fixture
+def finished(tmp_path, monkeypatch):
+    """A study with its picture and records, and where its summary is kept."""
+    monkeypatch.setattr(
+        "slipstitch.physics.convergence.study_files.MEASURED", tmp_path / "table.json"
+    )
+    study = describe(CONFIG, {c.id: made_up_run(c.vertices_per_side) for c in cases(CONFIG)})
+    write_json(tmp_path / "study.json", study, {"stage": "convergence"})
+    with recorded_path(tmp_path / "study.png", {"stage": "convergence"}) as temporary:
+        temporary.write_bytes(b"picture")
+    return tmp_path / "study.json"
+
+
+def published(study, capsys):
+    """Exit code, last line of standard error, and files written."""
+    out = study.parent / "published"
+    code = main(["convergence", "publish", "--study", str(study), "--out", str(out)])
+    written = {path.name for path in out.iterdir()} if out.exists() else set()
+    assert (study.parent / "table.json").exists() == bool(written)
+    return code, capsys.readouterr().err, written
+
+
+def test_a_finished_study_is_published_with_picture_records_and_summary(finished, capsys):
+    names = {"study.json", "study.png"}
+    names |= {f"{name}.provenance.json" for name in names}
+    assert published(finished, capsys) == (0, "", names)
+    table = json.loads((finished.parent / "table.json").read_text())
+    assert len(table["cases"]) == 4 and table["studied"]["window_s"] == 20
+
+
+@pytest.mark.parametrize(
+    "name, content, message",
+    [
+        ("study.json", None, "study.json: no such file"),
+        ("study.png", None, "study.png: no such file"),
+        ("study.json.provenance.json", None, "study.json.provenance.json: no such file"),
+        ("study.png.provenance.json", None, "study.png.provenance.json: no such file"),
+        ("study.json.provenance.json", f'{{"sha256": "{"0" * 64}"}}', "does not match its record"),
+        ("study.json.provenance.json", "{}", "does not match its record"),
+        ("study.png.provenance.json", "[]", "does not match its record"),
+        ("study.json.provenance.json", "\0" * 64, "damaged or not a JSON file"),
+        ("study.png", "another picture", "does not match its record"),
+    ],
+)
+def test_what_has_no_record_of_its_origin_is_not_published(
+    finished, capsys, name, content, message
+):
+    file = finished.parent / name
+    file.unlink() if content is None else file.write_text(content)
+    code, said, written = published(finished, capsys)
+    assert (code, written) == (2, set())
+    assert message in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"missing": ["m09_f0500_n9_h2", "m09_f0500_n17_h0"]}, "m09_f0500_n9_h2 is not run (2 "),
+        ({"summary": None, "settings": {}}, "damaged or not a convergence study"),
+    ],
+)
+def test_a_study_that_is_not_finished_is_not_published(finished, capsys, change, message):
+    study = json.loads(finished.read_text())
+    write_json(finished, study | change, {"stage": "convergence"})
+    code, said, written = published(finished, capsys)
+    assert (code, written) == (2, set())
+    assert message in said and said.count("\n") == 1

@@ -1,0 +1,141 @@
+"""The file of a verdict's model, and the simulations that run with it."""
+
+import numpy as np
+import pytest
+import yaml
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics.friction_law import Contact
+from slipstitch.physics.friction_law.extended_model import read_extended_model
+from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+
+MODEL = {
+    "causes": ["adhesion", "tilt"],
+    "friction_law": {
+        "face": {"coefficient": 0.4, "mechanisms": {"adhesion": {"adhesion": 0.8}}},
+        "edge": {"coefficient": 0.2, "mechanisms": {}},
+    },
+    "bench": {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02},
+}
+
+TABLE = {"covariate": "speed_mm_s", "knots": [1.0, 10.0], "factors": [0.8, 1.2]}
+
+
+def written(folder, **changes):
+    path = folder / "extended_model.yaml"
+    path.write_text(yaml.safe_dump(MODEL | changes))
+    return path
+
+
+def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
+    model = read_extended_model(written(tmp_path))
+    assert model.law.mechanisms == {"adhesion": {"adhesion": 0.8}}
+    assert (model.mass_error, model.bending_error) == (0.1, 0.0)
+    assert model.readings == {"camera_scale": 1.02}
+    assert model.law_at(0.7).coefficient == 0.7
+    gravity = model.gravity_m_s2(GRAVITY_M_S2)
+    assert gravity[0] == pytest.approx(GRAVITY_M_S2 * np.sin(0.02))
+    assert np.linalg.norm(gravity) == pytest.approx(GRAVITY_M_S2)
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"friction_law": None}, "friction_law.face: missing"),
+        ({"friction_law": {"face": {"mechanisms": {}}}}, "not an extended model"),
+        ({"friction_law": {"face": {"coefficient": -1.0}}}, "at least 0"),
+        ({"bench": {"mass_error": -1.5}}, "mass_error -1.5: must be above -1"),
+        (
+            {"bench": {"tilt_along_rad": 1.0, "tilt_across_rad": -1.3}},
+            "bench.tilt_along_rad 1 and tilt_across_rad -1.3: their sizes must add up to less",
+        ),
+        ({"bench": {"tilt_along_rad": 2.0}}, "tilt_along_rad 2 and tilt_across_rad 0: their"),
+        ({"friction_law": {"face": {"coefficient": 1, "mechanisms": {"glue": {}}}}}, "glue"),
+        ({"discrepancy": [1, 2]}, "discrepancy: must have covariate, knots and factors"),
+        ({"discrepancy": TABLE | {"covariate": "smell"}}, "'smell' is none of speed_mm_s, load"),
+        ({"discrepancy": TABLE | {"knots": [10.0, 1.0]}}, "discrepancy: knots must increase"),
+        ({"discrepancy": TABLE | {"knots": [1.0]}}, "discrepancy: 1 knots; must be 2 to 16"),
+        ({"discrepancy": TABLE | {"factors": [1.0, -1.0]}}, "factors finite and above 0"),
+        ({"discrepancy": TABLE | {"factors": ["much", 1.0]}}, "must be numbers"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(changes, words, tmp_path):
+    with pytest.raises(BadInput, match=words):
+        read_extended_model(written(tmp_path, **changes))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(BadInput, match=r"none\.yaml: cannot be read"):
+        read_extended_model(tmp_path / "none.yaml")
+
+
+def test_drop_and_drag_runs_with_the_model(tmp_path):
+    # Frames every 4 s: the cloth is down after 7 s and dragged from then on.
+    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
+    runs = {}
+    for name, path in (("plain", None), ("extended", str(written(tmp_path)))):
+        settings = SimulationSettings(**coarse, model=path)
+        runs[name], columns = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        assert columns["residual"].max() <= settings.friction_tolerance
+    assert runs["plain"].metadata["extended_model"] is None
+    assert runs["extended"].metadata["extended_model"]["mass_error"] == 0.1
+    tail = {name: run.positions_m[-1, -9:, 0].mean() for name, run in runs.items()}
+    assert tail["extended"] < tail["plain"] - 0.002  # adhesion holds the tail back
+
+
+def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
+    """Dragged along v, with half as much again along the warp and half as much less across."""
+    law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.5}}}
+    model = str(written(tmp_path, friction_law={"face": law}, bench={}))
+    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
+    tail_m = {}
+    for warp in ("u", "v"):
+        settings = SimulationSettings(**coarse, model=model, warp=warp)
+        run, _ = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        tail_m[warp] = run.positions_m[-1, -9:, 0].mean()
+    assert tail_m["v"] < tail_m["u"] - 0.002
+
+
+def test_a_table_of_factors_is_read_in_its_covariate_s_unit(tmp_path):
+    law = read_extended_model(written(tmp_path, discrepancy=TABLE)).law_at(0.5)
+    sliding = Contact(normal_force_N=2.0, speed_m_s=0.001 * np.sqrt(10))
+    assert law.force_limit(sliding, static=False) == pytest.approx(np.sqrt(0.8 * 1.2) + 0.8)
+    place = TABLE | {"covariate": "pos_x_mm", "knots": [0.0, 50.0]}
+    law = read_extended_model(written(tmp_path, discrepancy=place)).law
+    assert law.curve.knots == (0.0, 0.05)
+
+
+def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
+    drift = TABLE | {"covariate": "clock_min"}
+    assert read_extended_model(written(tmp_path, discrepancy=drift)).law.curve is None
+    with pytest.raises(BadInput, match="2 knots and 3 factors"):
+        read_extended_model(written(tmp_path, discrepancy=drift | {"factors": [1, 1, 1]}))
+
+
+def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
+    """A table of equal factors is another coefficient; one by place acts where the cloth lies."""
+    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
+    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
+    plain = {"face": {"coefficient": 0.2, "mechanisms": {}}}
+    even = {"covariate": "pos_x_mm", "knots": [-500.0, 500.0], "factors": [1.5, 1.5]}
+    behind = {"covariate": "pos_x_mm", "knots": [-500.0, -300.0], "factors": [3.0, 1.5]}
+    tails = {}
+    for name, friction, table in (
+        ("plain", 0.3, None),
+        ("coulomb", 0.3, {"discrepancy": None}),
+        ("even", 0.2, {"discrepancy": even}),
+        ("behind", 0.2, {"discrepancy": behind}),
+        ("weak", 0.2, None),
+    ):
+        model = table and str(written(tmp_path, friction_law=plain, bench={}, **table))
+        settings = SimulationSettings(**coarse, model=model)
+        run, _ = simulate_drop_and_drag("11oz-black-denim", friction, 0, settings)
+        tails[name] = run.positions_m
+    assert np.array_equal(tails["coulomb"], tails["plain"])  # bit by bit
+    np.testing.assert_allclose(tails["even"], tails["plain"], atol=2e-5)
+    np.testing.assert_allclose(tails["behind"], tails["plain"], atol=2e-5)
+    assert np.abs(tails["weak"] - tails["plain"]).max() > 1e-3

@@ -1,0 +1,85 @@
+"""The fabrics and their law: the file, the tables, the values that the source gives."""
+
+import json
+
+import numpy as np
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric, read_fabric_file
+from slipstitch.physics.fabric.fabrics import CATALOGUE
+from slipstitch.physics.fabric.law import stretching_stiffness
+
+
+def test_the_catalogue_holds_the_ten_fabrics_in_a_fixed_order():
+    assert len(fabric_names()) == 10
+    assert fabric_names()[5] == "gray-interlock"
+    assert load_fabric("gray-interlock").areal_density_kg_m2 == 0.187
+
+
+def test_an_unknown_fabric_is_named_with_those_that_exist():
+    with pytest.raises(BadInput, match=r"unknown material 'silk'; allowed: ivory-rib-knit"):
+        load_fabric("silk")
+
+
+@pytest.mark.parametrize("name", fabric_names())
+def test_at_rest_every_direction_uses_row_zero_doubled(name):
+    rows = load_fabric(name).stretching_N_m
+    expected = 2 * np.maximum(rows[0], 0)
+    np.testing.assert_allclose(stretching_stiffness(rows, 0.0, 0.0, 0.0), expected)
+
+
+@pytest.mark.parametrize("name", fabric_names())
+@pytest.mark.parametrize("row, angle_deg", [(1, 0.0), (2, 22.5), (3, 45.0), (4, 67.5), (5, 90.0)])
+def test_a_large_stretch_in_a_measured_direction_gives_the_measured_row(name, row, angle_deg):
+    """Independent of the law's own strain algebra: the strain comes from a stretch tensor."""
+    rows = load_fabric(name).stretching_N_m
+    direction = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    stretch = np.eye(2) + 0.2 * np.outer(direction, direction)  # past the 1 + 1/6 of the tables
+    G = (stretch.T @ stretch - np.eye(2)) / 2
+    expected = 2 * np.maximum(rows[row], 0)
+    np.testing.assert_allclose(stretching_stiffness(rows, G[0, 0], G[1, 1], G[0, 1]), expected)
+
+
+def test_half_way_to_the_measured_stretch_is_half_way_between_the_rows():
+    rows = load_fabric("royal-target").stretching_N_m
+    w = 1 + 1 / 12
+    expected = 2 * np.maximum((rows[0] + rows[1]) / 2, 0)
+    np.testing.assert_allclose(stretching_stiffness(rows, (w**2 - 1) / 2, 0.0, 0.0), expected)
+
+
+def test_the_sampled_table_reproduces_the_original_at_zero_strain():
+    """Zero strain is no node of the original's table: k22 comes out as 109.8, not 69.0 N/m."""
+    fabric = load_fabric("gray-interlock")
+    table = ElasticTables.of_fabric(fabric).stretching_N_m
+    # Zero lies half way between nodes 7 and 8 (-1/60 and 1/60) in G00 and G11.
+    at_rest = table[7:9, 7:9, 0].mean(axis=(0, 1))
+    assert at_rest[2] == pytest.approx(109.8, abs=0.05)
+    assert 2 * fabric.stretching_N_m[0, 2] == pytest.approx(69.0, abs=0.05)
+
+
+def _altered(tmp_path, change):
+    content = json.loads(CATALOGUE.read_text())
+    change(content["fabrics"]["gray-interlock"])
+    path = tmp_path / "fabrics.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda f: f.pop("bending_N_m"), "bending_N_m is missing"),
+        (lambda f: f.update(areal_density_kg_m2=-0.1), "areal_density_kg_m2 must be positive"),
+        (lambda f: f["bending_N_m"][1].__setitem__(2, -1e-5), "bending_N_m must be positive"),
+        (lambda f: f["stretching_N_m"][0].__setitem__(0, -3.0), "row 0 must have positive c11"),
+        (lambda f: f["stretching_N_m"].pop(), r"has shape \(5, 4\), must be \(6, 4\)"),
+        (lambda f: f["bending_N_m"][0].__setitem__(0, "soft"), "must contain only numbers"),
+        (lambda f: f["bending_N_m"][0].__setitem__(0, float("nan")), "non-finite"),
+    ],
+)
+def test_a_bad_fabric_file_is_refused_in_one_line_that_names_the_fabric(tmp_path, change, message):
+    path = _altered(tmp_path, change)
+    with pytest.raises(BadInput, match=f"fabric 'gray-interlock': .*{message}") as caught:
+        read_fabric_file(path)
+    assert "\n" not in str(caught.value)

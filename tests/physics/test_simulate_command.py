@@ -1,0 +1,242 @@
+"""slipstitch simulate and slipstitch protocol at the command line."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from slipstitch.base.errors import NotConverged
+from slipstitch.base.provenance import read_metadata, read_provenance
+from slipstitch.cli.main import main
+from slipstitch.config.load import read_mapping, resolve_config
+from slipstitch.design.grid import simulations
+from slipstitch.physics.simulation.trajectory import read_trajectory
+
+TINY = ["--set", "vertices_per_side=9", "--set", "frames=3", "--set", "settle_s=0.2"]
+
+
+def run(*words) -> int:
+    try:
+        return main([str(word) for word in words]) or 0
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+def simulation_ids(config_file) -> list[str]:
+    config = resolve_config(read_mapping(config_file), sources=("grid",))
+    return [one.id for one in simulations(config)]
+
+
+@pytest.fixture(scope="module")
+def trajectory_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("simulate") / "x.parquet"
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
+    assert run("simulate", *words, *TINY, "--out", path) == 0
+    return path
+
+
+def test_one_row_a_frame_with_the_documented_columns(trajectory_file):
+    table = pq.read_table(trajectory_file)
+    assert table.num_rows == 3
+    assert table.schema.field("positions_m").type == pa.list_(pa.float32(), 3 * 81)
+    for column in ("frame", "time_s", "stage_x_m", "stage_z_m", "newton_iterations", "residual"):
+        assert column in table.column_names
+    np.testing.assert_allclose(table["time_s"].to_numpy(), np.arange(3) / 2.4)
+
+
+def test_the_metadata_holds_mesh_settings_and_provenance(trajectory_file):
+    metadata = read_metadata(trajectory_file)
+    assert np.shape(metadata["rest_positions_m"]) == (81, 3)
+    assert np.shape(metadata["faces"]) == (128, 3)
+    assert metadata["settings"]["vertices_per_side"] == 9
+    assert metadata["material"] == "gray-interlock"
+    assert metadata["solver"]["largest_residual"] <= metadata["settings"]["friction_tolerance"]
+    assert read_provenance(trajectory_file)["stage"] == "simulate"
+
+
+def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_path):
+    other = tmp_path / "other.parquet"
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "1"]
+    assert run("simulate", *words, *TINY, "--out", other) == 0
+    assert (
+        read_trajectory(other).metadata["perturbation"]
+        != (read_trajectory(trajectory_file).metadata["perturbation"])
+    )
+
+
+def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
+    # With 25 vertices a side BLAS splits its sums over two threads, if it is let.
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
+    size = ["--set", "vertices_per_side=25", "--set", "frames=6", "--set", "settle_s=0.2"]
+    places = []
+    for threads in ("1", "2"):
+        out = tmp_path / f"{threads}.parquet"
+        subprocess.run(
+            [sys.executable, "-m", "slipstitch", "simulate", *words, *size, "--out", str(out)],
+            env=os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            check=True,
+            capture_output=True,
+        )
+        places.append(read_trajectory(out).positions_m)
+    np.testing.assert_array_equal(*places)
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--material", "silk", "--friction", "0.3"], "unknown material 'silk'"),
+        (
+            ["--material", "gray-interlock", "--friction", "-1"],
+            "--friction -1: must lie between 0 and 10",
+        ),
+        (["--material", "gray-interlock", "--friction", "nan"], "--friction nan: must lie"),
+        (["--material", "gray-interlock", "--friction", "50"], "--friction 50: must lie"),
+        (["--material", "gray-interlock"], "either --material and --friction, or --simulation"),
+        (["--simulation", "m00_f0100_r00"], "--simulation requires --config"),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "time_step_s=0"],
+            "simulation.time_step_s: must be greater than 0",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "timestep=1"],
+            "simulation.timestep: unknown key",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "vertices_per_side=1"],
+            "vertices_per_side: must be at least 5",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--set", "frames"],
+            "--set frames: must be KEY=VALUE",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--seed", "-4"],
+            "--seed -4: must be at least 0",
+        ),
+        (
+            ["--material", "gray-interlock", "--friction", "0.3", "--device", "abacus"],
+            "device abacus: not available on this machine; available: cpu",
+        ),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(words, message, tmp_path, capfd):
+    out = tmp_path / "x.parquet"
+    assert run("simulate", *words, "--out", out) == 2
+    captured = capfd.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def grid_file(tmp_path):
+    config = tmp_path / "grid.yaml"
+    config.write_text(
+        "grid: {materials: [gray-interlock, royal-target], frictions: [0.2, 0.7]}\n"
+        "simulation: {vertices_per_side: 7, frames: 3, settle_s: 0.2}\nsample: {frames: 2}\n"
+    )
+    return config
+
+
+def test_several_simulations_of_the_grid_at_once_are_those_one_by_one(grid_file, tmp_path, capfd):
+    grid = simulation_ids(grid_file)[:3]
+    together = [tmp_path / f"{one}.parquet" for one in grid]
+    words = ["--config", grid_file, "--simulation"]
+    assert run("simulate", *words, *grid, "--out", *together) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert len(lines) == 3 and all("CPU s for all 3" in line for line in lines)
+    for one, file in zip(grid, together, strict=True):
+        alone = tmp_path / "alone.parquet"
+        assert run("simulate", *words, one, "--out", alone) == 0
+        here, there = read_trajectory(file), read_trajectory(alone)
+        assert np.array_equal(here.positions_m, there.positions_m)
+        assert here.metadata["simulation"] == there.metadata["simulation"] == one
+        assert here.metadata["simulated_at_once"] == 3
+
+
+def test_as_many_files_as_simulations_are_needed(grid_file, tmp_path, capfd):
+    words = ["--config", grid_file, "--simulation", *simulation_ids(grid_file)[:2]]
+    assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
+    assert "1 files in --out for 2 simulations: must be one each" in capfd.readouterr().err
+
+
+def test_what_could_be_solved_is_written_although_another_failed(
+    grid_file, tmp_path, capfd, monkeypatch
+):
+    import slipstitch.physics.simulation.drop_and_drag as module
+
+    record = module._Bench.record
+
+    def failing(self, frame_done):
+        if self.run.material == "royal-target":
+            raise NotConverged("at 1 s it did not", {"positions_m": np.zeros((49, 3))})
+        return record(self, frame_done)
+
+    monkeypatch.setattr(module._Bench, "record", failing)
+    ids = simulation_ids(grid_file)
+    ids = [ids[0], ids[-1]]
+    files = [tmp_path / "good.parquet", tmp_path / "bad.parquet"]
+    assert run("simulate", "--config", grid_file, "--simulation", *ids, "--out", *files) == 1
+    assert files[0].exists() and not files[1].exists()
+    assert (tmp_path / "bad.failed.npz").exists()
+    assert "at 1 s it did not" in capfd.readouterr().err
+
+
+def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(
+    tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    broken = Path("results/calibration.json")
+    broken.parent.mkdir()
+    broken.write_text("{")
+    words = ["--material", "gray-interlock", "--friction", "0.3", "--calibration", broken]
+    assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
+    assert f"snakemake --cores 2 all --forcerun {broken}" in capfd.readouterr().err
+
+
+def test_a_calibration_of_settings_leaves_the_configured_law_alone(tmp_path):
+    """Also one that states no law, as they used to."""
+    law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.25}}}
+    model, config, calibration = (tmp_path / f"{name}.json" for name in "mcs")
+    model.write_text(json.dumps({"friction_law": {"face": law}}))
+    small = {"vertices_per_side": 5, "frames": 2, "model": str(model)}
+    config.write_text(json.dumps({"simulation": small, "sample": {"frames": 2}}))
+    calibration.write_text(json.dumps({"settings": {"time_step_s": 0.05, "model": None}}))
+    words = ["--config", config, "--calibration", calibration, "--out", tmp_path / "x.parquet"]
+    assert run("simulate", "--material", "gray-interlock", "--friction", "0.3", *words) == 0
+    told = read_trajectory(tmp_path / "x.parquet").metadata
+    assert told["settings"]["time_step_s"] == 0.05
+    assert told["extended_model"]["law"]["mechanisms"] == law["mechanisms"]
+
+
+def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp_path, capfd):
+    out = tmp_path / "flat.json"
+    assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0
+    result = json.loads(out.read_text())
+    assert set(result) == {"pull_over_weight", "theory_pull_over_weight", "passed", "demands"}
+    assert json.loads(capfd.readouterr().out) == result
+
+
+def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
+    assert run("protocol", "slope", "--out", tmp_path / "x.json") == 2
+    assert "choose from 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
+
+
+def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_path, capfd):
+    words = ["--material", "gray-interlock", "--friction", "0.3"]
+    for pair in ("vertices_per_side=5", "frames=2", "newton_iterations_max=1", "halvings_max=0"):
+        words += ["--set", pair]
+    out = tmp_path / "x.parquet"
+    assert run("simulate", *words, "--out", out) == 1
+    assert not out.exists()
+    state = np.load(tmp_path / "x.failed.npz")
+    assert state["positions_m"].shape == state["last_residual_N"].shape == (25, 3)
+    error = capfd.readouterr().err
+    assert f"did not converge to 0.0005 in 1 iterations; its state was saved to {tmp_path}" in error

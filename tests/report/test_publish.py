@@ -1,0 +1,403 @@
+"""A made-up run published: whole, unfinished, and refused."""
+
+import contextlib
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from support import synthetic_results
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import (
+    file_digest,
+    provenance_record,
+    read_provenance,
+    write_json,
+    write_parquet,
+    write_sidecar,
+)
+from slipstitch.cli.main import main
+from slipstitch.config import load_config, write_config
+from slipstitch.dataset.audit.published import audit_published
+from slipstitch.dataset.audit.scored import SCORES
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.design.grid import simulations
+from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.report.page import write_report
+from slipstitch.report.publishing import INDEX, OPTIONAL, finished_files, publish
+
+CONFIG = synthetic_results.config()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Every file that a finished run has; weights that are text, with cards and records."""
+    folder = tmp_path_factory.mktemp("results")
+    with contextlib.chdir(folder.parent):  # records name files by their path from there
+        synthetic_results.write_all(CONFIG, folder)
+        for render in sorted((folder / "render").glob("m*_v*.parquet")):
+            simulated = f"{folder.name}/simulate/{render.stem.rpartition('_')[0]}.parquet"
+            write_sidecar(
+                render, {"stage": "render", "inputs": {simulated: file_digest(simulated)}}
+            )
+    write_report(CONFIG, folder, folder / "report" / "index.html")
+    for name in finished_files(CONFIG):
+        if name.endswith(".safetensors"):
+            train(folder / name)
+    evaluate(folder)
+    return folder
+
+
+def train(weights, content=None):
+    """Weights with their card, curve and records."""
+    weights.parent.mkdir(parents=True, exist_ok=True)
+    weights.write_text(content or f"{weights}\n")
+    card, history = weights.with_suffix(".json"), weights.with_name("history.csv")
+    write_json(card, {"weights_sha256": file_digest(weights)})
+    if not history.exists():
+        history.write_text("epoch\n")
+    for path in (weights, card, history):
+        write_sidecar(path, {"stage": "train"})
+
+
+def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
+    out = tmp_path / "published" / "paper"
+    with contextlib.chdir(run.parent):
+        index = publish(CONFIG, run.name, out)
+    assert not index["partial"] and index == json.loads((out / INDEX).read_text())
+    there = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    assert {"metrics.json", "details.json", "predictions.parquet", "index.html"} < there
+    assert there - {INDEX, f"{INDEX}.provenance.json"} == set(index["files"])
+    for name, digest in index["files"].items():
+        assert file_digest(out / name) == digest
+    for name, to in finished_files(CONFIG).items():
+        assert file_digest(out / to) == file_digest(run / name)
+    assert "models/by_video/friction_conditional/seed0/history.csv" in there
+    digests = json.loads((out / "dataset" / "digests.json").read_text())
+    rows, digest = read_manifest(run / "sample")
+    assert (digests["digest"], digests["videos"]) == (digest, len(rows))
+    assert digests["files"] == {
+        path.name: file_digest(path) for path in sorted((run / "sample").glob("m0*.parquet"))
+    }
+    lineage = json.loads((out / "dataset" / "lineage.json").read_text())
+    shards = {f"{run.name}/sample/{name}" for name in digests["files"]}
+    assert shards <= set(lineage)
+    for name, inputs in lineage.items():
+        assert inputs == read_provenance(run.parent / name)["inputs"]
+    simulated = {name for name in lineage if name.startswith(f"{run.name}/simulate/")}
+    assert len(simulated) == len(simulations(CONFIG))
+    assert not {name for name in there if name.startswith("render")}
+    assert len(read_provenance(out / INDEX)["inputs"]) >= len(finished_files(CONFIG))
+    cost = {row["stage"]: row for row in json.loads((out / "cost.json").read_text())}
+    assert cost["simulate"]["jobs"] == 12
+    with (out / "simulations.csv").open() as file:
+        solved = {row["simulation"]: row for row in csv.DictReader(file)}
+    total_s = sum(float(row["cpu_s"]) for row in solved.values())
+    assert cost["simulate"]["cpu_s"] == pytest.approx(total_s)
+    assert set(solved) == {one.id for one in simulations(CONFIG)}
+    one = read_trajectory(run / "simulate" / f"{next(iter(solved))}.parquet")
+    assert float(next(iter(solved.values()))["simulated_s"]) == round(float(one.time_s[-1]), 3)
+    assert "Partial." not in (out / "index.html").read_text()
+
+
+def test_the_table_of_simulations_says_what_the_study_knows_of_each_now(run, tmp_path, monkeypatch):
+    def known(material, friction, settings):
+        assert settings == CONFIG.simulation
+        return {"verdict": f"{material} {friction:g}"} if friction > 0.3 else None
+
+    monkeypatch.setattr("slipstitch.report.publishing.measured_convergence", known)
+    publish(CONFIG, run, tmp_path / "out")
+    with (tmp_path / "out" / "simulations.csv").open() as file:
+        said = {row["simulation"]: row["convergence"] for row in csv.DictReader(file)}
+    for one in simulations(CONFIG):
+        wanted = f"{one.material} {one.friction:g}" if one.friction > 0.3 else ""
+        assert said[one.id] == wanted
+
+
+def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tmp_path, capsys):
+    part = tmp_path / "results"
+    shutil.copytree(run, part)
+    (part / "evaluate" / "details.json").unlink()
+    (part / "captures").mkdir()
+    (part / "captures" / "index.html").write_text(
+        "<html><body class='x'><p>Films</p></body></html>"
+    )
+    write_config(CONFIG, tmp_path / "config.json")
+    words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(part)]
+    words += ["--out-dir", str(tmp_path / "out")]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "not finished: evaluate/details.json is missing (1 of " in said
+    assert "--partial" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert main([*words, "--partial"]) == 0
+    assert "partial: 1 lacking" in capsys.readouterr().out
+    for page in ("index.html", "captures/index.html"):
+        body = (tmp_path / "out" / page).read_text().split("<body", 1)[1]
+        assert body.split("<p", 2)[1].startswith(" style") and "<b>Partial.</b>" in body
+        assert "evaluate/details.json lacking" in body
+    index = json.loads((tmp_path / "out" / INDEX).read_text())
+    assert index["partial"] and index["missing"] == ["evaluate/details.json"]
+
+
+def evaluate(results, without=()):
+    """The records of an evaluation of all weights, or of all but some."""
+    weights = [path for path in results.rglob("*.safetensors") if path not in without]
+    with contextlib.chdir(results.parent):
+        names = [path.relative_to(results.parent) for path in weights]
+        record = provenance_record(
+            "evaluate", inputs=[*names, f"{results.name}/sample/manifest.parquet"]
+        )
+    for name in ("metrics.json", "details.json"):
+        write_sidecar(results / "evaluate" / name, record)
+    predictions = results / "evaluate" / "predictions.parquet"
+    write_parquet(pq.read_table(predictions), predictions, {}, record)
+
+
+WEIGHTS = "train/by_video/friction_conditional/seed0/model.safetensors"
+CARD = WEIGHTS.replace(".safetensors", ".json")
+
+
+def _with_another_byte(path):
+    content = bytearray(path.read_bytes())
+    content[-2] ^= 1
+    path.write_bytes(content)
+
+
+def _without_record(path, content):
+    path.with_name(f"{path.name}.provenance.json").unlink(missing_ok=True)
+    path.write_bytes(content)
+
+
+def _empty(path):
+    _without_record(path, b"{}")
+
+
+def _text(path):
+    _without_record(path, b"no weights\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "why"),
+    [
+        (WEIGHTS, _with_another_byte, "does not match its record"),
+        (WEIGHTS, _text, "not the weights that its card model.json describes"),
+        (CARD, _with_another_byte, "does not match its record"),
+        (CARD, _text, "damaged or not a JSON file"),
+        (CARD, _empty, "must be a mapping, and not empty"),
+        (WEIGHTS.replace("model.safetensors", "history.csv"), _with_another_byte, "its record"),
+        ("evaluate/metrics.json", _empty, "must be a mapping, and not empty"),
+        ("evaluate/details.json", _empty, "must be a mapping, and not empty"),
+        ("evaluate/predictions.parquet", _with_another_byte, "not a Parquet file"),
+        ("sample/manifest.parquet", _with_another_byte, "not a Parquet file"),
+        ("calibrate/calibration.json", _with_another_byte, "does not match its record"),
+        ("report/index.html", _with_another_byte, "does not match its record"),
+    ],
+)
+def test_a_damaged_file_is_not_published(run, tmp_path, name, damage, why):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    damage(results / name)
+    with pytest.raises(BadInput, match=why) as refused:
+        publish(CONFIG, results, tmp_path / "out")
+    assert name in str(refused.value) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", SCORES)
+@pytest.mark.parametrize(
+    "other",
+    [WEIGHTS, "instrument/by_video/seed0/instrument.safetensors", "sample/manifest.parquet"],
+)
+@pytest.mark.parametrize("partial", [False, True])
+def test_scores_of_another_model_or_dataset_are_refused(run, tmp_path, name, other, partial):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    if other.endswith(".parquet"):
+        table = pq.read_table(results / other)
+        write_parquet(table, results / other, {"made": "again"})
+    else:
+        train(results / other, "trained again")
+    evaluate(results)
+    for older in (run / "evaluate").glob(f"{name}*"):
+        shutil.copyfile(older, results / "evaluate" / older.name)
+    why = f"{name}: scores of another [^ ]*{other} than is there; run slipstitch evaluate again"
+    with pytest.raises(BadInput, match=why):
+        publish(CONFIG, results, tmp_path / "out", partial)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_scores_without_a_record_are_refused(run, tmp_path, name):
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    path = results / "evaluate" / name
+    if name.endswith(".parquet"):
+        pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
+    else:
+        path.with_name(f"{name}.provenance.json").unlink()
+    with pytest.raises(BadInput, match=f"{name}: has no record of what was evaluated"):
+        publish(CONFIG, results, tmp_path / "out", partial=True)
+
+
+def test_models_trained_after_the_evaluation_are_refused_or_said_to_have_no_scores(run, tmp_path):
+    results, out = tmp_path / "results", tmp_path / "out"
+    shutil.copytree(run, results)
+    evaluate(results, without=[results / WEIGHTS])
+    with pytest.raises(BadInput, match=f"not include {WEIGHTS}; run slipstitch evaluate again"):
+        publish(CONFIG, results, out)
+    index = publish(CONFIG, results, out, partial=True)
+    said = f"scores of {WEIGHTS.replace('train/', 'models/')}"
+    assert index["partial"] and index["missing"] == [said]
+    assert f"{said} lacking" in (out / "index.html").read_text()
+    assert not {one.where for one in audit_published(out).findings} & set(SCORES)
+
+
+def _contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_only_a_folder_that_was_published_before_is_replaced(run, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    publish(CONFIG, run, out)
+    (out / "index.html").write_text("older")
+    publish(CONFIG, run, out)
+    assert (out / "index.html").read_bytes() == (run / "report" / "index.html").read_bytes()
+
+    (out / "notes.txt").write_text("mine")
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "letter.txt").write_text("mine")
+    books = tmp_path / "books"
+    books.mkdir()
+    (books / INDEX).write_text('["Persuasion"]')
+    (tmp_path / "link").symlink_to(mine)
+    before = _contents(tmp_path)
+    for target, why in (
+        (out, "also holds notes.txt"),
+        (mine, "holds no published run"),
+        (books, "holds no published run"),
+        (mine / "letter.txt", "is not a folder"),
+        (tmp_path / "link", "is not a folder"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            publish(CONFIG, run, target)
+    assert _contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        (".", "contains the results"),
+        ("..", "contains the results"),
+        ("train", "part of the results"),
+        ("evaluate/published", "part of the results"),
+        ("benchmarks", "part of the results"),
+        ("criticise", "part of the results"),
+    ],
+)
+@pytest.mark.parametrize("partial", [False, True])
+def test_nothing_is_published_in_the_place_of_results(run, tmp_path, place, why, partial):
+    """Not even where a stage has not run yet, or where somebody has put an index."""
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    shutil.rmtree(results / "criticise")
+    for folder in (tmp_path, results, results / "train"):
+        (folder / INDEX).write_text('{"files": {}}')
+    before = _contents(tmp_path)
+    with pytest.raises(BadInput, match=why):
+        publish(CONFIG, results, results / place, partial)
+    assert _contents(tmp_path) == before
+    assert publish(CONFIG, results, results / "published" / "paper")["files"]
+
+
+def test_the_workflow_publishes_again_when_an_optional_file_changes():
+    rule = (Path(__file__).parents[2] / "rules" / "publish.smk").read_text()
+    tracked = rule.partition("optional=digests_if_there(")[2].partition(")")[0]
+    assert set(re.findall(r'"results/([a-z]+/[a-z.]+)"', tracked)) == set(OPTIONAL)
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    for partial in (False, True):
+        with pytest.raises(BadInput, match="nothing of a run in it"):
+            publish(CONFIG, tmp_path, tmp_path / "out", partial)
+
+
+def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
+    """As when something was evaluated again after the images had been deleted."""
+    results, out = tmp_path / run.name, tmp_path / "out"
+    with contextlib.chdir(run.parent):
+        before = publish(CONFIG, run.name, out)
+    kept = {name: (out / name).read_bytes() for name in before["files"]}
+    found = audit_published(out).findings  # weights that are text have no dataset
+    shutil.copytree(run, results)
+    for stage in ("simulate", "render", "calibrate"):
+        shutil.rmtree(results / stage)
+    for shard in list((results / "sample").glob("m0*.parquet"))[1:]:
+        shard.unlink()
+    train(results / WEIGHTS, "trained again")
+    evaluate(results)
+    with contextlib.chdir(tmp_path):
+        after = publish(CONFIG, results.name, out, update=True)
+    assert set(after["files"]) == set(kept) and not after["partial"]
+    changed = {name for name, content in kept.items() if (out / name).read_bytes() != content}
+    model = WEIGHTS.replace("train/", "models/")
+    assert {model, model.replace("safetensors", "json")} <= changed
+    assert not changed & {"calibration.json", "simulations.csv", "cost.json"}
+    assert not {name for name in changed if name.startswith("dataset/")}
+    origin = json.loads((out / "origin.json").read_text())
+    assert set(origin) == set(json.loads(kept["origin.json"]))
+    assert audit_published(out).findings == found
+
+
+def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, tmp_path):
+    other = f"bench/{run.name}/sample"  # beside the run's results
+    instrument = CONFIG.instrument.model_copy(update={"calibration_datasets": [other]})
+    config = CONFIG.model_copy(update={"instrument": instrument})
+    shutil.copytree(run, tmp_path / run.name)
+    out, place = tmp_path / "out", tmp_path / "out" / "calibration_datasets" / "0"
+    with contextlib.chdir(tmp_path):
+        publish(CONFIG, run.name, out)
+        with pytest.raises(BadInput, match=r"calibration_datasets/0/manifest\.parquet is missing"):
+            publish(config, run.name, out, update=True)
+        shutil.copytree(run, tmp_path / "bench" / run.name)
+        # It may be added to what is published: all else stays as it was.
+        index = publish(config, run.name, out, update=True)
+    assert not index["partial"]
+    assert load_config(out / "config.json").instrument.calibration_datasets == [other]
+    own = json.loads((out / "dataset" / "digests.json").read_text())
+    assert json.loads((place / "digests.json").read_text()) == own
+    assert file_digest(place / "manifest.parquet") == file_digest(run / "sample/manifest.parquet")
+    lineage = json.loads((place / "lineage.json").read_text())
+    assert {f"{run.name}/sample/{name}" for name in own["files"]} <= set(lineage)
+    # The scores are of the run's own dataset alone: here it has the same manifest, so another one.
+    table = pq.read_table(place / "manifest.parquet")
+    pq.write_table(table, place / "manifest.parquet", compression="none")
+    assert not [one for one in audit_published(out).findings if one.where in SCORES]
+    shutil.copy(run / "sample" / "manifest.parquet", place)
+    shutil.rmtree(tmp_path / "bench")
+    with contextlib.chdir(tmp_path):
+        assert not publish(config, run.name, out, update=True)["partial"]
+    assert (place / "manifest.parquet").is_file()
+
+
+def test_an_update_of_another_run_is_refused(run, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(BadInput, match="nothing published there to update"):
+        publish(CONFIG, run, out, update=True)
+    publish(CONFIG, run, out)
+    before = _contents(out)
+    other = CONFIG.model_copy(update={"seed": CONFIG.seed + 1})
+    with pytest.raises(BadInput, match="published with another configuration"):
+        publish(other, run, out, update=True)
+    results = tmp_path / "results"
+    shutil.copytree(run, results)
+    table = pq.read_table(results / "sample/manifest.parquet")
+    write_parquet(table, results / "sample/manifest.parquet", {"made": "again"})
+    with pytest.raises(BadInput, match="published of another dataset"):
+        publish(CONFIG, results, out, update=True)
+    assert _contents(out) == before
