@@ -1,11 +1,15 @@
 """The workflow run in a folder of its own, from a copy of the project that may be edited."""
 
+import contextlib
+import io
 import os
 import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
+
+from slipstitch.base.provenance import code
 
 ROOT = Path(__file__).parents[2]
 PARTS = (
@@ -19,6 +23,24 @@ PARTS = (
     "LICENSE",
     "CITATION.cff",
 )
+
+
+@contextmanager
+def digests_of(root: Path):
+    """Code digests of the sources below `root`, for the time of the block."""
+    running = code._root
+    code._root = lambda given: running(given) if given is not None else root
+    try:
+        _forget_digests()
+        yield
+    finally:
+        code._root = running
+        _forget_digests()
+
+
+def _forget_digests() -> None:
+    code.code_digest.cache_clear()
+    code._contents.cache_clear()
 
 
 def source_with(folder: Path, text: str) -> tuple[Path, str]:
@@ -75,6 +97,33 @@ class Workflow:
         """Run snakemake, at the scale that was given."""
         return self.run(*self.snakemake_words(*words, scale=scale))
 
+    def plan(self, *words: str, scale: str | None = None) -> subprocess.CompletedProcess:
+        """Run snakemake in this process, which spares its start: dry runs and summaries only.
+
+        The workflow's files and the digests of code are those of the copy; the code that plans is
+        that of the tests.
+        """
+        from snakemake.cli import main
+
+        _, *arguments = self.snakemake_words(*words, scale=scale)
+        out, err = io.StringIO(), io.StringIO()
+        kept = dict(os.environ)
+        with (
+            contextlib.chdir(self.folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            digests_of(self.project / "src"),
+        ):
+            try:
+                main(arguments)
+                status = 0
+            except SystemExit as end:
+                status = int(end.code or 0)
+            finally:
+                os.environ.clear()
+                os.environ.update(kept)
+        return subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
+
     def snakemake_words(self, *words: str, scale: str | None = None) -> list[str]:
         """The command line of `snakemake`."""
         scale = scale or self.scale
@@ -84,9 +133,13 @@ class Workflow:
             *files, "--directory", str(self.folder), "--cores", "2", *words,
         ]  # fmt: skip
 
-    def pending(self, *words: str) -> set[str]:
-        """Files below results/ that snakemake would make (again) for its target all."""
-        answer = self.snakemake("--summary", *words, "--", "all")
+    def pending(self, *words: str, reloaded: bool = False) -> set[str]:
+        """Files below results/ that snakemake would make (again) for its target all.
+
+        `reloaded`: ask a process of its own, which imports the copied sources.
+        """
+        ask = self.snakemake if reloaded else self.plan
+        answer = ask("--summary", *words, "--", "all")
         assert answer.returncode == 0, answer.stderr
         head, *lines = (line.split("\t") for line in answer.stdout.splitlines() if "\t" in line)
         rows = [dict(zip(head, line, strict=True)) for line in lines]

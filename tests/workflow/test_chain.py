@@ -99,24 +99,24 @@ def test_second_run_does_nothing(chain, results):
 
 
 def test_edited_render_code_reruns_render_and_what_follows(chain):
-    with chain.edited("render/shards.py"):
+    with chain.edited("images/shards.py"):
         pending = chain.pending()
     assert stages(pending) == AFTER_SIMULATE
     assert chain.pending() == set()
 
 
 def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
-    with chain.edited("simulate/drop_and_drag.py"):
+    with chain.edited("physics/simulation/drop_and_drag.py"):
         assert stages(chain.pending()) >= {"simulate"} | AFTER_SIMULATE
 
 
 def test_edited_train_code_reruns_training_and_what_follows(chain):
-    with chain.edited("train/training.py"):
+    with chain.edited("learning/training.py"):
         assert stages(chain.pending()) == {"train", "evaluate", "report"}
 
 
 def test_edited_training_loop_reruns_both_trainings_and_what_follows(chain):
-    with chain.edited("train/loop.py"):
+    with chain.edited("learning/loop.py"):
         assert stages(chain.pending()) == {"train", "instrument", "evaluate", "report"}
 
 
@@ -125,7 +125,7 @@ def test_edited_report_code_reruns_the_report(chain):
         assert stages(chain.pending()) == {"report"}
 
 
-@pytest.mark.parametrize("file", ["doctor/cost.py", "doctor/checks.py", "cli/main.py"])
+@pytest.mark.parametrize("file", ["design/cost.py", "report/machine_checks.py", "cli/main.py"])
 def test_edited_code_that_no_result_depends_on_reruns_nothing(chain, file):
     with chain.edited(file):
         assert chain.pending() == set()

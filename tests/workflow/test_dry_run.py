@@ -18,8 +18,9 @@ def job_counts(output: str) -> dict[str, int]:
     return {name: int(count) for name, count in re.findall(r"^(\w+)\s+(\d+)$", output, re.M)}
 
 
+@pytest.mark.slow
 def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_property):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["simulate_one"] == 10 * 16
@@ -35,16 +36,11 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
     assert counts["total"] == sum(one.jobs for one in stages.values()) + 1  # the rule `all`
     assert counts["train_one"] == stages["train"].jobs
     record_property("told", estimate_line(config))
-
-
-def test_dry_run_says_what_the_run_will_cost(workflow):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
-    config = load_config(workflow.project / "config.yaml", workflow.project / "config/paper.yaml")
     assert answer.stderr.count(estimate_line(config)) == 1
 
 
 def test_demo_scale_is_small(workflow):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "all")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "all")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["simulate_one"] == 3 * 4 * 2
@@ -52,7 +48,7 @@ def test_demo_scale_is_small(workflow):
 
 
 def test_dry_run_writes_no_results(workflow):
-    assert workflow.snakemake("-n", "all").returncode == 0
+    assert workflow.plan("-n", "all").returncode == 0
     assert not (workflow.folder / "results").exists()
 
 
@@ -61,7 +57,7 @@ def test_dry_run_writes_no_results(workflow):
     ["calibrate", "simulate", "render", "sample", "train", "instrument", "evaluate", "report"],
 )
 def test_every_stage_is_a_target(workflow, target):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", target)
+    answer = workflow.plan("-n", "--quiet", "rules", "--", target)
     assert answer.returncode == 0, answer.stderr
     order = ["calibrate_settings", "simulate_one", "render_images", "sample_all", "train_one",
              "instrument_one",
@@ -75,7 +71,7 @@ def test_every_stage_is_a_target(workflow, target):
 
 def test_several_trainings_of_the_instrument_are_averaged(workflow):
     overrides = ("--config", "instrument={seeds: [0, 1]}")
-    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "instrument")
+    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "instrument")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2 * 2, 2)
@@ -84,18 +80,18 @@ def test_several_trainings_of_the_instrument_are_averaged(workflow):
 def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
     overrides = ("--config", f"instrument={{seeds: [0, 1], calibration_datasets: [{tmp_path}]}}")
     words = ("-n", "--quiet", "rules", *overrides, "--", "instrument")
-    answer = workflow.snakemake(*words)
+    answer = workflow.plan(*words)
     assert answer.returncode == 2
     assert f"instrument.calibration_datasets: {tmp_path}: no manifest.parquet" in answer.stderr
     (tmp_path / "manifest.parquet").touch()
-    answer = workflow.snakemake(*words)
+    answer = workflow.plan(*words)
     assert answer.returncode == 0, answer.stderr
     assert job_counts(answer.stdout)["instrument_ensemble"] == 2
 
 
 def test_simulations_in_batches_are_a_job_a_batch(workflow):
     overrides = ("--config", "compute={batch: 10}")
-    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")
+    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "simulate")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     batches = {name: count for name, count in counts.items() if name.startswith("simulate_batch")}
@@ -104,7 +100,7 @@ def test_simulations_in_batches_are_a_job_a_batch(workflow):
 
 
 def test_a_release_needs_no_network(workflow):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "release")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "release")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert {
@@ -119,7 +115,7 @@ def test_a_release_needs_no_network(workflow):
 
 def test_the_convergence_study_is_a_target_of_its_own(workflow):
     """A job a run: thirty pairs, each with finer steps and a finer mesh."""
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "convergence")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "convergence")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["convergence_run"] == 10 * 3 * (1 + 1 + 1)
@@ -128,7 +124,7 @@ def test_the_convergence_study_is_a_target_of_its_own(workflow):
 
 def test_the_ablations_are_a_target_of_their_own(workflow):
     """A job a question and seed, and one that sums up; only the questions that are named."""
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "ablate")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "ablate")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["ablate_one"] == 5 * 3 and counts["ablate_summary"] == 1
@@ -136,13 +132,13 @@ def test_the_ablations_are_a_target_of_their_own(workflow):
     assert not {"train_one", "instrument_one", "evaluate_all", "report_page"} & set(counts)
 
     overrides = ("--config", "ablate={questions: [diversity, floors], seeds: [4]}")
-    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "ablate")
+    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "ablate")
     assert job_counts(answer.stdout)["ablate_one"] == 2 * 1
 
 
 def test_single_keys_from_the_command_line(workflow):
     overrides = ("--config", "grid={frictions: [0.2, 4e-1], replicates: 1}")
-    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "simulate")
+    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "simulate")
     assert job_counts(answer.stdout)["simulate_one"] == 3 * 2 * 1
 
 
@@ -157,7 +153,7 @@ def test_single_keys_from_the_command_line(workflow):
     ],
 )
 def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, problem):
-    answer = workflow.snakemake("-n", "--config", override, "--", "all")
+    answer = workflow.plan("-n", "--config", override, "--", "all")
     assert answer.returncode == 2
     said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
     assert len(said) == 1
@@ -195,7 +191,7 @@ BENCHES = (
 def test_what_cannot_be_split_or_trained_is_refused_before_anything_runs(
     workflow, target, overrides, problem
 ):
-    answer = workflow.snakemake("-n", "--config", *overrides, "--", target)
+    answer = workflow.plan("-n", "--config", *overrides, "--", target)
     assert answer.returncode == 2
     said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
     assert len(said) == 1 and said[0].startswith("snakemake: error: ")
@@ -207,7 +203,7 @@ def test_what_cannot_be_split_or_trained_is_refused_before_anything_runs(
     ("target", "overrides"), [("simulate", [ONE_PAIR, *BENCHES]), ("render", [ONE_PAIR])]
 )
 def test_a_single_pair_can_be_simulated_and_filmed(workflow, target, overrides):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--config", *overrides, "--", target)
+    answer = workflow.plan("-n", "--quiet", "rules", "--config", *overrides, "--", target)
     assert answer.returncode == 0, answer.stderr
     assert job_counts(answer.stdout)["simulate_one"] == 1
 
@@ -217,12 +213,12 @@ def test_what_no_network_can_learn_may_still_be_a_dataset_or_an_instrument(workf
         ("sample", "grid={frictions: [0.5, 2.0]}"),
         ("instrument", "grid={materials: [gray-interlock]}"),
     ):
-        answer = workflow.snakemake("-n", "--quiet", "rules", "--config", override, "--", target)
+        answer = workflow.plan("-n", "--quiet", "rules", "--config", override, "--", target)
         assert answer.returncode == 0, answer.stderr
 
 
 def test_measured_cases_need_no_simulation(workflow):
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "criticise")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "criticise")
     assert answer.returncode == 0, answer.stderr
     assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 4, "total": 5}
 
@@ -230,7 +226,7 @@ def test_measured_cases_need_no_simulation(workflow):
 def test_a_case_is_looked_for_in_the_working_folder_first(workflow):
     (workflow.folder / "mine" / "linen").mkdir(parents=True)
     overrides = ("--config", "criticise={cases: [mine/linen, data/cases/paper_on_paper]}")
-    answer = workflow.snakemake("-n", "--printshellcmds", *overrides, "--", "criticise")
+    answer = workflow.plan("-n", "--printshellcmds", *overrides, "--", "criticise")
     assert answer.returncode == 0, answer.stderr
     assert "slipstitch criticise mine/linen " in answer.stdout
     shipped = workflow.project / "data/cases/paper_on_paper"
@@ -238,7 +234,7 @@ def test_a_case_is_looked_for_in_the_working_folder_first(workflow):
 
 
 def test_a_missing_case_is_one_line(workflow):
-    answer = workflow.snakemake("-n", "--config", "criticise={cases: [gone]}", "--", "criticise")
+    answer = workflow.plan("-n", "--config", "criticise={cases: [gone]}", "--", "criticise")
     assert answer.returncode == 2
     profile, *said = (line for line in answer.stderr.splitlines() if line)
     assert profile.startswith("Using workflow specific profile ")
@@ -247,7 +243,7 @@ def test_a_missing_case_is_one_line(workflow):
 
 def test_surrogate_captures_are_a_target_of_their_own(workflow):
     """Four pairs, five films each; then their references, their dataset, and the networks."""
-    answer = workflow.snakemake("-n", "--quiet", "rules", "--", "captures")
+    answer = workflow.plan("-n", "--quiet", "rules", "--", "captures")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["surrogate_film"] == 4 * 5
@@ -261,7 +257,7 @@ def test_real_captures_need_no_surrogates(workflow):
     table.parent.mkdir(exist_ok=True)
     table.write_text("")
     overrides = ("--config", f"captures={{table: {table}}}")
-    answer = workflow.snakemake("-n", "--quiet", "rules", *overrides, "--", "captures")
+    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "captures")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
     assert counts["captures_ingest"] == 1
@@ -277,9 +273,9 @@ def made_again(workflow, changed: str, overrides: list[str], outputs: Sequence[s
             path.touch()
             os.utime(path, (time.time() - age_s,) * 2)
     words = ("-n", "--rerun-triggers", "mtime", "--config", *overrides, "--", *outputs)
-    assert "Nothing to be done" in workflow.snakemake(*words).stdout
+    assert "Nothing to be done" in workflow.plan(*words).stdout
     (workflow.folder / changed).touch()
-    answer = workflow.snakemake(*words)
+    answer = workflow.plan(*words)
     assert answer.returncode == 0, answer.stderr
     return "Nothing to be done" not in answer.stdout
 
@@ -322,7 +318,7 @@ def test_captures_follow_the_content_of_the_calibrated_camera(tmp_path, table, o
 
 def test_the_linter_says_nothing_that_is_not_answered(workflow):
     """CONTRIBUTING.md has the answers."""
-    answer = workflow.snakemake("--lint", "text")
+    answer = workflow.plan("--lint", "text")
     complaints = set(re.findall(r"^    \* (.*?)[:.]?$", answer.stdout + answer.stderr, re.M))
     unanswered = {
         one
