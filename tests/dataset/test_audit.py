@@ -377,7 +377,7 @@ def test_forged_configuration_contradicts_the_records(release):
 
 
 def test_forged_sources_do_not_have_the_digest_of_the_records(release):
-    path = release / "code/src/slipstitch/physics/fabric/fabrics.json"
+    path = release / "code/src/slipstitch/config/fabrics.json"
     path.write_text(path.read_text().replace("0.187", "0.188", 1))
     reseal(release)
     broken = found(release, Kind.BROKEN)

@@ -13,11 +13,11 @@ import pytest
 import scipy.interpolate
 import scipy.optimize
 
+from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
 from slipstitch.physics.fabric import ElasticTables, load_fabric
-from slipstitch.physics.fabric.fabrics import CATALOGUE
 
-FABRICS = json.loads(CATALOGUE.read_text())["fabrics"]
+FABRICS = json.loads(FABRICS_FILE.read_text())["fabrics"]
 DIRECTIONS_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)
 STRAINS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20)
 DEMAND = 0.005  # of the uniaxial stress

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
+from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric, read_fabric_file
-from slipstitch.physics.fabric.fabrics import CATALOGUE
 from slipstitch.physics.fabric.law import stretching_stiffness
 
 
@@ -59,7 +59,7 @@ def test_the_sampled_table_reproduces_the_original_at_zero_strain():
 
 
 def _altered(tmp_path, change):
-    content = json.loads(CATALOGUE.read_text())
+    content = json.loads(FABRICS_FILE.read_text())
     change(content["fabrics"]["gray-interlock"])
     path = tmp_path / "fabrics.json"
     path.write_text(json.dumps(content))

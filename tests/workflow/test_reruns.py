@@ -8,7 +8,7 @@ pytestmark = pytest.mark.xdist_group("chain")
 
 
 def fabrics_file(chain) -> str:
-    path = chain.project / "src/slipstitch/physics/fabric/fabrics.json"
+    path = chain.project / "src/slipstitch/config/fabrics.json"
     return path.read_text(encoding="utf-8")
 
 

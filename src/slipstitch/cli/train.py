@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.config import load_config
+    from slipstitch.design.grid import classes
     from slipstitch.learning.training import train_network
 
     check_at_least(arguments, threads=1, seed=0)
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
         frames=config.sample.frames,
         view_order=config.view_order,
         material_model=arguments.material_model,
-        expected_classes=config.grid.classes,
+        expected_classes=classes(config.grid),
         threads=arguments.threads,
     )
     print(

@@ -1,11 +1,22 @@
-"""The available viewpoints, cloth textures and floors, by name.
+"""The available fabrics, viewpoints, cloth textures and floors, by name.
 
 Standard library only: the configuration and the workflow load it without numpy or Blender.
 """
 
+import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
+
+FABRICS_FILE = Path(__file__).with_name("fabrics.json")
+
+
+@cache
+def fabric_names() -> tuple[str, ...]:
+    """Return the names of the fabrics: position k is material id ``m{k:02d}``."""
+    return tuple(json.loads(FABRICS_FILE.read_text(encoding="utf-8"))["fabrics"])
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from slipstitch.config.compute import ComputeSettings
 from slipstitch.config.convergence import ConvergenceSettings
 from slipstitch.config.criticise import CriticiseSettings
 from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.config.grid import GridSettings
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.publish import PublishSettings
 from slipstitch.config.release import ReleaseSettings
@@ -20,7 +21,6 @@ from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.config.train import BY_SIMULATION, REFLECTIVE, TrainSettings
-from slipstitch.design.grid import GridSettings
 
 
 class Config(Section):

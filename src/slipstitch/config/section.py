@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from slipstitch.physics.fabric.fabrics import fabric_names
+from slipstitch.config.catalogue import fabric_names
 
 
 class Section(BaseModel):

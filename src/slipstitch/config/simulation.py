@@ -6,7 +6,8 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from slipstitch.config.section import Fabrics, Section
-from slipstitch.design.stage_path import SIDE_M
+
+SIDE_M = 0.20  # of the square of cloth
 
 
 class StageSettings(Section):

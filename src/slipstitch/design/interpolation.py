@@ -13,16 +13,18 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design.grid import Simulation, simulations
 from slipstitch.design.splits import sides_of_simulations
 from slipstitch.design.stage_path import SIDE_M, StagePath
-from slipstitch.physics.theory.drag import flexible_strip_drag
 
 if TYPE_CHECKING:
     from slipstitch.config.model import Config
@@ -117,13 +119,24 @@ def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict
     for below, above in itertools.pairwise(row):
         if friction <= above.friction:
             first, at, last = (
-                flexible_strip_drag(each, SIDE_M, height_m).holder_ahead_of_tail_m
+                _ahead_of_tail_m(each, SIDE_M, height_m)
                 for each in (below.friction, friction, above.friction)
             )
             part = (at - first) / (last - first)
             both = {below.id: 1 - part, above.id: part}
             return {name: weight for name, weight in both.items() if weight > 0}
     return {row[-1].id: 1.0}
+
+
+def _ahead_of_tail_m(friction: float, length_m: float, height_m: float) -> float:
+    """From the tail's end of a dragged flexible strip to its holder (`physics.theory.drag`)."""
+    if height_m >= length_m:  # it hangs clear of the floor
+        return 0.0
+    reach = length_m + friction * height_m
+    root = math.sqrt(reach**2 - length_m**2 + height_m**2)
+    tail = (length_m**2 - height_m**2) / (reach + root)
+    pull = friction * tail
+    return tail + pull * float(np.arcsinh((length_m - tail) / pull)) if pull else tail
 
 
 def _drawn(*words: object) -> Iterator[float]:

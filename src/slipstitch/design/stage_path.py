@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SIDE_M = 0.20  # of the square of cloth
+from slipstitch.config.simulation import SIDE_M
+
+__all__ = ["SIDE_M", "TAB_M", "StagePath"]
+
 TAB_M = 0.01  # width of the tabs that hold its upper corners
 
 

@@ -150,15 +150,15 @@ def _short(value: Any) -> str:
 
 def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     """The measured fabric, as the carried sources have it, against today's."""
-    from slipstitch.physics.fabric.fabrics import CATALOGUE
+    from slipstitch.config.catalogue import FABRICS_FILE
 
     name = row["material"]
-    carried = f"code/src/slipstitch/physics/fabric/{CATALOGUE.name}"
+    carried = f"code/src/slipstitch/config/{FABRICS_FILE.name}"
     try:
         then = json.loads((contents.folder / carried).read_text(encoding="utf-8"))["fabrics"][name]
     except (OSError, ValueError, KeyError, TypeError):
         return [f"fabric {name}: not in the release's sources"]
-    now = json.loads(CATALOGUE.read_text(encoding="utf-8"))["fabrics"].get(name)
+    now = json.loads(FABRICS_FILE.read_text(encoding="utf-8"))["fabrics"].get(name)
     same = "same as the current one" if now == then else "DIFFERENT from the current one"
     return [
         f"fabric {name} ({same})",

@@ -16,7 +16,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config
-from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.catalogue import FABRICS_FILE, VIEWPOINTS
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Finding, Kind
@@ -47,7 +47,6 @@ from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest
-from slipstitch.physics.fabric.fabrics import CATALOGUE
 
 _STAGE_TOLERANCE_M = 1e-9
 
@@ -174,7 +173,7 @@ def _configuration(lineage: Lineage) -> Iterator[Finding]:
 def _carried_fabric(sources: Path, name: str) -> str | None:
     """Digest of a fabric as the release's own sources have it; None if they do not."""
     try:
-        return fabric_digest(name, sources / "slipstitch/physics/fabric" / CATALOGUE.name)
+        return fabric_digest(name, sources / "slipstitch/config" / FABRICS_FILE.name)
     except BadInput:
         return None
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from slipstitch.base.errors import BadInput
-
-CATALOGUE = Path(__file__).with_name("fabrics.json")
+from slipstitch.config.catalogue import FABRICS_FILE
 
 
 @dataclass(frozen=True)
@@ -95,12 +94,7 @@ def _fabric(path: Path, name: str, entry: dict) -> Fabric:
 
 @cache
 def _catalogue() -> dict[str, Fabric]:
-    return read_fabric_file(CATALOGUE)
-
-
-def fabric_names() -> tuple[str, ...]:
-    """Names in catalogue order: position k is material id ``m{k:02d}``."""
-    return tuple(_catalogue())
+    return read_fabric_file(FABRICS_FILE)
 
 
 def load_fabric(name: str) -> Fabric:
@@ -118,7 +112,7 @@ def load_fabric(name: str) -> Fabric:
         raise BadInput(f"unknown material {name!r}; allowed: {allowed}") from None
 
 
-def fabric_digest(name: str, catalogue: str | Path = CATALOGUE) -> str | None:
+def fabric_digest(name: str, catalogue: str | Path = FABRICS_FILE) -> str | None:
     """SHA-256 of the numbers of one fabric, whatever other fabrics there are.
 
     Parameters
@@ -137,7 +131,7 @@ def fabric_digest(name: str, catalogue: str | Path = CATALOGUE) -> str | None:
     BadInput
         If the file is no file of fabrics.
     """
-    fabrics = _catalogue() if catalogue == CATALOGUE else read_fabric_file(catalogue)
+    fabrics = _catalogue() if catalogue == FABRICS_FILE else read_fabric_file(catalogue)
     if name not in fabrics:
         return None
     fabric = fabrics[name]
