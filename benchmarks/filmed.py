@@ -21,7 +21,7 @@ from slipstitch.dataset.shards import decode, read_shard
 from slipstitch.design.grid import simulations
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images.bench_camera import draw_bench_camera
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
 from slipstitch.learning.evaluation.instruments import measured
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.measuring import load_instrument

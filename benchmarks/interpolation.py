@@ -23,7 +23,7 @@ from slipstitch.base.provenance import file_digest, provenance_record, write_jso
 from slipstitch.config import resolve_config
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import SIDE_M, StagePath
-from slipstitch.images.interpolation import STRAIN_MAX, edge_strain
+from slipstitch.images.cloth_interpolation import STRAIN_MAX, edge_strain
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.physics.theory.drag import flexible_strip_drag
 

@@ -41,10 +41,10 @@ def film(path: Path, width: int, rate_hz: float, noise: float, key_frame_s: floa
     stage.camera_file(lens, path.with_name("camera.json"))
     drawn = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=small)
     scale = small[0] / width
-    drawn.camera.matrix[:] = lens.camera.matrix
-    drawn.camera.matrix[:2] *= scale
-    drawn.camera.matrix[:2, 2] += (scale - 1) / 2
-    bench = stage.Bench(drawn.camera, drawn.distortion)
+    drawn.matrix[:] = lens.matrix
+    drawn.matrix[:2] *= scale
+    drawn.matrix[:2, 2] += (scale - 1) / 2
+    bench = stage.Bench(drawn)
     times = np.arange(0, REST_S + stage.PATH.duration_s + 1, 1 / rate_hz)
     rng = np.random.default_rng(0)
     grain = rng.normal(0, noise, (2 * height, 2 * width, 1)).astype(np.float32)

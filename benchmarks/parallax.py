@@ -13,9 +13,9 @@ import numpy as np
 
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design.stage_path import StagePath
-from slipstitch.images.camera import cloth_room, crop_to, pose
+from slipstitch.images.calibrated_view import cloth_room, cloth_size, crop_to
+from slipstitch.images.camera import pose
 from slipstitch.images.mean_cloth import MeanCloth, Plane, lags_m
-from slipstitch.images.shots import cloth_size
 from slipstitch.physics.simulation.trajectory import read_trajectory
 
 CALIBRATED = VIEWPOINTS["calibrated"]

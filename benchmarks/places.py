@@ -27,7 +27,7 @@ from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import between
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.splits import sides_of_simulations
-from slipstitch.images.marked_points import marked_points_m
+from slipstitch.images.keypoints import keypoints_m
 from slipstitch.learning.instrument.distribution import (
     medians,
     mixture_cumulative,
@@ -50,7 +50,7 @@ class Places:
         self.places, self.of = {}, defaultdict(list)
         for one in simulations(config):
             trajectory = read_trajectory(folder / f"{one.id}.parquet")
-            places = marked_points_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
+            places = keypoints_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
             self.places[one.id] = places[sampled_frames(len(places), config.sample.frames)]
             side = sides[one.id]
             if side == "validation" and one.material in config.sample.validation_materials:

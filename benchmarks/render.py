@@ -22,8 +22,9 @@ from support import synthetic_cloth
 from slipstitch.config.render import RenderSettings
 from slipstitch.images import blender
 from slipstitch.images.encoding import encode_png
-from slipstitch.images.packing import Job, read_pack, write_pack
-from slipstitch.images.shards import composed_images, render_shard
+from slipstitch.images.image_shards import composed_images, render_shard
+from slipstitch.images.packing import read_pack, write_pack
+from slipstitch.images.view import View
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 TEXTURES = ["stripes", "checks", "tartan", "dots", "houndstooth", "floral", "denim", "linen"]
@@ -65,9 +66,9 @@ class Stopwatch:
         blender.ClothScene.render = timed
 
 
-def job(path: Path, settings: RenderSettings, viewpoint: str, frames: int) -> Job:
-    """A job of the benchmark."""
-    return Job(path, "v00", viewpoint, settings, frames, seed=1)
+def view(path: Path, settings: RenderSettings, viewpoint: str, frames: int) -> View:
+    """A view of the benchmark."""
+    return View(path, "v00", viewpoint, settings, frames, 1, None, settings.texture_ids())
 
 
 def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
@@ -80,7 +81,7 @@ def cost(folder: Path, pixels: int, images: int, floor: str) -> None:
     shading_s = image_s = blender_s = 0.0
     count = 0
     for viewpoint in VIEWPOINTS:
-        one = job(path, settings, viewpoint, frames)
+        one = view(path, settings, viewpoint, frames)
         start, watch.spent_s = cpu_s(), 0.0
         write_pack(one, folder / "pack.parquet")
         shaded, traced = cpu_s() - start, watch.spent_s
@@ -120,7 +121,7 @@ def long_process(folder: Path, pixels: int, frames: int) -> None:
                 print(f"frame {number}: {resident_mb():.0f} MiB, {open_files()} files", flush=True)
             yield shot
 
-    render_shard(job(path, settings, "calibrated", frames), folder / "x.parquet", progress=watched)
+    render_shard(view(path, settings, "calibrated", frames), folder / "x.parquet", progress=watched)
     print(f"after {frames} frames: {resident_mb():.0f} MiB, {open_files()} files")
 
 

@@ -19,11 +19,11 @@ from interpolation import digests
 from slipstitch.base.provenance import provenance_record, write_json
 from slipstitch.config import load_config
 from slipstitch.design.grid import simulations
-from slipstitch.images.marked_points import MARKED_UV, marked_points_m
+from slipstitch.images.keypoints import KEYPOINTS_UV, keypoints_m
 from slipstitch.physics.simulation.trajectory import read_trajectory
 
 RESULT = ROOT / "results" / "published" / "camera" / "sides.json"
-LOWER_EDGE = int(np.flatnonzero((MARKED_UV == (0.5, 1.0)).all(axis=1))[0])
+LOWER_EDGE = int(np.flatnonzero((KEYPOINTS_UV == (0.5, 1.0)).all(axis=1))[0])
 AFTER_S = 40.0
 APART_MM = 20.0  # clamps and fabric alone move the lower edge by some millimetres
 
@@ -36,7 +36,7 @@ def main():
     edges = defaultdict(dict)
     for one in simulations(config):
         run = read_trajectory(folder / f"{one.id}.parquet")
-        places_m = marked_points_m(run.positions_m, run.uv, run.stage_x_m)
+        places_m = keypoints_m(run.positions_m, run.uv, run.stage_x_m)
         late = run.time_s > AFTER_S
         edges[one.friction, one.material][one.replicate] = places_m[late, LOWER_EDGE, 0]
     apart_mm = defaultdict(dict)

@@ -25,12 +25,12 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import load_config
 from slipstitch.film.measure.measuring import measuring_bench
 from slipstitch.film.surrogate.bench import films, surrogate_simulation
-from slipstitch.images.marked_points import MARKED_UV, marked_uv
+from slipstitch.images.keypoints import KEYPOINTS_UV, keypoint_vertices_uv
 from slipstitch.learning.instrument.distribution import medians, mixture_cumulative
 from slipstitch.physics.simulation.drop_and_drag import draw_perturbation, simulate_drop_and_drag
 
 BENCHES = ("surrogate", "ideal")
-LOWER_EDGE = MARKED_UV[:, 1] == 1.0
+LOWER_EDGE = KEYPOINTS_UV[:, 1] == 1.0
 
 
 def settings_of(config, bench):
@@ -49,7 +49,7 @@ def places_of(config, film, bench, trained_vertices):
     grid = trajectory.positions_m.reshape(-1, side, side, 3).transpose(1, 2, 0, 3)
     uv = trajectory.uv.reshape(side, side, 2)
     down, across = uv[:, 0, 1], uv[0, :, 0]
-    marked = marked_uv(trained_vertices)  # vertices of another mesh than this one's
+    marked = keypoint_vertices_uv(trained_vertices)  # vertices of another mesh than this one's
     places = RegularGridInterpolator((down, across), grid)(marked[:, ::-1]).transpose(1, 0, 2)
     places[..., 0] -= trajectory.stage_x_m[:, None]
     return trajectory.time_s, places

@@ -31,7 +31,7 @@ from slipstitch.dataset.release.checksums import files_below, read_sums, write_s
 from slipstitch.dataset.release.manifest import sampled_rows
 from slipstitch.dataset.release.records import Artefact
 from slipstitch.design.interpolation import interpolations
-from slipstitch.images import interpolation
+from slipstitch.images import cloth_interpolation
 from slipstitch.images.surroundings import FLOORS
 from slipstitch.physics.fabric import fabric_names, load_fabric
 from slipstitch.physics.simulation.convergence import MEASURED
@@ -429,7 +429,7 @@ def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
 
 
 def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monkeypatch):
-    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
+    monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
     render = CONFIG.render.model_dump() | {
         "viewpoints": ["bench_1", "bench_2"],
         "test_viewpoints": [],

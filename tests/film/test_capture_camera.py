@@ -16,7 +16,7 @@ from slipstitch.film.camera.board import Board, Sighting
 from slipstitch.film.camera.lens_calibration import FloorPlace
 from slipstitch.film.camera.residuals_figure import draw_residuals
 from slipstitch.film.camera.views import View, read_views
-from slipstitch.images.camera import cloth_room, crop_to
+from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.mean_cloth import stage_plane
 from slipstitch.images.rectification import rectify
@@ -65,7 +65,7 @@ def check_recovered(path):
     rays = np.append(rays.reshape(-1, 2), np.ones((35, 1)), axis=1)
     still = (np.zeros(3), np.zeros(3))
     true = cv2.projectPoints(rays, *still, bench.MATRIX, bench.DISTORTION)[0]
-    ours = cv2.projectPoints(rays, *still, lens.camera.matrix, lens.distortion)[0]
+    ours = cv2.projectPoints(rays, *still, lens.matrix, lens.distortion)[0]
     assert np.abs(true - ours - (true - ours).mean(axis=0)).max() < 0.7
     rotation, translation = lens.pose
     away = -rotation.T @ translation - bench.POSITION_M

@@ -14,8 +14,8 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.dataset.videos import read_videos
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest.dataset import read_known
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.videos import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.mean_cloth import stage_plane
@@ -33,7 +33,7 @@ RATE_HZ = 12.5
 
 @functools.cache
 def bench() -> stage.Bench:
-    return stage.Bench(LENS.camera, LENS.distortion)
+    return stage.Bench(LENS)
 
 
 @functools.cache
@@ -94,7 +94,7 @@ def test_a_distorted_image_becomes_what_the_calibrated_viewpoint_sees(time_s):
     crop = SCHEDULE.crop(time_s)
     x_m = float(SCHEDULE.path.position_m(time_s)[0])
     lens = stage.lens_camera(*pose(CALIBRATED), size=(640, 480))
-    seen = stage.Bench(lens.camera, lens.distortion).image(time_s)
+    seen = stage.Bench(lens).image(time_s)
     image, inside = rectify(seen, lens, crop, stage_plane(crop, x_m))
     wanted = stage.Bench(crop).image(time_s)
     assert inside == 1.0
@@ -105,7 +105,7 @@ def test_a_distorted_image_becomes_what_the_calibrated_viewpoint_sees(time_s):
 def test_from_a_place_nearby_the_cloth_lies_where_the_viewpoint_sees_it():
     """The flat cloth lies in the stage plane: only the floor is shifted by its parallax."""
     lens = stage.lens_camera(*pose(replace(CALIBRATED, azimuth_deg=45.0, distance_m=1.5)))
-    near = stage.Bench(lens.camera, lens.distortion)
+    near = stage.Bench(lens)
     crop = SCHEDULE.crop(0.0)
     image, _ = rectify(near.image(0.0), lens, crop, stage_plane(crop, 0.0))
     wanted = stage.Bench(crop).image(0.0)

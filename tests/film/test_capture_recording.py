@@ -11,8 +11,8 @@ from support import analytic_stage as stage
 
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import Recording
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.videos import read_stage_video
 from slipstitch.images.camera import pose
 
@@ -143,7 +143,7 @@ START_S = 3.0
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     """A key frame every 0.8 s, 27 s of the protocol: enough to follow the stage."""
-    bench = stage.Bench(LENS.camera, LENS.distortion)
+    bench = stage.Bench(LENS)
     times_s = np.arange(0, 30, 1 / RATE_HZ)
     images = (bench.image(max(time_s - START_S, 0.0)) for time_s in times_s)
     path = tmp_path_factory.mktemp("stage") / "film.mp4"

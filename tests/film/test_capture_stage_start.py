@@ -10,7 +10,7 @@ from support import analytic_stage as stage
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.film import stage_start
-from slipstitch.film.schedule import Schedule
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.stage_start import find_start
 from slipstitch.images.camera import pose
 
@@ -37,7 +37,7 @@ ASIDE = camera(8.5, 7.5)
 def filmed(monkeypatch, lens, cloth, floor=None):
     """The moments of a noisy video at 12 frames per second of a cloth on a floor."""
     monkeypatch.setattr(stage, "_cloth_light", cloth)
-    bench = stage.Bench(lens.camera, lens.distortion)
+    bench = stage.Bench(lens)
     if floor is not None:
         bench.floor = np.where(bench.floor > 0.05, floor, 0.006)
     noise = np.random.default_rng(0)

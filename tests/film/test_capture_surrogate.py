@@ -23,10 +23,9 @@ from slipstitch.film.surrogate.bench import (
     true_camera,
     write_bench,
 )
-from slipstitch.images.bench_camera import relative_pose
-from slipstitch.images.camera import cloth_room
+from slipstitch.images.calibrated_view import cloth_room, viewpoint_pose
+from slipstitch.images.camera import relative_pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.shots import viewpoint_pose
 
 CONFIG = resolve_config({"simulation": {"frames": 92}})
 
@@ -64,7 +63,7 @@ def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
     read = read_camera_file(tmp_path / "camera.json")
     film = films(CONFIG)[0].id
     found, true = calibrated_camera(CONFIG, film), true_camera(CONFIG, film)
-    assert np.allclose(read.camera.matrix, found.camera.matrix)
+    assert np.allclose(read.matrix, found.matrix)
     points = np.array([[x, y, z] for x in (0, 0.3) for y in (-0.1, 0.1) for z in (0, 0.15)])
     off_px = np.linalg.norm(found.project(points) - true.project(points), axis=1)
     assert 0.05 < off_px.max() < 3
@@ -190,8 +189,7 @@ def test_own_cameras_stand_apart_and_see_the_whole_travel(tmp_path):
         true = true_camera(config, film.id)
         x, y = true.project(room).T
         assert x.min() > 0 and x.max() < width - 1 and y.min() > 0 and y.max() < height - 1
-        camera = true.camera
-        yaw_deg.append(relative_pose(camera.rotation, camera.translation_m, viewpoint)["yaw_deg"])
+        yaw_deg.append(relative_pose(true.pose, viewpoint)["yaw_deg"])
         off_px = true.project(room) - read_camera_file(tmp_path / f"{film.id}.json").project(room)
         assert 0.05 < np.linalg.norm(off_px, axis=1).max() < 3
     assert min(yaw_deg) < -8 and max(yaw_deg) > 8

@@ -11,8 +11,8 @@ from support import analytic_stage as stage
 from slipstitch.base.errors import BadInput
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest.dataset import ingest
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.time_base import StageFollower, TimeBase
 from slipstitch.film.videos import read_stage_video
 from slipstitch.images.camera import pose
@@ -29,7 +29,7 @@ def lens(viewpoint="calibrated"):
 
 @functools.cache
 def bench(viewpoint="calibrated"):
-    return stage.Bench(lens(viewpoint).camera, lens(viewpoint).distortion)
+    return stage.Bench(lens(viewpoint))
 
 
 def follower_of(

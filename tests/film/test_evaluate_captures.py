@@ -152,7 +152,7 @@ def bench(tmp_path_factory):
     write_config(config, folder / "config.json")
     lens = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
     stage.camera_file(lens, folder / "camera.json")
-    seen = stage.Bench(lens.camera, lens.distortion)
+    seen = stage.Bench(lens)
     times = np.arange(0, 25, 0.5)
     stage.write_video(folder / "0.mp4", (seen.image(one - 0.5) for one in times), times)
     for k in (1, 2, 3):

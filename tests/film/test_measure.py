@@ -40,7 +40,7 @@ CONFIG = resolve_config(
 def bench(tmp_path_factory):
     """A video, its camera, and an instrument that knows nothing."""
     folder = tmp_path_factory.mktemp("measure")
-    seen = stage.Bench(LENS.camera, LENS.distortion)
+    seen = stage.Bench(LENS)
     times = np.concatenate([np.arange(0, 6.2, 0.1), np.arange(6.2, 13.2, 0.5)])
     images = (seen.image(time_s - START_S) for time_s in times)
     stage.write_video(folder / "video.mp4", images, times)

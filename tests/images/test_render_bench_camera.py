@@ -12,14 +12,9 @@ from slipstitch.base.provenance import read_metadata
 from slipstitch.cli.main import main
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.config.render import RenderSettings
-from slipstitch.images.bench_camera import (
-    BenchCamera,
-    bench_pixels,
-    draw_bench_camera,
-    relative_pose,
-)
-from slipstitch.images.camera import cloth_room, crop_to, pose
-from slipstitch.images.mean_cloth import lags_m
+from slipstitch.images.bench_camera import BenchCamera, Rectifier, draw_bench_camera
+from slipstitch.images.calibrated_view import CalibratedView, cloth_room, crop_to
+from slipstitch.images.camera import pose, relative_pose
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 BASE = pose(Viewpoint(40.0, 24.0, 1.4))
@@ -36,7 +31,7 @@ def test_a_camera_moves_as_a_viewpoint_of_the_catalogue_would(yaw, pitch, distan
 
 def test_the_pose_is_told_from_rotation_and_translation():
     moved = BenchCamera(yaw_deg=12.0, pitch_deg=-5.0, roll_deg=1.5, distance=0.9).pose(*BASE)
-    told = relative_pose(*moved, BASE)
+    told = relative_pose(moved, BASE)
     expected = {"yaw_deg": 12.0, "pitch_deg": -5.0, "roll_deg": 1.5, "log_distance": np.log(0.9)}
     assert told == pytest.approx(expected, abs=1e-9)
 
@@ -100,8 +95,8 @@ def test_a_start_found_too_late_takes_the_images_for_later_ones():
     late = BenchCamera(start_error_s=float(np.diff(trajectory.time_s)[0]))
 
     def pixels(bench, row):
-        lags = lags_m(trajectory.stage_x_m, trajectory.stage_z_m, 0.2)
-        return bench_pixels(SEEN, bench, BASE, trajectory, lags, row, FAMILY, (0.2, 0.2))
+        calibrated = CalibratedView.of_trajectory(trajectory, "calibrated", FAMILY)
+        return Rectifier(bench, calibrated).source_pixels(SEEN, trajectory.time_s[row])
 
     np.testing.assert_allclose(pixels(late, 40), pixels(BenchCamera(), 41), atol=1e-4)
     assert np.nanmax(np.abs(pixels(late, 40) - pixels(BenchCamera(), 40))) > 0.5

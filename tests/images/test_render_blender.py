@@ -8,7 +8,8 @@ from support import synthetic_cloth
 
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.images.blender import ClothScene
-from slipstitch.images.camera import Camera, cloth_room, crop_to, pose
+from slipstitch.images.calibrated_view import cloth_room, crop_to
+from slipstitch.images.camera import Camera, pose
 
 
 def view(pixels, name="calibrated", x=0.1):

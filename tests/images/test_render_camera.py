@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.images.camera import AIM_M, cloth_room, crop_to, pose, turned
+from slipstitch.images.calibrated_view import cloth_room, crop_to
+from slipstitch.images.camera import AIM_M, pose, turned
 
 
 @pytest.mark.parametrize("name", VIEWPOINTS)

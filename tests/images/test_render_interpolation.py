@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.images.interpolation import edge_strain, interpolated
+from slipstitch.images.cloth_interpolation import edge_strain, interpolated
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 SIDE = 6

@@ -14,8 +14,8 @@ from slipstitch.base.provenance import read_metadata, read_provenance, read_side
 from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.images import verification
-from slipstitch.images.packing import Job
 from slipstitch.images.surroundings import draw_surroundings
+from slipstitch.images.view import View
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 ONE = "m05_f0300_r00"
@@ -242,12 +242,12 @@ def test_a_viewpoint_of_the_second_training_set_keeps_its_id_and_its_floors(tmp_
     config = resolve_config({"render": render})
     path = tmp_path / "m05_f0100_r00.parquet"
     ids = ("v00", "v02", "calibrated", "frontal")
-    jobs = {name: Job.of(config, path, name) for name in ids}
-    assert {name: job.viewpoint_id for name, job in jobs.items()} == {
+    views = {name: View.of(config, path, name) for name in ids}
+    assert {name: view.viewpoint_id for name, view in views.items()} == {
         "v00": "v00", "v02": "v02", "calibrated": "v00", "frontal": "frontal"
     }  # fmt: skip
-    assert jobs["v02"].viewpoint == "calibrated"
-    assert list(jobs["v02"].catalogue_entries()["floors"]) == ["aluminium"]
-    assert list(jobs["v00"].catalogue_entries()["floors"]) == ["matte"]
+    assert views["v02"].viewpoint == "calibrated"
+    assert list(views["v02"].catalogue_entries()["floors"]) == ["aluminium"]
+    assert list(views["v00"].catalogue_entries()["floors"]) == ["matte"]
     floors = {draw_surroundings(config.render, 1, path.stem, name).floor for name in ("v02", "v03")}
     assert floors == {"aluminium"}

@@ -19,10 +19,10 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.images import interpolation, shards
+from slipstitch.images import cloth_interpolation, image_shards
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import write_camera_file
-from slipstitch.images.packing import Job
+from slipstitch.images.view import View
 from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
 
 FRAMES, SAMPLED = 12, 4
@@ -78,7 +78,7 @@ def test_a_trajectory_file_gives_back_what_was_written(work):
 
 def test_a_shard_has_one_row_for_every_texture_and_sampled_frame(work):
     table = pq.read_table(work / "v00.parquet")
-    assert table.schema.equals(shards.SCHEMA)
+    assert table.schema.equals(image_shards.SCHEMA)
     rows = table.to_pylist()
     expected = [(f, t) for f in sampled_frames(FRAMES, SAMPLED) for t in ("t00", "t01", "t02")]
     assert [(row["frame"], row["texture"]) for row in rows] == expected
@@ -192,7 +192,7 @@ def test_interrupted_work_leaves_nothing(work, monkeypatch):
     def interrupt(layers, names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(shards, "compose_light", interrupt)
+    monkeypatch.setattr(image_shards, "compose_light", interrupt)
     before = sorted(work.iterdir())
     assert render(work, "--viewpoint", "v00", out="interrupted.parquet") == 130
     assert sorted(work.iterdir()) == before
@@ -320,7 +320,7 @@ def test_an_impossible_preview_is_one_clear_line(work, capsys, monkeypatch, word
 
 def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monkeypatch):
     """Pixel for pixel as a film of the mean trajectory; its label is the coefficient between."""
-    monkeypatch.setattr(interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
+    monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
     settings = {
         "grid": {
             "materials": ["gray-interlock", "ivory-rib-knit"],
@@ -377,9 +377,9 @@ def test_trajectories_that_do_not_fit_one_another_are_refused(tmp_path):
     write_trajectory(tmp_path / "m00_a.parquet", Trajectory(**motion))
     other = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.2)
     write_trajectory(tmp_path / "m00_b.parquet", Trajectory(**other))
-    job = Job(
+    view = View(
         tmp_path / "m00_a.parquet", "v00", "bench_1", RenderSettings(), SAMPLED, 1,
         Interpolation(0.2, {"m00_a": 0.5, "m00_b": 0.5}),
     )  # fmt: skip
     with pytest.raises(BadInput, match="m00_b: its time_s is not that of m00_a"):
-        job.trajectory()
+        view.trajectory()

@@ -13,7 +13,7 @@ import numpy as np
 
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera, write_camera_file
+from slipstitch.images.camera_file import write_camera_file
 
 PATH = StagePath()
 SIZE = (320, 240)
@@ -27,7 +27,7 @@ def lens_camera(
     size: tuple[int, int] = SIZE,
     focal_px: float = 552.0,
     distortion: np.ndarray = DISTORTION,
-) -> LensCamera:
+) -> Camera:
     """A camera that sees the whole track from 1.4 m."""
     scale = size[0] / SIZE[0]
     matrix = np.array(
@@ -37,19 +37,18 @@ def lens_camera(
             [0, 0, 1.0],
         ]
     )
-    return LensCamera(Camera(rotation, translation_m, matrix, *size), distortion)
+    return Camera(rotation, translation_m, matrix, *size, distortion)
 
 
-def camera_file(lens: LensCamera, path: Path) -> Path:
+def camera_file(camera: Camera, path: Path) -> Path:
     """The camera file of a camera."""
-    camera = lens.camera
     write_camera_file(
         path,
         {
-            "image_size_px": [camera.pixels, camera.rows],
+            "image_size_px": list(camera.size_px),
             "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
             "principal_point_px": camera.matrix[:2, 2].tolist(),
-            "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), lens.distortion, strict=True)),
+            "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True)),
             "rotation": camera.rotation.tolist(),
             "translation_m": camera.translation_m.tolist(),
         },
@@ -63,12 +62,10 @@ class Bench:
     Parameters
     ----------
     camera : Camera
-    distortion : ndarray (5,), optional
-        Of its lens.
     """
 
-    def __init__(self, camera: Camera, distortion: np.ndarray | None = None):
-        columns, rows = camera.pixels, camera.rows or camera.pixels
+    def __init__(self, camera: Camera):
+        columns, rows = camera.size_px
         self.shape = (rows, columns)
         part = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
         y, x = np.meshgrid(
@@ -78,7 +75,7 @@ class Bench:
         )
         pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
         until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-        lens = np.zeros(5) if distortion is None else distortion
+        lens = np.zeros(5) if camera.distortion is None else camera.distortion
         flat = cv2.undistortPointsIter(pixels, camera.matrix, lens, None, None, until)[:, 0]
         self.rays = np.column_stack([flat, np.ones(len(flat))]) @ camera.rotation
         self.eye = -camera.rotation.T @ camera.translation_m

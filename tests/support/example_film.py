@@ -8,7 +8,7 @@ import numpy as np
 from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO
 from slipstitch.film.recording import Recording
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera, read_camera_file
+from slipstitch.images.camera_file import read_camera_file
 from support import analytic_stage as stage
 
 
@@ -30,18 +30,15 @@ def rolled(folder: Path, roll_deg: float, side_px: int = 300) -> tuple[Path, Pat
     seen = read_camera_file(EXAMPLE_CAMERA)
     turn, _ = cv2.Rodrigues(np.radians([0.0, 0.0, roll_deg]))
     middle = (side_px - 1) / 2
-    focal_px = seen.camera.matrix[0, 0]
+    focal_px = seen.matrix[0, 0]
     matrix = np.array([[focal_px, 0, middle], [0, focal_px, middle], [0, 0, 1.0]])
-    rotation, place = turn @ seen.camera.rotation, turn @ seen.camera.translation_m
+    rotation, place = turn @ seen.rotation, turn @ seen.translation_m
     camera = stage.camera_file(
-        LensCamera(Camera(rotation, place, matrix, side_px, side_px), np.zeros(5)),
-        folder / "rolled.json",
+        Camera(rotation, place, matrix, side_px, side_px, np.zeros(5)), folder / "rolled.json"
     )
     y, x = np.mgrid[:side_px, :side_px].reshape(2, -1)
     rays = np.column_stack([x, y, np.ones(x.size)]) @ np.linalg.inv(matrix).T @ turn
-    source, _ = cv2.projectPoints(
-        rays, np.zeros(3), np.zeros(3), seen.camera.matrix, seen.distortion
-    )
+    source, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), seen.matrix, seen.distortion)
     where = source.reshape(side_px, side_px, 2).astype(np.float32)
     images, times_s = images_and_times()
     turned = (cv2.remap(image, where, None, cv2.INTER_LINEAR) for image in images)

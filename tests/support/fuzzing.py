@@ -38,10 +38,10 @@ from slipstitch.dataset.shards import read_shard
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film.camera import views
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest.captures_table import read_captures, read_references
 from slipstitch.film.reference.angles import read_angles
 from slipstitch.film.reference.estimate import estimate
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.videos import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file
@@ -275,7 +275,7 @@ def _pictures(add, folder: Path) -> None:
 def _measuring(add, folder: Path) -> None:
     """What `measure` and `capture` read: films, instruments, tables."""
     lens = analytic_stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
-    bench = analytic_stage.Bench(lens.camera, lens.distortion)
+    bench = analytic_stage.Bench(lens)
     times = np.arange(0, 10, 0.5)
     images = [bench.image(max(0.0, time_s - 0.5)) for time_s in times]
     settings = resolve_config(

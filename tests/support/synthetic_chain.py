@@ -19,14 +19,12 @@ from slipstitch.config import Config, write_config
 from slipstitch.config.catalogue import catalogue_entries
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.shards import decode
-from slipstitch.design.grid import Simulation, films, simulations, viewpoints
+from slipstitch.design.grid import Simulation, simulations, viewpoints
 from slipstitch.design.grid_table import write_grid
 from slipstitch.design.stage_path import StagePath
-from slipstitch.images.augmentation import draw_augmentation
 from slipstitch.images.encoding import encode_png
-from slipstitch.images.packing import Job
-from slipstitch.images.shards import Rectifier, marked_points_record
-from slipstitch.images.shots import camera_record, shots
+from slipstitch.images.image_shards import keypoints_record
+from slipstitch.images.shots import camera_record
 from slipstitch.images.surroundings import draw_surroundings
 from slipstitch.images.verification import (
     LEAST_PSNR_DB,
@@ -36,6 +34,7 @@ from slipstitch.images.verification import (
     psnr_db,
     ssim,
 )
+from slipstitch.images.view import View
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, draw_perturbation
@@ -136,11 +135,11 @@ def _write_render(config: Config, results: Path) -> list[Path]:
     for path in paths:
         simulation, view = path.stem.rsplit("_", 1)
         trajectory_path = results / f"simulate/{simulation}.parquet"
-        job = Job.of(config, trajectory_path, view)
-        shown = job.interpolation
+        filmed = View.of(config, trajectory_path, view)
+        shown = filmed.interpolation
         record = provenance_record(
             "render",
-            inputs=job.inputs(),
+            inputs=filmed.inputs(),
             config={
                 "render": config.render,
                 "sample": {"frames": config.sample.frames},
@@ -151,26 +150,19 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             },
             seed=config.seed,
         )
-        textures = films(config)[simulation, view]
-        settings = config.render.augmentation
-        words = {key: (config.seed, simulation, textures[key], names[view]) for key in textures}
         notes = {
             "simulation": simulation,
             "viewpoint": {"id": view, "name": names[view]},
-            "textures": textures,
-            "surroundings": draw_surroundings(
-                config.render, config.seed, simulation, view
-            ).record(),
-            "augmentation": {
-                key: draw_augmentation(settings, *words[key]).record() for key in textures
-            },
+            "textures": dict(filmed.textures),
+            "surroundings": filmed.surroundings.record(),
+            "augmentation": {key: drawn.record() for key, drawn in filmed.camera_effects().items()},
             **_cameras(config, view, trajectory_path, of_grid[simulation]),
             "smallest_share_of_cloth_in_image": 0.9,
-            "trajectory_sha256": {one.stem: file_digest(one) for one in job.parents}
+            "trajectory_sha256": {one.stem: file_digest(one) for one in filmed.parents}
             if shown
             else file_digest(trajectory_path),
             "interpolation": asdict(shown) if shown else None,
-            "interpolated_frames": job.trajectory().metadata["interpolated_frames"]
+            "interpolated_frames": filmed.trajectory().metadata["interpolated_frames"]
             if shown
             else None,
         }
@@ -189,12 +181,12 @@ def _cameras(config: Config, view: str, trajectory_path: Path, one: Simulation) 
     x_m, z_m = StagePath().position_m(trajectory.time_s)
     z_m = z_m + draw_perturbation(config.simulation, one.seed, one.replicate).height_m
     on_path = replace(trajectory, stage_x_m=x_m, stage_z_m=z_m)
-    job = Job.of(config, trajectory_path, view)
-    wanted = shots(on_path, job.viewpoint, config.render, job.frames_sampled, job.bench_camera)
+    filmed = View.of(config, trajectory_path, view)
+    wanted = filmed.shots(on_path)
     return {
-        "camera": camera_record(wanted, config.render, job.bench_camera),
-        "pose": Rectifier.of(job, on_path).pose(wanted),
-        "marked_points_m": marked_points_record(job.trajectory(), wanted),
+        "camera": camera_record(wanted, config.render, filmed.bench_camera),
+        "pose": filmed.rectifier(on_path).pose(wanted[0].camera),
+        "marked_points_m": keypoints_record(filmed.trajectory(), wanted),
     }
 
 

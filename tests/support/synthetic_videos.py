@@ -16,7 +16,7 @@ from PIL import Image
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config, resolve_config
 from slipstitch.design.grid import films, simulations, textures, viewpoints
-from slipstitch.images.marked_points import MARKED_UV
+from slipstitch.images.keypoints import KEYPOINTS_UV
 
 SCHEMA = pa.schema(
     [
@@ -81,9 +81,9 @@ def draw(
     return image.astype(np.uint8)
 
 
-def marked_points_m(lean: float, lag: float, height: float) -> np.ndarray:
+def keypoints_m(lean: float, lag: float, height: float) -> np.ndarray:
     """Places (9, 3) of points of the rectangle that `draw` draws, its side 0.2 m."""
-    across, below = MARKED_UV[:, 0] - 0.5, 0.15 + height * MARKED_UV[:, 1]
+    across, below = KEYPOINTS_UV[:, 0] - 0.5, 0.15 + height * KEYPOINTS_UV[:, 1]
     shift = lag * lean * np.clip((below - 0.4) / 0.6, 0, 1)
     return np.stack([0.5 * shift, 0.2 * across, 0.5 * (1 - below)], axis=1)
 
@@ -112,7 +112,7 @@ def write_shards(
                     continue
                 for frame in numbers:
                     phase = frame / total * 4 * np.pi
-                    points[str(frame)] = marked_points_m(np.sin(phase), lag, height).ravel()
+                    points[str(frame)] = keypoints_m(np.sin(phase), lag, height).ravel()
                     image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
                     stream = io.BytesIO()
                     Image.fromarray(image).save(stream, "PNG")

@@ -140,7 +140,7 @@ def _verify(arguments: argparse.Namespace) -> None:
 
 def _compose(arguments: argparse.Namespace) -> None:
     from slipstitch.config import load_config
-    from slipstitch.images.shards import render_shards_from_packs
+    from slipstitch.images.image_shards import render_shards_from_packs
 
     config = load_config(*arguments.config)
     packs, folder = arguments.from_shading, arguments.out_dir
@@ -151,22 +151,21 @@ def _compose(arguments: argparse.Namespace) -> None:
 def _render(arguments: argparse.Namespace) -> None:
     from slipstitch.base.progress import progress
     from slipstitch.config import load_config
-    from slipstitch.images.packing import Job, write_pack
+    from slipstitch.images.image_shards import render_shard
+    from slipstitch.images.packing import write_pack
+    from slipstitch.images.view import View
 
     config = load_config(*arguments.config)
     bar = partial(progress, unit="frame")
+    view = View.of(config, arguments.trajectory, arguments.viewpoint)
     if arguments.shading:
-        job = Job.of(config, arguments.trajectory, arguments.viewpoint)
-        pack = write_pack(job, arguments.shading, bar)
+        pack = write_pack(view, arguments.shading, bar)
         _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
-        print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {job.viewpoint}")
+        print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {view.viewpoint}")
         return
-    from slipstitch.images.shards import FilmJob, render_shard
-
-    film = FilmJob.of(config, arguments.trajectory, arguments.viewpoint)
-    done = render_shard(film, arguments.out, progress=bar)
+    done = render_shard(view, arguments.out, progress=bar)
     _warn(arguments.out, done["smallest_share_of_cloth_in_image"])
-    print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {film.viewpoint}")
+    print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {view.viewpoint}")
 
 
 def _warn(path: Path, share_inside: float) -> None:

@@ -27,7 +27,7 @@ from slipstitch.design.splits import (
     sides_of_simulations,
     split_by_video,
 )
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
 from slipstitch.images.surroundings import MATTE
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import open_parquet, read_metadata, read_parquet, write_parquet
 from slipstitch.design.splits import SIDES, check_no_simulation_on_both_sides
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
 
 MANIFEST = "manifest.parquet"
 

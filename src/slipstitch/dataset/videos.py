@@ -19,7 +19,7 @@ from slipstitch.dataset.images import pixels_digest, read_frames
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.dataset.shards import decode
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.images.marked_points import MARKED_UV
+from slipstitch.images.keypoints import KEYPOINTS_UV
 
 ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
@@ -36,7 +36,7 @@ class Videos:
     digest : str
         Digest of the whole dataset (also of the videos that are not here).
     points_m : ndarray of float32, shape (n, frames, points, 3), optional
-        Of the cloth (`slipstitch.images.marked_points`), where the dataset has them for all videos.
+        Of the cloth (`slipstitch.images.keypoints`), where the dataset has them for all videos.
     """
 
     rows: list[dict[str, Any]]
@@ -101,7 +101,7 @@ def read_videos(
     kept = sampled_frames(stored, frames or stored)
     side = pixels or rendered
     array = np.empty((len(rows), len(kept), side, side, 3), np.uint8)
-    points_m = np.full((len(rows), len(kept), len(MARKED_UV), 3), np.nan, np.float32)
+    points_m = np.full((len(rows), len(kept), len(KEYPOINTS_UV), 3), np.nan, np.float32)
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file

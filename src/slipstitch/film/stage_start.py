@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 from slipstitch.design.stage_path import StagePath
 from slipstitch.film.recording import Moment
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera
 from slipstitch.images.rectification import in_stage_plane
 
 # The strips that are followed, in the upright plane: half their width, and how far they reach above
@@ -76,7 +75,7 @@ class _Strip:
 
     def __init__(
         self,
-        lens: LensCamera,
+        lens: Camera,
         crop: Camera,
         path: StagePath,
         half_width_m: float,
@@ -130,7 +129,7 @@ def vertex_of_parabola(before: np.ndarray, at: np.ndarray, after: np.ndarray) ->
 
 
 def find_start(
-    moments: Iterable[Moment], lens: LensCamera, crop: Camera, path: StagePath
+    moments: Iterable[Moment], lens: Camera, crop: Camera, path: StagePath
 ) -> StageStart | None:
     """Time at which the stage starts to descend; None if it never does.
 
@@ -139,7 +138,7 @@ def find_start(
     moments : iterable of Moment
         Frames of a video in which the cloth hangs still for 2 s at least before the start. No more
         than some seconds of small images are kept.
-    lens : LensCamera
+    lens : Camera
         The real camera.
     crop : Camera
         Of the calibrated viewpoint at the start.

@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.film.stage_start import vertex_of_parabola
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera
 from slipstitch.images.rectification import bounds, in_stage_plane
 
 #: Seconds between the frames that are looked at.
@@ -85,14 +84,14 @@ class StageFollower:
 
     Parameters
     ----------
-    lens : LensCamera
+    lens : Camera
         The real camera.
     crop : Camera
         Of the calibrated viewpoint at the start.
     path : StagePath
     """
 
-    def __init__(self, lens: LensCamera, crop: Camera, path: StagePath):
+    def __init__(self, lens: Camera, crop: Camera, path: StagePath):
         height = path.start_height_m - path.drop_m
         rows = np.arange(_ABOVE_M, -_BELOW_M, -_GRID_M)
         columns = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _GRID_M)

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipstitch.base.errors import BadInput
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import Recording
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.stage_start import StageStart, find_start
 from slipstitch.film.time_base import StageFollower, TimeBase
-from slipstitch.images.bench_camera import relative_pose
-from slipstitch.images.camera import AIM_M
-from slipstitch.images.camera_file import LensCamera
+from slipstitch.images.camera import AIM_M, Camera, relative_pose
 from slipstitch.images.mean_cloth import cloth_surface
 from slipstitch.images.rectification import fine_source_pixels, in_image, rectify, source_pixels
 
@@ -59,7 +57,7 @@ class StageVideo:
     view_angle_deg : float
         Between the directions in which the real camera and the calibrated viewpoint stand.
     pose : dict
-        Pose of the camera relative to that viewpoint, see `slipstitch.images.bench_camera`.
+        Pose of the camera relative to that viewpoint, see `slipstitch.images.camera.POSE`.
     inside : ndarray (n,)
         Share of each image that the real camera saw.
     notes : list of str
@@ -81,7 +79,7 @@ class StageVideo:
 
 def read_stage_video(
     path: str | os.PathLike,
-    lens: LensCamera,
+    lens: Camera,
     schedule: Schedule,
     *,
     start_s: float | None = None,
@@ -93,7 +91,7 @@ def read_stage_video(
     Parameters
     ----------
     path : path
-    lens : LensCamera
+    lens : Camera
         The camera that took it, at the stage.
     schedule : Schedule
         Which moments, through which crop.
@@ -160,7 +158,7 @@ def read_stage_video(
         frame_interval_s=float(np.median(intervals)),
         longest_gap_s=float(np.max(intervals)),
         view_angle_deg=_view_angle_deg(lens, schedule),
-        pose=relative_pose(*lens.pose, schedule.pose),
+        pose=relative_pose(lens.pose, schedule.pose),
         inside=np.array(inside),
         notes=notes,
     )
@@ -172,9 +170,9 @@ def read_stage_video(
     return video
 
 
-def seen_shares(lens: LensCamera, schedule: Schedule) -> np.ndarray:
+def seen_shares(lens: Camera, schedule: Schedule) -> np.ndarray:
     """Share of each image of a schedule that a camera sees, shape (n,); needs no video."""
-    columns, rows = lens.camera.pixels, lens.camera.rows or lens.camera.pixels
+    columns, rows = lens.size_px
     shares = []
     for time_s in map(float, schedule.time_s):
         crop = schedule.crop(time_s)
@@ -204,7 +202,7 @@ def _seen_too_little(
     )
 
 
-def problem_of_view(lens: LensCamera, schedule: Schedule, shares: np.ndarray) -> str:
+def problem_of_view(lens: Camera, schedule: Schedule, shares: np.ndarray) -> str:
     """Why a camera sees too little of the crops, or too coarsely; empty where it sees enough.
 
     ``shares`` (n,) as `seen_shares` gives them.
@@ -212,7 +210,7 @@ def problem_of_view(lens: LensCamera, schedule: Schedule, shares: np.ndarray) ->
     return _seen_too_little(shares, schedule.time_s) or _seen_too_coarsely(lens, schedule)
 
 
-def _seen_too_coarsely(lens: LensCamera, schedule: Schedule) -> str:
+def _seen_too_coarsely(lens: Camera, schedule: Schedule) -> str:
     """How few pixels a camera that sees the crop has for each of its; empty if enough."""
     crop = schedule.crop(0.0)
     place = source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(0.0)))
@@ -227,8 +225,8 @@ def _seen_too_coarsely(lens: LensCamera, schedule: Schedule) -> str:
     )
 
 
-def _check_size(recording: Recording, lens: LensCamera) -> None:
-    needed = (lens.camera.pixels, lens.camera.rows or lens.camera.pixels)
+def _check_size(recording: Recording, lens: Camera) -> None:
+    needed = lens.size_px
     if recording.size_px == needed:
         return
     turned = recording.size_px == needed[::-1]
@@ -254,9 +252,7 @@ def _checked_start(path, start: StageStart | None) -> StageStart:
     return start
 
 
-def _start_is_seen(
-    recording: Recording, lens: LensCamera, schedule: Schedule, start_s: float
-) -> bool:
+def _start_is_seen(recording: Recording, lens: Camera, schedule: Schedule, start_s: float) -> bool:
     """Whether the stage starts where it is stated to; BadInput if only elsewhere.
 
     A film may show another start before the one that counts.
@@ -382,7 +378,7 @@ def _chosen(
     return chosen, np.array(intervals or [0.0])
 
 
-def _view_angle_deg(lens: LensCamera, schedule: Schedule) -> float:
+def _view_angle_deg(lens: Camera, schedule: Schedule) -> float:
     directions = []
     for rotation, translation in (lens.pose, schedule.pose):
         seen_from = -rotation.T @ translation - np.array(AIM_M)

@@ -7,19 +7,19 @@ have told of the camera.
 """
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from slipstitch.config.render import RenderSettings
-from slipstitch.images.camera import AIM_M, Camera, cloth_room, crop_to
-from slipstitch.images.camera_file import LensCamera
-from slipstitch.images.mean_cloth import MeanCloth, cloth_surface, stage_plane
-from slipstitch.images.rectification import fine_source_pixels
+from slipstitch.images.calibrated_view import CalibratedView
+from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
+from slipstitch.images.mean_cloth import cloth_surface, stage_plane
+from slipstitch.images.rectification import fine_source_pixels, resample
 from slipstitch.images.surroundings import drawn_by, generator
-from slipstitch.physics.simulation.trajectory import Trajectory
 
 _NO_DISTORTION = np.zeros(5)
 _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
@@ -82,7 +82,13 @@ class BenchCamera:
         matrix = camera.matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1 + self.focal_error
         translation_m = wrong @ camera.translation_m + self.position_error_m
-        return Camera(wrong @ camera.rotation, translation_m, matrix, camera.pixels, camera.rows)
+        return replace(
+            camera,
+            rotation=wrong @ camera.rotation,
+            translation_m=translation_m,
+            matrix=matrix,
+            distortion=_NO_DISTORTION,
+        )
 
 
 def draw_bench_camera(
@@ -121,29 +127,6 @@ def draw_bench_camera(
     )
 
 
-def relative_pose(
-    rotation: np.ndarray, translation_m: np.ndarray, viewpoint: tuple[np.ndarray, np.ndarray]
-) -> dict[str, float]:
-    """Pose of a camera relative to a viewpoint: the numbers of `slipstitch.images.pose.POSE`.
-
-    Parameters
-    ----------
-    rotation, translation_m : ndarray (3, 3), (3,)
-        World to camera.
-    viewpoint : tuple of ndarray
-        The same of the viewpoint.
-    """
-    azimuth, elevation, distance, roll = zip(
-        _spherical(rotation, translation_m), _spherical(*viewpoint), strict=True
-    )
-    return {
-        "yaw_deg": (azimuth[0] - azimuth[1] + 180) % 360 - 180,
-        "pitch_deg": elevation[0] - elevation[1],
-        "roll_deg": (roll[0] - roll[1] + 180) % 360 - 180,
-        "log_distance": math.log(distance[0] / distance[1]),
-    }
-
-
 def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray:
     """Points (N, 3) that the bench camera's image must hold.
 
@@ -157,53 +140,48 @@ def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray
     return np.concatenate([room_m, stage_plane(seen, stage_x_m).seen(eye, rays)])
 
 
-def bench_pixels(
-    camera: Camera,
-    bench: BenchCamera,
-    viewpoint: tuple[np.ndarray, np.ndarray],
-    trajectory: Trajectory,
-    lags_m: np.ndarray,
-    row: int,
-    settings: RenderSettings,
-    size_m: tuple[float, float],
-) -> np.ndarray:
-    """Where a bench camera's image shows what the calibrated viewpoint would see.
+@dataclass(frozen=True)
+class Rectifier:
+    """Brings a video's images into the calibrated viewpoint; leaves those that need it not.
 
-    Parameters
+    Attributes
     ----------
-    camera : Camera
-        Of the image.
-    bench : BenchCamera
-        What is told wrongly of it.
-    viewpoint : tuple of ndarray
-        Rotation and translation of the calibrated viewpoint.
-    trajectory : Trajectory
-    lags_m : ndarray (T,)
-        Of the cloth in it (`slipstitch.images.mean_cloth.lags_m`).
-    row : int
-        Of the frame in it.
-    settings : RenderSettings
-    size_m : tuple of float
-        Width and length of the cloth.
-
-    Returns
-    -------
-    ndarray (rays pixels, rays pixels, 2) float32
-        As of `slipstitch.images.rectification.fine_source_pixels`.
+    bench : BenchCamera, optional
+        None: the images are what they shall be.
+    calibrated : CalibratedView
     """
-    time_s = trajectory.time_s[row] + bench.start_error_s
-    x_m, z_m, lag_m = (
-        float(np.interp(time_s, trajectory.time_s, of))
-        for of in (trajectory.stage_x_m, trajectory.stage_z_m, lags_m)
-    )
-    fixed = settings.crop == "fixed"
-    room = cloth_room(
-        trajectory.stage_x_m if fixed else x_m, trajectory.stage_z_m if fixed else z_m, *size_m
-    )
-    seen = crop_to(viewpoint, room, settings.pixels)
-    lens = LensCamera(bench.stated(camera), _NO_DISTORTION)
-    cloth = MeanCloth(x_m, z_m, lag_m)
-    return fine_source_pixels(lens, seen, cloth_surface(seen, cloth))
+
+    bench: BenchCamera | None
+    calibrated: CalibratedView
+
+    def source_pixels(self, camera: Camera, time_s: float) -> np.ndarray:
+        """Where a bench camera's image shows what the calibrated viewpoint would see.
+
+        From what its calibration says of it, at the time that was found.
+
+        Returns
+        -------
+        ndarray (rays pixels, rays pixels, 2) float32
+            As of `slipstitch.images.rectification.fine_source_pixels`.
+        """
+        assert self.bench is not None
+        found_s = time_s + self.bench.start_error_s
+        seen = self.calibrated.crop(found_s)
+        surface = cloth_surface(seen, self.calibrated.cloth(found_s))
+        return fine_source_pixels(self.bench.stated(camera), seen, surface)
+
+    def at(self, camera: Camera, time_s: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Of the images of a camera at a time: what makes each (pixels, pixels, 3) uint8."""
+        if self.bench is None:
+            return lambda image: image
+        place = self.source_pixels(camera, time_s)
+        return lambda image: resample(image, place, self.calibrated.pixels)[0]
+
+    def pose(self, camera: Camera) -> dict[str, float]:
+        """Pose of the camera relative to the calibrated viewpoint, according to its calibration."""
+        if self.bench is None:
+            return dict.fromkeys(POSE, 0.0)
+        return relative_pose(self.bench.stated(camera).pose, self.calibrated.pose)
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:
@@ -215,18 +193,3 @@ def _turn(axis: np.ndarray | list[float], angle_deg: float) -> np.ndarray:
     """Rotation matrix about a unit vector, right-handed."""
     matrix, _ = cv2.Rodrigues(np.asarray(axis, dtype=np.float64) * math.radians(angle_deg))
     return matrix
-
-
-def _spherical(
-    rotation: np.ndarray, translation_m: np.ndarray
-) -> tuple[float, float, float, float]:
-    """Azimuth, elevation (degrees), distance (m) about `AIM_M`, and tilt of the image (degrees)."""
-    x, y, z = -rotation.T @ translation_m - np.array(AIM_M)
-    up = rotation @ [0.0, 0.0, 1.0]
-    distance = math.sqrt(x * x + y * y + z * z)
-    return (
-        math.degrees(math.atan2(-y, x)),
-        math.degrees(math.asin(z / distance)),
-        distance,
-        math.degrees(math.atan2(up[0], -up[1])),
-    )

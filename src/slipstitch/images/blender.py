@@ -362,7 +362,7 @@ class ClothScene:
         from mathutils import Matrix
 
         render = self._scene.render
-        columns, rows = camera.pixels, camera.rows or camera.pixels
+        columns, rows = camera.size_px
         render.resolution_x, render.resolution_y = columns, rows
         (focal_x, _, middle_x), (_, focal_y, middle_y) = camera.matrix[:2]
         # A pixel's height in units of its width. Blender wants the smaller of its sides to be 1.

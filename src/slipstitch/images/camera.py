@@ -1,14 +1,14 @@
-"""Pinhole cameras in OpenCV's convention, and the crop that follows the stage.
+"""Cameras in OpenCV's convention: where they stand, and what they see where.
 
-A viewpoint is a camera that stands still on the bench. The image is a square crop of what it sees:
-the smallest square that holds a room around the stage which the cloth cannot leave. The stage path
-is known, so the same crop can be cut from a real video. A crop of a pinhole image is a pinhole
-image with other intrinsics, which is how Blender renders it directly.
+A viewpoint is a camera that stands still on the bench. Rendered images come from pinholes; a real
+camera has a lens that distorts. The distortion is taken out of real images, never put into rendered
+ones: both then follow the same pinhole (`slipstitch.images.rectification`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from slipstitch.config.catalogue import Viewpoint
@@ -18,18 +18,13 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 #: The fixed cameras are aimed here: the middle of the stage's travel, between clamps and floor.
 AIM_M = (0.15, 0.0, 0.07)
-
-# Where the cloth can be, in units of its length: this far from under the clamps, at this share of
-# their height. A taut sheet of length L held at height 0.75 L reaches 0.66 L along the floor; a
-# hanging one does not, which leaves room for stretch and for a yawed clamp.
-_REACH = ((0.0, 0.66), (0.35, 0.55), (1.0, 0.12))
-_HALF_WIDTH = 0.54
-_MARGIN = 1.03
+#: What a network may be told of a camera, see `relative_pose`.
+POSE = ("yaw_deg", "pitch_deg", "roll_deg", "log_distance")
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera: x_camera = rotation @ x_world + translation_m, z forward, y down.
+    """A camera: x_camera = rotation @ x_world + translation_m, z forward, y down.
 
     Attributes
     ----------
@@ -43,6 +38,8 @@ class Camera:
         Columns of the image; rows too, unless `rows` says otherwise.
     rows : int, optional
         Rows of an image that is not square.
+    distortion : ndarray (5,), optional
+        k1, k2, p1, p2, k3 of OpenCV, of a real camera; None for a pinhole.
     """
 
     rotation: np.ndarray
@@ -50,11 +47,27 @@ class Camera:
     matrix: np.ndarray
     pixels: int
     rows: int | None = None
+    distortion: np.ndarray | None = None
+
+    @property
+    def pose(self) -> Pose:
+        """Rotation and translation, world to camera."""
+        return self.rotation, self.translation_m
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        return self.pixels, self.rows or self.pixels
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
         """Pixel coordinates (N, 2) of world points (N, 3)."""
-        image = (points_m @ self.rotation.T + self.translation_m) @ self.matrix.T
-        return image[:, :2] / image[:, 2:]
+        if self.distortion is None:
+            image = (points_m @ self.rotation.T + self.translation_m) @ self.matrix.T
+            return image[:, :2] / image[:, 2:]
+        turn, _ = cv2.Rodrigues(self.rotation)
+        points = np.ascontiguousarray(points_m, dtype=np.float64)
+        lens = (self.translation_m, self.matrix, self.distortion)
+        return cv2.projectPoints(points, turn, *lens)[0].reshape(-1, 2)
 
     def at_resolution(self, pixels: int) -> "Camera":
         """The same view with another number of columns, and of rows in proportion."""
@@ -63,21 +76,18 @@ class Camera:
         matrix[:2, :2] *= scale
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) * scale - 0.5
         rows = None if self.rows is None else round(self.rows * scale)
-        return Camera(self.rotation, self.translation_m, matrix, pixels, rows)
+        return replace(self, matrix=matrix, pixels=pixels, rows=rows)
 
     def with_margin(self, margin: int) -> "Camera":
         """A square image and so many pixels more on every side."""
         matrix = self.matrix.copy()
         matrix[:2, 2] += margin
-        return Camera(self.rotation, self.translation_m, matrix, self.pixels + 2 * margin)
+        return replace(self, matrix=matrix, pixels=self.pixels + 2 * margin, rows=None)
 
 
 def pose(viewpoint: Viewpoint) -> Pose:
     """Pose of the fixed camera of a viewpoint in the catalogue."""
-    azimuth, elevation = (
-        math.radians(viewpoint.azimuth_deg),
-        math.radians(viewpoint.elevation_deg),
-    )
+    azimuth, elevation = map(math.radians, (viewpoint.azimuth_deg, viewpoint.elevation_deg))
     backwards = np.array(
         [
             math.cos(azimuth) * math.cos(elevation),
@@ -89,31 +99,8 @@ def pose(viewpoint: Viewpoint) -> Pose:
     forward = -backwards
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
-    rotation = np.stack([right, down, forward])
+    rotation = np.stack([right, np.cross(forward, right), forward])
     return rotation, -rotation @ position
-
-
-def cloth_room(
-    stage_x_m: float | np.ndarray, stage_z_m: float | np.ndarray, width_m: float, length_m: float
-) -> np.ndarray:
-    """Corners (N, 3) of a room around the stage that the cloth stays in.
-
-    Parameters
-    ----------
-    stage_x_m, stage_z_m : float or array
-        Place of the clamps; of several places, the room holds all.
-    width_m, length_m : float
-        Of the cloth at rest: along its upper edge, and from there to its lower edge.
-    """
-    first, last, top = np.min(stage_x_m), np.max(stage_x_m), np.max(stage_z_m)
-    corners = [
-        (x, side * _HALF_WIDTH * width_m, share * top)
-        for share, reach in _REACH
-        for x in (first - reach * length_m, last + reach * length_m)
-        for side in (-1, 1)
-    ]
-    return np.array(corners)
 
 
 def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> Pose:
@@ -139,21 +126,29 @@ def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> 
     return rotation @ about, rotation @ (aim - about @ aim) + translation_m
 
 
-def crop_to(fixed: Pose, room_m: np.ndarray, pixels: int) -> Camera:
-    """A fixed camera's image, cropped to the smallest square around these points (N, 3).
+def relative_pose(camera: Pose, viewpoint: Pose) -> dict[str, float]:
+    """Pose of a camera relative to a viewpoint: the numbers of `POSE`."""
+    azimuth, elevation, distance, roll = zip(
+        _spherical(*camera), _spherical(*viewpoint), strict=True
+    )
+    return {
+        "yaw_deg": (azimuth[0] - azimuth[1] + 180) % 360 - 180,
+        "pitch_deg": elevation[0] - elevation[1],
+        "roll_deg": (roll[0] - roll[1] + 180) % 360 - 180,
+        "log_distance": math.log(distance[0] / distance[1]),
+    }
 
-    Parameters
-    ----------
-    fixed : Pose
-    room_m : ndarray (N, 3)
-    pixels : int
-        Side of the image.
-    """
-    rotation, translation = fixed
-    local = room_m @ rotation.T + translation
-    image = local[:, :2] / local[:, 2:]
-    low, high = image.min(axis=0), image.max(axis=0)
-    focal = pixels / (_MARGIN * np.max(high - low))
-    centre = (pixels - 1) / 2 - focal * (low + high) / 2
-    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-    return Camera(rotation, translation, matrix, pixels)
+
+def _spherical(
+    rotation: np.ndarray, translation_m: np.ndarray
+) -> tuple[float, float, float, float]:
+    """Azimuth, elevation (degrees), distance (m) about `AIM_M`, and tilt of the image (degrees)."""
+    x, y, z = -rotation.T @ translation_m - np.array(AIM_M)
+    up = rotation @ [0.0, 0.0, 1.0]
+    distance = math.sqrt(x * x + y * y + z * z)
+    return (
+        math.degrees(math.atan2(-y, x)),
+        math.degrees(math.asin(z / distance)),
+        distance,
+        math.degrees(math.atan2(up[0], -up[1])),
+    )

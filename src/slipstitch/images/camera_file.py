@@ -1,18 +1,12 @@
-"""Camera files: a real camera's lens and position at the stage, as written by calibration.
-
-A lens's distortion is taken out of real images, never put into rendered ones: both then follow the
-same pinhole (`slipstitch.images.rectification`).
-"""
+"""Camera files: a real camera's lens and position at the stage, as written by calibration."""
 
 import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from slipstitch.base.errors import BadInput
@@ -31,42 +25,13 @@ DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 _NEAREST_M, _FARTHEST_M = 0.1, 100.0
 
 
-@dataclass(frozen=True)
-class LensCamera:
-    """A real camera: a pinhole behind a lens that distorts.
-
-    Attributes
-    ----------
-    camera : Camera
-        The pinhole at the size of the camera's own images.
-    distortion : ndarray (5,)
-        k1, k2, p1, p2, k3 of OpenCV.
-    """
-
-    camera: Camera
-    distortion: np.ndarray
-
-    @property
-    def pose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation and translation, stage to camera."""
-        return self.camera.rotation, self.camera.translation_m
-
-    def project(self, points_m: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) of the real image at which points of the stage (N, 3) appear."""
-        turn, _ = cv2.Rodrigues(self.camera.rotation)
-        place = self.camera.translation_m
-        points = np.ascontiguousarray(points_m, dtype=np.float64)
-        image, _ = cv2.projectPoints(points, turn, place, self.camera.matrix, self.distortion)
-        return image.reshape(-1, 2)
-
-
 def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> None:
     """Write what `read_camera_file` reads, atomically; numbers with all their digits."""
     whole = {"format": FORMAT, "convention": CONVENTION, **content}
     write_json(path, whole, default=float)
 
 
-def read_camera_file(path: str | os.PathLike) -> LensCamera:
+def read_camera_file(path: str | os.PathLike) -> Camera:
     """A camera that can be rendered from.
 
     Raises
@@ -103,9 +68,9 @@ def read_camera_file(path: str | os.PathLike) -> LensCamera:
             f"{path}: translation_m: the camera is {distance_m:g} m from the middle of the track; "
             f"must be {_NEAREST_M:g} to {_FARTHEST_M:g} m"
         )
-    camera = Camera(rotation, translation, matrix, int(size[0]), int(size[1]))
     ordered = {"distortion": [terms[name] for name in DISTORTION]}
-    return LensCamera(camera, _numbers(path, ordered, "distortion", (5,)))
+    distortion = _numbers(path, ordered, "distortion", (5,))
+    return Camera(rotation, translation, matrix, int(size[0]), int(size[1]), distortion)
 
 
 def _numbers(path, content: dict, key: str, shape: tuple[int, ...]) -> np.ndarray:

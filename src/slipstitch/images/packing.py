@@ -8,8 +8,6 @@ which compresses better. Packs are read and written frame by frame.
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -23,23 +21,12 @@ from slipstitch.base.provenance import (
     read_metadata,
     start_clock,
 )
-from slipstitch.config import Config
-from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.interpolation import Interpolation, interpolations
-from slipstitch.images.bench_camera import BenchCamera, draw_bench_camera
-from slipstitch.images.interpolation import interpolated
-from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, shade
-from slipstitch.images.shots import (
-    Shot,
-    camera_record,
-    cloth_size,
-    recorded_shots,
-    share_in_image,
-    shots,
-)
-from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings, draw_surroundings
-from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory
+from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, separated_light
+from slipstitch.images.shots import Shot, camera_record, recorded_shots, share_in_image
+from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings
+from slipstitch.images.view import View
+from slipstitch.physics.simulation.trajectory import Trajectory
 
 _SCHEMA = pa.schema(
     [
@@ -54,119 +41,6 @@ _SCHEMA = pa.schema(
 _SAMPLES_MIRRORED = 2
 #: Largest light that half precision holds.
 _BRIGHTEST = 6e4
-
-
-@dataclass(frozen=True)
-class Job:
-    """One simulation from one viewpoint.
-
-    Attributes
-    ----------
-    trajectory_path : path
-        Its name without suffix is the simulation's id.
-    viewpoint_id, viewpoint : str
-        As the rows call it, and its name in the catalogue.
-    settings : RenderSettings
-    frames_sampled : int
-        How many frames the sample stage uses.
-    seed : int
-        The configuration's.
-    interpolation : Interpolation, optional
-        Of simulations in the trajectory's folder: the film shows it, not the trajectory as it is.
-    """
-
-    trajectory_path: str | os.PathLike
-    viewpoint_id: str
-    viewpoint: str
-    settings: RenderSettings
-    frames_sampled: int
-    seed: int
-    interpolation: Interpolation | None
-
-    @classmethod
-    def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> Self:
-        """The job of a configuration, with a viewpoint by its id or its name.
-
-        Raises
-        ------
-        BadInput
-            If there is no such viewpoint.
-        """
-        ids = config.render.viewpoint_ids()
-        name = ids.get(viewpoint, viewpoint)
-        if name not in VIEWPOINTS:
-            known = ", ".join(f"{key} ({value})" for key, value in ids.items())
-            raise BadInput(
-                f"no viewpoint {viewpoint!r}; the configuration has {known}; "
-                f"known names: {', '.join(VIEWPOINTS)}"
-            )
-        # A viewpoint given by name keeps its id if the configuration has one.
-        named = next((key for key, value in ids.items() if value == name), name)
-        identity = viewpoint if viewpoint in ids else named
-        return cls.of_view(config, trajectory_path, identity, name)
-
-    @classmethod
-    def of_view(
-        cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
-    ) -> Self:
-        """The job of a configuration, with id and name of a viewpoint."""
-        return cls(
-            trajectory_path,
-            viewpoint_id,
-            viewpoint,
-            config.render,
-            config.sample.frames_kept,
-            config.seed,
-            interpolations(config).get((Path(trajectory_path).stem, viewpoint_id)),
-        )
-
-    @property
-    def simulation(self) -> str:
-        """The simulation's id."""
-        return Path(self.trajectory_path).stem
-
-    @property
-    def bench_camera(self) -> BenchCamera | None:
-        """Pose of the camera, if its viewpoint belongs to a family; otherwise None."""
-        if not VIEWPOINTS[self.viewpoint].drawn:
-            return None
-        return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
-
-    @property
-    def other_floors(self) -> str:
-        """The key of the floors that this viewpoint does not show."""
-        return "floors" if self.settings.reflective(self.viewpoint_id) else "reflective_floors"
-
-    @property
-    def parents(self) -> list[Path]:
-        """Trajectories of the simulations that the film's cloth is made of."""
-        path = Path(self.trajectory_path)
-        if self.interpolation is None:
-            return [path]
-        return [path.with_stem(name) for name in self.interpolation.weights]
-
-    def trajectory(self) -> Trajectory:
-        """The motion that the film shows: the simulation's, or one between several.
-
-        Raises
-        ------
-        BadInput
-            If a trajectory cannot be rendered, or does not fit the others.
-        """
-        if self.interpolation is None:
-            return usable_trajectory(self.trajectory_path)
-        parents = {path.stem: usable_trajectory(path) for path in self.parents}
-        return interpolated(parents, self.interpolation.weights, self.simulation)
-
-    def inputs(self) -> list:
-        """The files that the light depends on."""
-        camera = self.settings.camera_of(self.viewpoint)
-        return [*self.parents, *([camera] if camera else [])]
-
-    def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
-        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
-        floors = self.settings.floors_of(self.viewpoint_id)
-        return catalogue_entries([self.viewpoint], textures, floors)
 
 
 @dataclass(frozen=True)
@@ -200,16 +74,6 @@ class Pack:
             yield shot, _unpack(packed, shot.camera.pixels), sight
 
 
-def usable_trajectory(path: str | os.PathLike) -> Trajectory:
-    """A trajectory that can be rendered; BadInput if it cannot."""
-    trajectory = read_trajectory(path)
-    if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
-        raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
-    if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
-        raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
-    return trajectory
-
-
 def _sight(trajectory: Trajectory, shot: Shot, surroundings: Surroundings) -> Sight:
     positions = trajectory.positions_m[shot.row].astype(np.float64)
     mesh = (positions, trajectory.faces, trajectory.uv)
@@ -235,52 +99,49 @@ def render_shadings(
             seed=shot.frame,
         )
         sight = _sight(trajectory, shot, surroundings)
-        yield shot, shade(*rendering, sight), sight
+        yield shot, separated_light(*rendering, sight), sight
 
 
-def shade_job(job: Job, trajectory: Trajectory, progress=iter) -> Pack:
-    """Render the light of a simulation from a viewpoint.
+def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
+    """Render the light of a view.
 
     Parameters
     ----------
-    job : Job
+    view : View
     trajectory : Trajectory
-        The job's.
+        The view's.
     progress : callable
         Wraps the list of frames, to show how far the work is.
     """
-    settings = job.settings
-    bench = job.bench_camera
-    wanted = shots(trajectory, job.viewpoint, settings, job.frames_sampled, bench)
-    surroundings = draw_surroundings(settings, job.seed, job.simulation, job.viewpoint_id)
+    wanted, surroundings = view.shots(trajectory), view.surroundings
     metadata = {
-        "simulation": job.simulation,
-        "viewpoint": {"id": job.viewpoint_id, "name": job.viewpoint},
-        "camera": camera_record(wanted, settings, bench),
+        "simulation": view.simulation,
+        "viewpoint": {"id": view.viewpoint_id, "name": view.viewpoint},
+        "camera": camera_record(wanted, view.settings, view.bench_camera),
         "surroundings": surroundings.record(),
         "smallest_share_of_cloth_in_image": min(
             share_in_image(trajectory, shot) for shot in wanted
         ),
-        "trajectory_sha256": _digests(job),
-        "interpolation": job.interpolation and asdict(job.interpolation),
+        "trajectory_sha256": _digests(view),
+        "interpolation": view.interpolation and asdict(view.interpolation),
         "interpolated_frames": trajectory.metadata.get("interpolated_frames"),
     }
-    frames = render_shadings(trajectory, progress(wanted), settings, surroundings)
+    frames = render_shadings(trajectory, progress(wanted), view.settings, surroundings)
     return Pack(metadata, wanted, (_pack(shading, sight) for _, shading, sight in frames))
 
 
-def write_pack(job: Job, out: str | os.PathLike, progress=iter) -> Pack:
-    """Render the light of a simulation from a viewpoint into a file, atomically."""
+def write_pack(view: View, out: str | os.PathLike, progress=iter) -> Pack:
+    """Render the light of a view into a file, atomically."""
     started = start_clock()
-    pack = shade_job(job, job.trajectory(), progress)
+    pack = shade(view, view.trajectory(), progress)
     with parquet_stream(out, _SCHEMA) as stream:
         for shot, packed in zip(pack.shots, pack.shadings, strict=True):
             stream.write([{"frame": shot.frame, **packed}])
-        stream.describe(pack.metadata, _pack_record(job, started))
+        stream.describe(pack.metadata, _pack_record(view, started))
     return pack
 
 
-def _pack_record(job: Job, started: tuple[float, float]) -> dict:
+def _pack_record(view: View, started: tuple[float, float]) -> dict:
     # What the light does not depend on.
     unused: dict = dict.fromkeys(
         (
@@ -290,34 +151,34 @@ def _pack_record(job: Job, started: tuple[float, float]) -> dict:
             "test_viewpoints",
             "test_viewpoint_videos",
             "verified_images",
-            job.other_floors,
+            view.other_floors,
         ),
         True,
     )
     unused["augmentation"] = {"exposure_stops", "colour_cast", "noise", "jpeg_quality"}
     return provenance_record(
         "render.packing",
-        inputs=job.inputs(),
+        inputs=view.inputs(),
         config={
-            "render": job.settings.model_dump(mode="json", exclude=unused),
-            "sample": {"frames": job.frames_sampled},
-            "viewpoint": job.viewpoint,
-            "catalogue": job.catalogue_entries(),
+            "render": view.settings.model_dump(mode="json", exclude=unused),
+            "sample": {"frames": view.frames_sampled},
+            "viewpoint": view.viewpoint,
+            "catalogue": view.catalogue_entries(),
         },
-        seed=job.seed,
+        seed=view.seed,
         started=started,
     )
 
 
-def read_pack(path: str | os.PathLike, job: Job, trajectory: Trajectory) -> Pack:
+def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pack:
     """Read what `write_pack` wrote.
 
     Parameters
     ----------
     path : path
-    job : Job
+    view : View
     trajectory : Trajectory
-        The job's.
+        The view's.
 
     Raises
     ------
@@ -328,16 +189,16 @@ def read_pack(path: str | os.PathLike, job: Job, trajectory: Trajectory) -> Pack
         metadata = read_metadata(file.schema_arrow)
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
             raise BadInput(f"{path}: not a shading pack")
-    if metadata["trajectory_sha256"] != _digests(job):
-        raise BadInput(f"{path}: not rendered from {', '.join(map(str, job.parents))}")
+    if metadata["trajectory_sha256"] != _digests(view):
+        raise BadInput(f"{path}: not rendered from {', '.join(map(str, view.parents))}")
     return Pack(metadata, recorded_shots(metadata["camera"], trajectory), _rows(path))
 
 
-def _digests(job: Job) -> str | dict[str, str]:
+def _digests(view: View) -> str | dict[str, str]:
     """The digest of the trajectory, or of each that the film's cloth is made of, by name."""
-    if job.interpolation is None:
-        return file_digest(job.trajectory_path)
-    return {path.stem: file_digest(path) for path in job.parents}
+    if view.interpolation is None:
+        return file_digest(view.trajectory_path)
+    return {path.stem: file_digest(path) for path in view.parents}
 
 
 def _rows(path: str | os.PathLike) -> Iterator[dict]:

@@ -17,7 +17,7 @@ from slipstitch.base.provenance import (
     recorded_path,
     start_clock,
 )
-from slipstitch.images.shards import SCHEMA
+from slipstitch.images.image_shards import SCHEMA
 
 _SHEET_COLUMNS = 9
 _SECONDS = 12.0

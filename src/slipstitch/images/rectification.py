@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera
 from slipstitch.images.encoding import LINEAR, encode_srgb
 from slipstitch.images.mean_cloth import Surface, across_the_track
 
@@ -36,13 +35,13 @@ def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -
 
 
 def source_pixels(
-    lens: LensCamera, crop: Camera, surface: Surface, along: np.ndarray | None = None
+    lens: Camera, crop: Camera, surface: Surface, along: np.ndarray | None = None
 ) -> np.ndarray:
     """Position in the real image of each pixel of a crop.
 
     Parameters
     ----------
-    lens : LensCamera
+    lens : Camera
         The real camera.
     crop : Camera
         Cut from the calibrated viewpoint.
@@ -63,7 +62,7 @@ def source_pixels(
     rays = rays @ crop.rotation
     eye = -crop.rotation.T @ crop.translation_m
     points = surface.seen(eye, rays)
-    real = points @ lens.camera.rotation.T + lens.camera.translation_m
+    real = points @ lens.rotation.T + lens.translation_m
     seen = real[:, 2] > 0  # not where it is NaN
     found = np.full((size * size, 2), np.nan)
     if seen.any():
@@ -71,7 +70,7 @@ def source_pixels(
     return found.reshape(size, size, 2)
 
 
-def fine_source_pixels(lens: LensCamera, crop: Camera, surface: Surface) -> np.ndarray:
+def fine_source_pixels(lens: Camera, crop: Camera, surface: Surface) -> np.ndarray:
     """`source_pixels`, so close together that no pixel of the real image is jumped over.
 
     Returns
@@ -86,7 +85,7 @@ def fine_source_pixels(lens: LensCamera, crop: Camera, surface: Surface) -> np.n
 
 
 def rectify(
-    image: np.ndarray, lens: LensCamera, crop: Camera, surface: Surface
+    image: np.ndarray, lens: Camera, crop: Camera, surface: Surface
 ) -> tuple[np.ndarray, float]:
     """The crop, each pixel the mean of the light that falls on it.
 
@@ -151,7 +150,7 @@ def bounds(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
 
 
-def _rays_per_side(lens: LensCamera, crop: Camera, surface: Surface) -> int:
+def _rays_per_side(lens: Camera, crop: Camera, surface: Surface) -> int:
     """So many that no pixel of the real image is jumped over."""
     coarse = crop.at_resolution(16)
     place = source_pixels(lens, coarse, surface)

@@ -131,7 +131,9 @@ def look(
     return Sight(rays, cloth, floor, mirrored)
 
 
-def shade(radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight: Sight) -> Shading:
+def separated_light(
+    radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight: Sight
+) -> Shading:
     """Separate and smooth the light of a shading render.
 
     Parameters

@@ -4,21 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images.bench_camera import BenchCamera, bench_room
-from slipstitch.images.camera import Camera, Pose, cloth_room, crop_to, pose, turned
-from slipstitch.images.camera_file import read_camera_file
+from slipstitch.images.calibrated_view import CalibratedView, crop_to
+from slipstitch.images.camera import Camera
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame to render."""
+    """One frame to render: its row in the trajectory, its number, its time, its camera."""
 
     row: int
     frame: int
+    time_s: float
     camera: Camera
 
 
@@ -43,45 +43,19 @@ def shots(
         Where the camera of a drawn viewpoint stands.
     """
     count = len(trajectory.frame)
-    if settings.frames == "all":
-        rows = np.arange(count)
-    else:
-        rows = sampled_frames(count, frames_sampled)
-    width, length = cloth_size(trajectory)
-    x, z = trajectory.stage_x_m, trajectory.stage_z_m
-    fixed = viewpoint_pose(viewpoint, settings)
+    sampled = settings.frames == "sampled"
+    rows = sampled_frames(count, frames_sampled) if sampled else np.arange(count)
+    calibrated = CalibratedView.of_trajectory(trajectory, viewpoint, settings)
     result = []
     for row in rows:
-        at_x, at_z = (x, z) if settings.crop == "fixed" else (x[row], z[row])
-        room = cloth_room(at_x, at_z, width, length)
-        camera = crop_to(fixed, room, settings.pixels)
+        time_s = float(trajectory.time_s[row])
+        camera = calibrated.crop(time_s)
         if bench:
             pixels = round(settings.pixels * settings.bench_camera.oversampling)
-            room = bench_room(camera, float(x[row]), room)
-            camera = crop_to(bench.pose(*fixed), room, pixels)
-        result.append(Shot(int(row), int(trajectory.frame[row]), camera))
+            room = bench_room(camera, float(trajectory.stage_x_m[row]), calibrated.room(time_s))
+            camera = crop_to(bench.pose(*calibrated.pose), room, pixels)
+        result.append(Shot(int(row), int(trajectory.frame[row]), time_s, camera))
     return result
-
-
-def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
-    """Pose of a viewpoint's fixed camera: from the calibration or the catalogue."""
-    seen_from = VIEWPOINTS[viewpoint]
-    path = settings.camera_of(viewpoint)
-    if path is None:
-        return pose(seen_from)
-    turn = seen_from.azimuth_deg - VIEWPOINTS["calibrated"].azimuth_deg
-    return turned(*read_camera_file(path).pose, turn)
-
-
-def cloth_size(trajectory: Trajectory) -> tuple[float, float]:
-    """Width and length (m) of the cloth at rest, over which u and v run from 0 to 1.
-
-    By least squares, whatever plane the rest mesh lies in.
-    """
-    design = np.column_stack([trajectory.uv, np.ones(len(trajectory.uv))])
-    along = np.linalg.lstsq(design, trajectory.rest_positions_m, rcond=None)[0]
-    width, length = np.linalg.norm(along[:2], axis=1)
-    return float(width), float(length)
 
 
 def share_in_image(trajectory: Trajectory, shot: Shot) -> float:
@@ -123,5 +97,6 @@ def recorded_shots(record: dict, trajectory: Trajectory) -> list[Shot]:
         focal, (x, y) = crop["focal_px"], crop["principal_point_px"]
         matrix = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
         camera = Camera(rotation, translation, matrix, record["pixels"])
-        result.append(Shot(rows[int(frame)], int(frame), camera))
+        row = rows[int(frame)]
+        result.append(Shot(row, int(frame), float(trajectory.time_s[row]), camera))
     return result

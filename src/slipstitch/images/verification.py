@@ -19,14 +19,14 @@ from slipstitch.base.provenance import (
     write_json,
 )
 from slipstitch.config import Config
-from slipstitch.images.augmentation import pixel_noise
 from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_png, encode_srgb
+from slipstitch.images.image_shards import SCHEMA
 from slipstitch.images.packing import read_pack
 from slipstitch.images.preview import decode_image
-from slipstitch.images.shards import SCHEMA, FilmJob, Rectifier, cameras
 from slipstitch.images.surroundings import generator
 from slipstitch.images.textures import texture
+from slipstitch.images.view import View
 
 #: Paths per pixel of direct renders, for matte and reflective floors: on rough metal two renders
 #: of 256 paths agree to an SSIM of 0.96 only, less than required of a composed image.
@@ -104,28 +104,27 @@ def compare(
     from slipstitch.images.blender import ClothScene
 
     stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
-    view = read_metadata(shard)["viewpoint"]
+    seen_from = read_metadata(shard)["viewpoint"]
     settings = config.render
-    job = FilmJob.of_view(config, trajectory_path, view["id"], view["name"])
+    view = View.identified(config, trajectory_path, seen_from["id"], seen_from["name"])
     name = settings.texture_ids()[stored["texture"]]
-    trajectory = job.trajectory()
-    pack = read_pack(pack_path, job, trajectory)
+    trajectory = view.trajectory()
+    pack = read_pack(pack_path, view, trajectory)
     shot, shading, sight = next(
         frame for frame in pack.frames(trajectory) if frame[0].frame == stored["frame"]
     )
-    camera = cameras(job)[name]
-    (light,) = compose_light(join(shading, sight), [job.worn(name)])
-    noise = pixel_noise(config.seed, job.simulation, name, job.viewpoint, shot.frame)
-    rectified = Rectifier.of(job, trajectory).at(shot)
-    again = rectified(camera.photograph(light, noise))
+    effects = view.camera_effects()[stored["texture"]]
+    (light,) = compose_light(join(shading, sight), [view.worn(name)])
+    rectified = view.rectifier(trajectory).at(shot.camera, shot.time_s)
+    again = rectified(effects.photograph(light, view.noise(name, shot.frame)))
     scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
-    scene.wear(texture(job.worn(name)))
+    scene.wear(texture(view.worn(name)))
     # Another seed than the shading render's: the two share no noise.
     positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
     samples = SAMPLES[pack.surroundings.reflects]
     direct = scene.render(positions, shot.camera, samples=samples, seed=seed).radiance.sum(axis=0)
-    composed, reference = (encode_srgb(camera.light(image)) for image in (light, direct))
-    video = f"{job.simulation}_{stored['texture']}_{view['id']}"
+    composed, reference = (encode_srgb(effects.light(image)) for image in (light, direct))
+    video = f"{view.simulation}_{stored['texture']}_{view.viewpoint_id}"
     image = decode_image(stored["image"]["bytes"], f"{shard}: {video} frame {shot.frame}")
     return Comparison(
         video,

@@ -11,8 +11,9 @@ from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.release.records import carried_file, recorded_name
 from slipstitch.design.grid import Simulation
 from slipstitch.design.stage_path import SIDE_M, StagePath
-from slipstitch.images.shards import FilmJob, Rectifier
-from slipstitch.images.shots import Shot, camera_record, shots
+from slipstitch.images.bench_camera import Rectifier
+from slipstitch.images.shots import Shot, camera_record
+from slipstitch.images.view import View
 from slipstitch.physics.simulation.drop_and_drag import draw_perturbation
 from slipstitch.physics.simulation.trajectory import Trajectory
 
@@ -36,8 +37,8 @@ class Cameras:
     viewpoint_id: str
 
     @cached_property
-    def job(self) -> FilmJob:
-        """The rendering job."""
+    def view(self) -> View:
+        """The view that is filmed."""
         config, render = self.config, self.config.render
         if render.camera:
             path = recorded_name(render.camera, self.contents.artefacts) or render.camera
@@ -45,7 +46,7 @@ class Cameras:
             render = render.model_copy(update={"camera": str(carried)})
             config = config.model_copy(update={"render": render})
         name = render.viewpoint_ids()[self.viewpoint_id]
-        return FilmJob.of_view(config, f"{self.simulation.id}.parquet", self.viewpoint_id, name)
+        return View.identified(config, f"{self.simulation.id}.parquet", self.viewpoint_id, name)
 
     @cached_property
     def bare(self) -> Trajectory:
@@ -66,18 +67,17 @@ class Cameras:
     @cached_property
     def shots(self) -> list[Shot]:
         """The frames that are rendered, and the crop of each."""
-        job = self.job
-        return shots(self.bare, job.viewpoint, job.settings, job.frames_sampled, job.bench_camera)
+        return self.view.shots(self.bare)
 
     def record(self) -> dict[str, Any]:
         """The entry ``camera`` of a shard's metadata."""
-        return camera_record(self.shots, self.job.settings, self.job.bench_camera)
+        return camera_record(self.shots, self.view.settings, self.view.bench_camera)
 
     @cached_property
     def rectify(self) -> Rectifier:
         """Brings images into the calibrated viewpoint."""
-        return Rectifier.of(self.job, self.bare)
+        return self.view.rectifier(self.bare)
 
     def pose(self) -> dict[str, float]:
         """The entry ``pose`` of a shard's metadata."""
-        return self.rectify.pose(self.shots)
+        return self.rectify.pose(self.shots[0].camera)

@@ -235,18 +235,18 @@ def _photographed(
     """Whether the camera of a clip can have made the released image of the composed one."""
     from slipstitch.dataset.audit.cameras import Cameras
     from slipstitch.design.grid import find_simulation
-    from slipstitch.images.augmentation import draw_augmentation
+    from slipstitch.images.camera_effects import draw_camera_effects
     from slipstitch.images.verification import psnr_db
 
     row = contents.row_of[one["video"]]
     simulation = find_simulation(config, row["simulation"])
     cameras = Cameras(contents, config, simulation, row["viewpoint_id"])
     shot = next(shot for shot in cameras.shots if shot.frame == one["frame"])
-    if composed.shape[:2] != (shot.camera.rows or shot.camera.pixels, shot.camera.pixels):
+    if composed.shape[1::-1] != shot.camera.size_px:
         return False
-    expected = cameras.rectify.at(shot)(composed)
+    expected = cameras.rectify.at(shot.camera, shot.time_s)(composed)
     words = (row["simulation"], row["texture"], row["viewpoint"])
-    camera = draw_augmentation(config.render.augmentation, config.seed, *words)
+    camera = draw_camera_effects(config.render.augmentation, config.seed, *words)
     if camera.noise == 0 and camera.jpeg_quality == 100:
         return np.array_equal(released, expected)
     return psnr_db(released, expected) >= _AS_PHOTOGRAPHED_DB

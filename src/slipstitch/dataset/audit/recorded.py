@@ -35,7 +35,7 @@ from slipstitch.dataset.release.records import (
 from slipstitch.design.grid import Simulation, films, simulations
 from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.design.stage_path import SIDE_M, TAB_M
-from slipstitch.images.marked_points import MARKED_UV, marked_uv
+from slipstitch.images.keypoints import KEYPOINTS_UV, keypoint_vertices_uv
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 
 # Where a stage writes; the first that fits.
@@ -220,9 +220,9 @@ def _points_of_a_cloth(found: Any, camera: Mapping[str, Any], vertices_per_side:
     """Whether these can be the places of a cloth's marked points, in each of a camera's frames."""
     if not isinstance(found, dict) or list(found) != list(camera["frames"]):
         return False
-    flat_m = SIDE_M * marked_uv(vertices_per_side)
+    flat_m = SIDE_M * keypoint_vertices_uv(vertices_per_side)
     longest_m = _LARGEST_STRETCH * np.linalg.norm(flat_m[:, None] - flat_m[None], axis=2)
-    places_m = np.array(list(found.values()), dtype=np.float64).reshape(-1, len(MARKED_UV), 3)
+    places_m = np.array(list(found.values()), dtype=np.float64).reshape(-1, len(KEYPOINTS_UV), 3)
     apart_m = np.linalg.norm(places_m[:, :, None] - places_m[:, None], axis=3)
     return bool((apart_m <= longest_m + _NEAR).all() and (places_m[..., 2] >= _LOWEST_M).all())
 
@@ -320,33 +320,26 @@ def _possible(solver: Mapping[str, Any], settings: SimulationSettings, steps: in
 def _rendered(artefact: Artefact, contents: Contents, known: _Known) -> Iterator[str]:
     """The metadata of a shard of images or of a shading pack."""
     from slipstitch.dataset.audit.cameras import Cameras
-    from slipstitch.images.augmentation import draw_augmentation
-    from slipstitch.images.surroundings import draw_surroundings
 
     config, simulation, view = known.config, known.simulation_of(artefact), _view(artefact)
     name = config.render.viewpoint_ids()[view]
     shown = known.shown(artefact)
     digests = {Path(path).stem: artefact.inputs.get(path) for path in known.trajectories(artefact)}
     cameras = Cameras(contents, config, simulation, view)
-    textures = dict(cameras.job.textures)
-    drawn = draw_surroundings(config.render, config.seed, simulation.id, view)
     expected = {
         "simulation": simulation.id,
         "viewpoint": {"id": view, "name": name},
-        "surroundings": drawn.record(),
+        "surroundings": cameras.view.surroundings.record(),
         "camera": cameras.record(),
         "trajectory_sha256": digests if shown else digests[simulation.id],
         "interpolation": asdict(shown) if shown else None,
     }
     if artefact.stage == "render":
-        settings = config.render.augmentation
-        words = {key: (config.seed, simulation.id, textures[key], name) for key in textures}
+        effects = cameras.view.camera_effects()
         expected |= {
             "pose": cameras.pose(),
-            "textures": textures,
-            "augmentation": {
-                key: draw_augmentation(settings, *words[key]).record() for key in textures
-            },
+            "textures": dict(cameras.view.textures),
+            "augmentation": {key: drawn.record() for key, drawn in effects.items()},
         }
     metadata = dict(artefact.metadata)
     if artefact.stage == "render":

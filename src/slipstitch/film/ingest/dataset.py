@@ -13,8 +13,8 @@ from slipstitch.config import Config
 from slipstitch.dataset.images import pixels_digest, write_frames
 from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
 from slipstitch.design.grid import material_id
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest.captures_table import Capture, read_captures
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.videos import StageVideo, read_stage_video
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.encoding import encode_png

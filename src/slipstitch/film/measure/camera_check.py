@@ -12,10 +12,9 @@ from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring import trained_with
 from slipstitch.film.videos import problem_of_view, seen_shares
-from slipstitch.images.bench_camera import BenchCamera, relative_pose
-from slipstitch.images.camera import AIM_M
+from slipstitch.images.bench_camera import BenchCamera
+from slipstitch.images.camera import AIM_M, POSE, relative_pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.pose import POSE
 from slipstitch.learning.instrument import load_instrument
 from slipstitch.learning.instrument.measuring import CARD
 from slipstitch.learning.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
@@ -28,7 +27,7 @@ class CameraCheck:
     Attributes
     ----------
     pose : dict
-        Pose of the camera relative to the calibrated viewpoint (`slipstitch.images.bench_camera`).
+        Pose of the camera relative to the calibrated viewpoint (`slipstitch.images.camera.POSE`).
     tested : dict
         Least and largest of each number.
     viewpoint : tuple of ndarray
@@ -87,7 +86,7 @@ def check_camera(
     instrument = load_instrument(model)
     config_path, schedule, _ = trained_with(instrument, model, config)
     card = Path(model) if Path(model).is_file() else Path(model) / CARD
-    pose = relative_pose(*lens.pose, schedule.pose)
+    pose = relative_pose(lens.pose, schedule.pose)
     tested = instrument.card.get("pose_range") or {name: [0.0, 0.0] for name in POSE}
     shares = seen_shares(lens, schedule)
     problems = [*outside(pose, tested), problem_of_view(lens, schedule, shares)]

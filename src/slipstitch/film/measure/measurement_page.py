@@ -10,8 +10,8 @@ from slipstitch.base.page.palette import VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import number, percent, span
 from slipstitch.film.measure.measuring import MeasuredVideo
+from slipstitch.images.camera import POSE
 from slipstitch.images.encoding import encode_png
-from slipstitch.images.pose import POSE
 from slipstitch.learning.instrument.poses import in_words
 
 _TEMPLATE = Path(__file__).with_name("measurement.html.j2")

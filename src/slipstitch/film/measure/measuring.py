@@ -15,12 +15,11 @@ from slipstitch.config import load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.schedule import Schedule
 from slipstitch.film.videos import StageVideo, problem_of_view, read_stage_video, seen_shares
-from slipstitch.images.bench_camera import relative_pose
-from slipstitch.images.camera_file import LensCamera, read_camera_file
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE, Camera, relative_pose
+from slipstitch.images.camera_file import read_camera_file
 from slipstitch.learning.instrument import Instrument, Measurement, load_instrument
 from slipstitch.learning.instrument.distribution import quantiles
 from slipstitch.learning.instrument.poses import just_beyond, outside
@@ -138,7 +137,7 @@ class MeasuringBench:
 
     Attributes
     ----------
-    lens : LensCamera
+    lens : Camera
     instrument : Instrument
     config_path : path
         The configuration that told which frames to take.
@@ -147,7 +146,7 @@ class MeasuringBench:
         Floors of the training.
     """
 
-    lens: LensCamera
+    lens: Camera
     instrument: Instrument
     config_path: Path
     schedule: Schedule
@@ -161,7 +160,7 @@ class MeasuringBench:
     @property
     def pose(self) -> dict[str, float]:
         """Pose of the camera relative to the calibrated viewpoint."""
-        return relative_pose(*self.lens.pose, self.schedule.pose)
+        return relative_pose(self.lens.pose, self.schedule.pose)
 
     @property
     def outside(self) -> tuple[str, ...]:

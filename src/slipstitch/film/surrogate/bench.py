@@ -20,9 +20,9 @@ from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulation_seed
 from slipstitch.images.bench_camera import draw_bench_camera
+from slipstitch.images.calibrated_view import viewpoint_pose
 from slipstitch.images.camera import Camera, turned
-from slipstitch.images.camera_file import DISTORTION, LensCamera, write_camera_file
-from slipstitch.images.shots import viewpoint_pose
+from slipstitch.images.camera_file import DISTORTION, write_camera_file
 from slipstitch.images.surroundings import LAMP_POSITION_M, Surroundings, draw_look, generator
 
 # With this focal length (in image widths) the whole travel is in the image.
@@ -104,7 +104,7 @@ def film_size(settings: CaptureSettings) -> tuple[int, int]:
     return settings.width_px // 2 * 2, settings.width_px * 3 // 8 * 2
 
 
-def true_camera(config: Config, film: str) -> LensCamera:
+def true_camera(config: Config, film: str) -> Camera:
     """The true camera of the video with id `film`."""
     settings = config.captures
     place = viewpoint_pose("calibrated", config.render)
@@ -122,24 +122,28 @@ def true_camera(config: Config, film: str) -> LensCamera:
     matrix = np.array([[focal, 0, 0.49 * width], [0, 1.006 * focal, 0.51 * height], [0, 0, 1.0]])
     k1 = settings.lens_k1
     distortion = np.array([k1, -0.4 * k1, 0.0008, -0.0006, 0.0])
-    return LensCamera(Camera(*place, matrix, width, height), distortion)
+    return Camera(*place, matrix, width, height, distortion)
 
 
-def calibrated_camera(config: Config, film: str) -> LensCamera:
+def calibrated_camera(config: Config, film: str) -> Camera:
     """The same camera as a calibration would find it, with a calibration's errors."""
     true = true_camera(config, film)
     own = [film] if config.captures.own_cameras else []
     rng = generator(config.seed, "surrogate", "calibration", *own)
     error_m = config.captures.camera_error_m
-    camera = true.camera
-    eye = -camera.rotation.T @ camera.translation_m + error_m * rng.standard_normal(3)
+    eye = -true.rotation.T @ true.translation_m + error_m * rng.standard_normal(3)
     # An error of the place comes with one of the direction, which keeps the board where it was.
     tilt, _ = cv2.Rodrigues(error_m / 1.4 * rng.standard_normal(3))
-    rotation = tilt @ camera.rotation
-    matrix = camera.matrix.copy()
+    rotation = tilt @ true.rotation
+    matrix = true.matrix.copy()
     matrix[[0, 1], [0, 1]] *= 1 + 0.5 * error_m * rng.standard_normal()
-    found = replace(camera, rotation=rotation, translation_m=-rotation @ eye, matrix=matrix)
-    return LensCamera(found, true.distortion * (1 + 2 * error_m * rng.standard_normal(5)))
+    return replace(
+        true,
+        rotation=rotation,
+        translation_m=-rotation @ eye,
+        matrix=matrix,
+        distortion=true.distortion * (1 + 2 * error_m * rng.standard_normal(5)),
+    )
 
 
 def surroundings(config: Config, pair: PairSettings) -> Surroundings:
@@ -216,13 +220,12 @@ def write_bench(config: Config, folder: str | os.PathLike) -> None:
             pandas.DataFrame(rows).to_csv(temporary, index=False)
 
 
-def _camera_file(lens: LensCamera) -> dict:
-    camera = lens.camera
+def _camera_file(camera: Camera) -> dict:
     return {
-        "image_size_px": [camera.pixels, camera.rows],
+        "image_size_px": list(camera.size_px),
         "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
         "principal_point_px": camera.matrix[:2, 2].tolist(),
-        "distortion": dict(zip(DISTORTION, lens.distortion, strict=True)),
+        "distortion": dict(zip(DISTORTION, camera.distortion, strict=True)),
         "rotation": camera.rotation.tolist(),
         "translation_m": camera.translation_m.tolist(),
         "surrogate": True,

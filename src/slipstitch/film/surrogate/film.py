@@ -16,9 +16,8 @@ from slipstitch.film.surrogate.bench import (
     surroundings,
     true_camera,
 )
-from slipstitch.images.augmentation import Augmentation
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import LensCamera
+from slipstitch.images.camera_effects import CameraEffects
 from slipstitch.images.composition import compose_light, join
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.shots import Shot
@@ -81,29 +80,31 @@ def _lens_images(
     pinhole, place = _pinhole(lens)
     dense = trajectory.time_s <= _START_S
     later = (np.arange(len(trajectory.frame)) % config.captures.later_every == 0) | dense
-    shots = [Shot(int(row), int(trajectory.frame[row]), pinhole) for row in np.flatnonzero(later)]
+    shots = [
+        Shot(int(row), int(trajectory.frame[row]), float(trajectory.time_s[row]), pinhole)
+        for row in np.flatnonzero(later)
+    ]
     render = config.render.model_copy(update={"pixels": pinhole.pixels})
     frames = render_shadings(trajectory, progress(shots), render, surroundings(config, film.pair))
     for shot, shading, sight in frames:
         (light,) = compose_light(join(shading, sight), [film.pair.texture])
         seen = cv2.remap(light.astype(np.float32), place, None, cv2.INTER_CUBIC)
-        yield float(trajectory.time_s[shot.row]), np.maximum(seen, 0)
+        yield shot.time_s, np.maximum(seen, 0)
 
 
-def _pinhole(lens: LensCamera) -> tuple[Camera, np.ndarray]:
+def _pinhole(camera: Camera) -> tuple[Camera, np.ndarray]:
     """A square pinhole image that holds the lens's, and where in it the lens looks."""
-    camera = lens.camera
     side = round(_MARGIN * camera.pixels)
     matrix = camera.matrix.copy()
     # One focal length: what the renderer draws has square pixels.
     matrix[1, 1] = matrix[0, 0]
     matrix[0, 2] += (side - camera.pixels) / 2
-    matrix[1, 2] += (side - (camera.rows or camera.pixels)) / 2
+    matrix[1, 2] += (side - camera.size_px[1]) / 2
     pinhole = Camera(camera.rotation, camera.translation_m, matrix, side)
     y, x = np.mgrid[: camera.rows, : camera.pixels].astype(np.float64)
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
     until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-    at = cv2.undistortPointsIter(pixels, camera.matrix, lens.distortion, None, matrix, until)
+    at = cv2.undistortPointsIter(pixels, camera.matrix, camera.distortion, None, matrix, until)
     return pinhole, at.reshape(camera.rows, camera.pixels, 2).astype(np.float32)
 
 
@@ -120,7 +121,7 @@ def _write(config: Config, film: Film, images, path) -> int:
     def photograph(light: np.ndarray, time_s: float) -> np.ndarray:
         share = time_s / duration_s
         stops = drift * share + 0.2 * settings.exposure_drift_stops * np.sin(9 * share + phase)
-        camera = Augmentation(float(stops), float(red), float(blue), settings.noise)
+        camera = CameraEffects(float(stops), float(red), float(blue), settings.noise)
         return camera.photograph(light, rng)
 
     count = 0

@@ -15,7 +15,7 @@ from slipstitch.base.errors import BadInput, first_line
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import split_of
 from slipstitch.dataset.videos import resized
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.augmentation import augmented
 from slipstitch.learning.instrument.conformal import least_groups
@@ -59,7 +59,7 @@ class Measurement:
     attention_weights : ndarray, shape (frames,)
         Weight of each frame in the decision, sum 1.
     points_m : ndarray, shape (frames, points, 3), optional
-        Where the instrument sees points of the cloth (`slipstitch.images.marked_points`), if it
+        Where the instrument sees points of the cloth (`slipstitch.images.keypoints`), if it
         learnt to.
     """
 
@@ -152,7 +152,7 @@ class Instrument:
         generator : numpy Generator
             Of the augmentations.
         poses : ndarray, shape (n, 4), optional
-            How the cameras stand (`slipstitch.images.pose.POSE`); as calibrated by default.
+            How the cameras stand (`slipstitch.images.camera.POSE`); as calibrated by default.
         """
         for network in self.networks:
             network.eval()
@@ -237,7 +237,7 @@ class Instrument:
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
         pose : ndarray, shape (4,), optional
-            How the camera stands (`slipstitch.images.pose.POSE`); as calibrated by default.
+            How the camera stands (`slipstitch.images.camera.POSE`); as calibrated by default.
 
         Raises
         ------

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.images.marked_points import MARKED_UV
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
+from slipstitch.images.keypoints import KEYPOINTS_UV
 from slipstitch.learning.instrument.distribution import friction_grid
 
 SHARE_SHIFTED = 8  # one channel in so many, either way
@@ -107,13 +107,13 @@ class InstrumentNetwork(nn.Module):
             self.pose = nn.Linear(len(POSE), settings.features, bias=False)
         self.points = self.of_points = None
         if settings.points_weight:
-            self.points = nn.Linear(settings.features, 3 * len(MARKED_UV))
+            self.points = nn.Linear(settings.features, 3 * len(KEYPOINTS_UV))
             # Of the videos that train, by coordinate: the unit of their places in the network.
-            self.register_buffer("points_mean_m", torch.zeros(len(MARKED_UV), 3))
-            self.register_buffer("points_spread_m", torch.ones(len(MARKED_UV), 3))
+            self.register_buffer("points_mean_m", torch.zeros(len(KEYPOINTS_UV), 3))
+            self.register_buffer("points_spread_m", torch.ones(len(KEYPOINTS_UV), 3))
         if settings.through_points:
             self.of_points = nn.Sequential(
-                nn.Linear(3 * len(MARKED_UV), settings.features), nn.GELU()
+                nn.Linear(3 * len(KEYPOINTS_UV), settings.features), nn.GELU()
             )
         units = settings.recurrent_units
         self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from slipstitch.images.pose import POSE
+from slipstitch.images.camera import POSE
 
 _SCALE = {"yaw_deg": 10.0, "pitch_deg": 5.0, "roll_deg": 2.0, "log_distance": 0.15}
 #: Beyond the range of the training by more than this, a pose is refused.

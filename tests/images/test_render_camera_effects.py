@@ -5,7 +5,7 @@ import pytest
 
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.render import AugmentationSettings, RenderSettings
-from slipstitch.images.augmentation import Augmentation, draw_augmentation, pixel_noise
+from slipstitch.images.camera_effects import CameraEffects, draw_camera_effects, pixel_noise
 from slipstitch.images.encoding import encode_srgb
 from slipstitch.images.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 
@@ -18,8 +18,8 @@ def rng():
 
 def test_without_variation_everything_is_as_it_was():
     assert draw_surroundings(RenderSettings(), 7, "m00_f0100_r00") == MATTE
-    camera = draw_augmentation(AugmentationSettings(), 7, "m00_f0100_r00", "dots", "side")
-    assert camera == Augmentation()
+    camera = draw_camera_effects(AugmentationSettings(), 7, "m00_f0100_r00", "dots", "side")
+    assert camera == CameraEffects()
     np.testing.assert_array_equal(camera.photograph(LIGHT, rng()), encode_srgb(LIGHT))
 
 
@@ -56,23 +56,23 @@ def test_what_is_drawn_depends_on_seed_and_simulation_only():
 
 def test_a_video_s_camera_is_the_same_whatever_else_there_is():
     settings = AugmentationSettings(exposure_stops=1, colour_cast=0.2, noise=0.05, jpeg_quality=40)
-    one = draw_augmentation(settings, 3, "m00_f0100_r00", "dots", "side")
-    assert draw_augmentation(settings, 3, "m00_f0100_r00", "dots", "side") == one
+    one = draw_camera_effects(settings, 3, "m00_f0100_r00", "dots", "side")
+    assert draw_camera_effects(settings, 3, "m00_f0100_r00", "dots", "side") == one
     for other in (("m01_f0100_r00", "dots", "side"), ("m00_f0100_r00", "linen", "side")):
-        assert draw_augmentation(settings, 3, *other) != one
+        assert draw_camera_effects(settings, 3, *other) != one
 
 
 def test_a_stop_doubles_the_light():
-    np.testing.assert_allclose(Augmentation(exposure_stops=1.0).light(LIGHT), 2 * LIGHT)
+    np.testing.assert_allclose(CameraEffects(exposure_stops=1.0).light(LIGHT), 2 * LIGHT)
 
 
 def test_a_cast_scales_red_and_blue():
-    seen = Augmentation(red=1.1, blue=0.8).light(LIGHT)
+    seen = CameraEffects(red=1.1, blue=0.8).light(LIGHT)
     np.testing.assert_allclose(seen / LIGHT, np.broadcast_to([1.1, 1, 0.8], LIGHT.shape))
 
 
 def test_noise_has_the_variance_of_counted_photons():
-    camera = Augmentation(noise=0.02)
+    camera = CameraEffects(noise=0.02)
     for level in (0.05, 0.3, 0.6):
         image = camera.photograph(np.full((200, 200, 3), level), rng()) / 255
         linear = np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
@@ -82,8 +82,8 @@ def test_noise_has_the_variance_of_counted_photons():
 
 def test_compression_costs_detail_and_little_else():
     image = encode_srgb(LIGHT).astype(int)
-    rough = Augmentation(jpeg_quality=30).photograph(LIGHT, rng()).astype(int)
-    fine = Augmentation(jpeg_quality=95).photograph(LIGHT, rng()).astype(int)
+    rough = CameraEffects(jpeg_quality=30).photograph(LIGHT, rng()).astype(int)
+    fine = CameraEffects(jpeg_quality=95).photograph(LIGHT, rng()).astype(int)
     assert np.abs(rough - image).mean() > np.abs(fine - image).mean() > 0
     assert np.abs(rough.mean((0, 1)) - image.mean((0, 1))).max() < 3
 
@@ -97,7 +97,7 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
     for other in others:
         assert draw_surroundings(looks, 3, other) == draw_surroundings(looks, 3, first)
         drawn = [
-            draw_augmentation(looks.augmentation, 3, name, "dots", "side")
+            draw_camera_effects(looks.augmentation, 3, name, "dots", "side")
             for name in (first, other)
         ]
         assert drawn[0] == drawn[1]
@@ -120,7 +120,7 @@ def test_a_camera_of_another_bench_has_a_floor_a_lamp_and_colours_of_its_own_in_
     for other in ("m03_f1500_r01", "m04_f0100_r01"):
         assert one.lamp_position_m != draw_surroundings(looks, 3, other, "v02").lamp_position_m
         cameras = [
-            draw_augmentation(looks.augmentation, 3, name, "dots", "bench_1")
+            draw_camera_effects(looks.augmentation, 3, name, "dots", "bench_1")
             for name in ("m03_f0100_r01", other)
         ]
         assert cameras[0] != cameras[1]

@@ -18,8 +18,8 @@ _READ_NOISE = 0.1
 
 
 @dataclass(frozen=True)
-class Augmentation:
-    """One video's camera.
+class CameraEffects:
+    """What one video's camera does to the light.
 
     Attributes
     ----------
@@ -65,14 +65,14 @@ class Augmentation:
         return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
 
 
-def draw_augmentation(
+def draw_camera_effects(
     settings: AugmentationSettings, seed: int, simulation: str, texture: str, viewpoint: str
-) -> Augmentation:
+) -> CameraEffects:
     """The camera of one video: by its bench (`drawn_by`), texture and viewpoint."""
     rng = generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, "augmentation")
     exposure, red, blue = rng.uniform(-1, 1, 3)
     noise, compression = rng.uniform(0, 1, 2)
-    return Augmentation(
+    return CameraEffects(
         float(exposure * settings.exposure_stops),
         float(1 + red * settings.colour_cast),
         float(1 + blue * settings.colour_cast),

@@ -1,0 +1,57 @@
+"""The times of the protocol that a network sees, and the calibrated view at each."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slipstitch.config.render import RenderSettings
+from slipstitch.config.sample import SampleSettings
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.images.calibrated_view import CalibratedView, viewpoint_pose
+
+
+@dataclass(frozen=True)
+class Schedule(CalibratedView):
+    """The frames of a dataset's videos.
+
+    Attributes
+    ----------
+    frame : ndarray (n,) int
+        Numbers in the simulation.
+    frame_rate_hz : float
+        Frame k is at k / this, counted from the start of the stage's motion.
+    path : StagePath
+    """
+
+    frame: np.ndarray
+    frame_rate_hz: float
+    path: StagePath = field(default_factory=StagePath)
+
+    @classmethod
+    def of(
+        cls,
+        simulation: SimulationSettings,
+        render: RenderSettings,
+        sample: SampleSettings,
+        viewpoint: str = "calibrated",
+    ) -> "Schedule":
+        """The schedule of the dataset that a configuration makes, in one viewpoint."""
+        path, rate_hz = StagePath(**dict(simulation.stage)), simulation.frame_rate_hz
+        return cls(
+            viewpoint_pose(viewpoint, render),
+            render.pixels,
+            render.crop == "follow",
+            path.position_m,
+            np.arange(int(simulation.recorded_s * rate_hz) + 1) / rate_hz,
+            (SIDE_M, SIDE_M),
+            sampled_frames(simulation.frames, sample.frames),
+            rate_hz,
+            path,
+        )
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Times of the frames from the start of the stage's motion."""
+        return self.frame / self.frame_rate_hz
