@@ -6,35 +6,25 @@ VENV := .venv
 BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+PYTEST := $(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup
 
-.PHONY: help setup setup-cluster all test lint format benchmark benchmark-criticise benchmark-departures benchmark-audit \
-	benchmark-batch \
-	benchmark-composition benchmark-estimate benchmark-render benchmark-kills benchmark-fuzz \
-	benchmark-scale captures convergence criticise-measured shipped-instrument figures clean
+.PHONY: help setup setup-cluster all taste test test-all lint format results benchmark captures \
+	convergence shipped-instrument clean
 
 help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
-	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV) (docs/cluster.md)'
+	@echo 'make taste      measure a film of dragged cloth that comes with the project; open taste.html'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and tests (make test TESTS=tests/physics for a subset)'
+	@echo 'make test-all   the slow tests as well'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
-	@echo 'make benchmark  cost of simulations, compared with SolverVBD'
-	@echo 'make benchmark-criticise  how many of 300 hidden effects are found, missed or misnamed'
-	@echo 'make benchmark-departures  the same on a second bench, half of the cases with faulty instruments'
-	@echo 'make captures   ingest videos, score them, add them to the report; surrogates by default, about 3 CPU h'
-	@echo 'make convergence  repeat the study of time step and mesh (hours), publish to results/published'
-	@echo 'make benchmark-audit  duration and findings of an audit of a 1 GB release'
-	@echo 'make benchmark-batch  batched simulations, on the CPU and on CUDA if available'
-	@echo 'make benchmark-composition  composed against direct images, every floor and viewpoint'
-	@echo 'make benchmark-render  cost of images, at 112 and 224 pixels'
-	@echo 'make benchmark-estimate  estimated cost of paper.yaml against a measured part of it'
-	@echo 'make benchmark-kills  kill -9 at 100 random moments of the smoke chain (most of an hour)'
-	@echo 'make benchmark-fuzz  10 000 invalid inputs for the readers (minutes)'
-	@echo 'make benchmark-scale  job graphs of 10^3 and 10^4 jobs; model of 10^4 and 10^6 simulations'
-	@echo 'make criticise-measured  regenerate the pages of the measured cases in docs/measured'
-	@echo 'make shipped-instrument  copy the published instrument into the package, write its card'
-	@echo 'make figures    write the figures of README and docs that come from published files again'
+	@echo 'make results    write docs/results.md and the card of the instrument from published files'
+	@echo 'make benchmark-NAME  run benchmarks/NAME.py (make benchmark: the cost of simulations)'
+	@echo 'make captures   ingest films, score them, add them to the report; surrogates by default'
+	@echo 'make convergence  repeat the study of time step and mesh (hours), publish the result'
+	@echo 'make shipped-instrument  copy the published instrument into the package'
+	@echo 'make setup-cluster  Slurm for Snakemake, into $(VENV)'
 	@echo 'make clean      remove caches and results, keep results/published and $(VENV)'
 
 setup:
@@ -45,6 +35,9 @@ setup-cluster: setup
 
 all: setup
 	$(BIN)/snakemake --cores $(CORES) all
+
+taste: setup
+	$(BIN)/slipstitch measure --example --out taste.html
 
 lint: setup
 	$(BIN)/ruff check .
@@ -59,17 +52,21 @@ format: setup
 	$(BIN)/slipstitch schema > workflow/schemas/config.schema.json
 
 test: lint
-	$(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup $(TESTS)
+	$(PYTEST) $(TESTS)
 
+test-all: lint
+	$(PYTEST) -m 'slow or not slow' --durations 20 $(TESTS)
+
+results: setup
+	$(BIN)/python benchmarks/results_page.py
+
+# SolverVBD, to compare with, needs nothing that is not pinned already.
 benchmark: setup
 	$(BIN)/pip install --quiet --no-deps newton==1.8.0
 	$(SINGLE) $(BIN)/python benchmarks/solver_cost.py
 
-benchmark-criticise: setup
-	$(SINGLE) $(BIN)/python benchmarks/criticise.py --cases 300
-
-benchmark-departures: setup
-	$(SINGLE) $(BIN)/python benchmarks/criticise_departures.py --cases 300 --processes $(CORES)
+benchmark-%: setup
+	$(SINGLE) $(BIN)/python benchmarks/$*.py $(OPTIONS)
 
 captures: setup
 	$(BIN)/snakemake --cores $(CORES) captures
@@ -79,49 +76,13 @@ convergence: setup
 	$(BIN)/snakemake --cores $(CORES) convergence
 	$(BIN)/slipstitch convergence publish
 
-benchmark-audit: setup
-	$(SINGLE) $(BIN)/python benchmarks/audit.py --size-gb 1 --jobs $(CORES)
-
-benchmark-batch: setup
-	$(SINGLE) $(BIN)/python benchmarks/batch.py
-
-benchmark-composition: setup
-	mkdir -p results/benchmarks
-	$(SINGLE) $(BIN)/python benchmarks/composition.py --results results/benchmarks/composition.jsonl
-
-benchmark-render: setup
-	$(SINGLE) $(BIN)/python benchmarks/render.py
-	$(SINGLE) $(BIN)/python benchmarks/render.py --pixels 224 --images 480
-
-benchmark-estimate: setup
-	$(SINGLE) $(BIN)/python benchmarks/estimate.py
-
-benchmark-kills: setup
-	$(SINGLE) $(BIN)/python benchmarks/kills.py --kills 100
-
-benchmark-fuzz: setup
-	$(SINGLE) $(BIN)/python benchmarks/fuzz.py --inputs 10000
-
-benchmark-scale: setup
-	$(BIN)/python benchmarks/dag.py --out results/published/scale/dag.json
-	$(BIN)/python benchmarks/scale.py
-
 shipped-instrument: setup
 	cp results/published/instrument/models/by_simulation/instrument/ensemble/instrument.safetensors \
 	   results/published/instrument/models/by_simulation/instrument/ensemble/instrument.json \
 	   results/published/instrument/config.json src/slipstitch/film/measure/shipped/
 	cd src/slipstitch/film/measure/shipped && \
 		sha256sum config.json instrument.json instrument.safetensors > SHA256SUMS
-	$(BIN)/python benchmarks/figures.py
-
-criticise-measured: setup
-	for case in paper_on_paper block_on_wood_board block_on_other_board; do \
-		$(SINGLE) $(BIN)/slipstitch criticise data/cases/$$case \
-			--out results/criticise/$$case/verdict.json --report docs/measured/$$case.md || exit; \
-	done
-
-figures: setup
-	$(BIN)/python benchmarks/figures.py
+	$(BIN)/python benchmarks/results_page.py
 
 clean:
 	find results -mindepth 1 -maxdepth 1 ! -name published -exec rm -rf {} + 2>/dev/null || true

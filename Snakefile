@@ -1,4 +1,4 @@
-"""Slipstitch, the whole chain: snakemake --cores 2 all (docs/running.md)."""
+"""Slipstitch, the whole chain: snakemake --cores 2 all (docs/run-the-factory.md)."""
 
 from pathlib import Path
 

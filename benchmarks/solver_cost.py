@@ -2,9 +2,8 @@
 
     python benchmarks/solver_cost.py [--only mesh side-by-side]
 
-Writes results/published/benchmark/benchmark.json and .png with their provenance, and the page
-docs/benchmarks.md from them and from the published table of the paper's grid. Parts that are not
-run keep what the file already holds; `--only` without a name runs none. CPU seconds of the parts
+Writes results/published/benchmark/benchmark.json with its provenance. Parts that are not run keep
+what the file already holds. CPU seconds of the parts
 count the simulation alone, without starting Python and loading kernels; one process at a time.
 """
 
@@ -25,7 +24,6 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import numpy as np
-import pandas
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "results" / "published" / "benchmark" / "benchmark.json"
@@ -296,9 +294,7 @@ def _creep(friction=0.5):
 
 
 def main():
-    """Run the parts asked for, and write result, picture and page."""
-    from solver_cost_page import draw, page
-
+    """Run the parts asked for, and write the result."""
     from slipstitch.base.provenance import (
         atomic_path,
         provenance_record,
@@ -317,19 +313,13 @@ def main():
             result[part] = {**found, "load_average": round(os.getloadavg()[0], 1)}
             with atomic_path(OUT) as temporary:
                 temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    grid = pandas.read_csv(GRID)
     record = provenance_record(
         "simulate", inputs=[GRID], config={"parts": arguments.only}, started=started
     )
     result["host"], result["commit"] = record["host_kind"], record["git_commit"]
     with atomic_path(OUT) as temporary:
         temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    picture = OUT.with_suffix(".png")
-    with atomic_path(picture) as temporary:
-        draw(result, grid, temporary)
-    for file in (OUT, picture):
-        write_sidecar(file, record)
-    (ROOT / "docs" / "benchmarks.md").write_text(page(result, grid), encoding="utf-8")
+    write_sidecar(OUT, record)
     print(OUT)
 
 

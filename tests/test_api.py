@@ -1,4 +1,4 @@
-"""The examples of docs/api.md, one after the other, as a user would run them."""
+"""The examples of docs/quickstart.md, one after the other, as a user would run them."""
 
 import os
 import re
@@ -10,7 +10,9 @@ import pyarrow.parquet as pq
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = re.findall(
-    r"^```python\n(.*?)^```$", (ROOT / "docs/api.md").read_text(encoding="utf-8"), re.M | re.S
+    r"^```python\n(.*?)^```$",
+    (ROOT / "docs/quickstart.md").read_text(encoding="utf-8"),
+    re.M | re.S,
 )
 
 

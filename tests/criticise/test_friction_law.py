@@ -1,4 +1,4 @@
-"""The friction law says what docs/measurements.md says, mechanism by mechanism."""
+"""The friction law says what docs/criticise-your-data.md says, mechanism by mechanism."""
 
 import math
 

@@ -118,7 +118,7 @@ def test_a_frame_costs_what_it_may():
     """0.15 CPU-seconds a frame at 112 pixels and 10 ms a texture, with room for a slow machine.
 
     A shared machine counts up to twice the CPU time of a quiet one; the demand itself is measured
-    by hand, see docs/rendering.md.
+    by hand, see docs/how/rendering.md.
     """
     trajectory = Trajectory(**synthetic_cloth.motion(300, n=41))
     settings = RenderSettings(pixels=112, viewpoints=["calibrated"])

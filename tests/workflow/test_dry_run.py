@@ -317,7 +317,7 @@ def test_captures_follow_the_content_of_the_calibrated_camera(tmp_path, table, o
 
 
 def test_the_linter_says_nothing_that_is_not_answered(workflow):
-    """CONTRIBUTING.md has the answers."""
+    """docs/develop.md has the answers."""
     answer = workflow.plan("--lint", "text")
     complaints = set(re.findall(r"^    \* (.*?)[:.]?$", answer.stdout + answer.stderr, re.M))
     unanswered = {

@@ -125,7 +125,7 @@ def wait_until_idle(folder: Path) -> None:
 
 
 def through_slurm(workflow: Workflow, *words: str):
-    """Run snakemake as docs/cluster.md says."""
+    """Run snakemake as docs/run-the-factory.md says."""
     return workflow.snakemake(
         "--profile", str(workflow.project / "profiles/slurm"),
         "--slurm-status-command", "squeue",

@@ -13,7 +13,7 @@ EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument(
-        "case", metavar="CASE_DIR", help="folder of one case (docs/measurements.md)"
+        "case", metavar="CASE_DIR", help="folder of one case (docs/criticise-your-data.md)"
     )
     parser.add_argument(
         "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"

@@ -18,8 +18,8 @@ class CriticiseSettings(Section):
             "data/cases/block_on_other_board",
             "data/cases/surrogate_anisotropic",
         ),
-        description="case folders (docs/measurements.md), relative to the working folder, or "
-        "included in the workflow; a folder's name is the case's id",
+        description="case folders (docs/criticise-your-data.md), relative to the working folder, "
+        "or included in the workflow; a folder's name is the case's id",
     )
 
     @field_validator("cases")

@@ -103,7 +103,7 @@ class SimulationSettings(Section):
     bending_stiffness_at_end: Fabrics = Field(
         ("tango-red-jet-set",),
         description="fabrics for which it is the end whatever bending_stiffness_at says: those "
-        "that the cheaper rules were measured to be wrong for (docs/physics.md)",
+        "that the cheaper rules were measured to be wrong for (docs/how/physics.md)",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"

@@ -1,7 +1,7 @@
 """Settings of the train stage. Pydantic and the standard library only.
 
 Every choice that the paper leaves open is a switch here; the defaults are argued in
-docs/learning.md.
+docs/how/learning.md.
 """
 
 from typing import Literal

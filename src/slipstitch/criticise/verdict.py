@@ -1,4 +1,4 @@
-"""The verdict as plain data, in the layout of docs/measurements.md."""
+"""The verdict as plain data, in the layout of docs/criticise-your-data.md."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020,
 Table 1: an LRCN (Donahue et al. 2015). What the paper leaves open is a switch of the settings, and
-argued in docs/learning.md.
+argued in docs/how/learning.md.
 
     frame --> conv1a, conv1b, pool, conv2a, conv2b, pool, conv3a, pool, conv4a --> features
     material --> FC_s, softmax --> beside the features of every frame

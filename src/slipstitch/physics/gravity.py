@@ -3,5 +3,5 @@
 GRAVITY_M_S2 = 9.81
 """Acceleration of gravity (m/s²), the one value of simulator, theory and criticism.
 
-See docs/physics.md for why it is not the standard 9.80665 m/s².
+See docs/how/physics.md for why it is not the standard 9.80665 m/s².
 """

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-G = 9.81  # m/s², as docs/physics.md states it
+G = 9.81  # m/s², as docs/how/physics.md states it
 SPRINGS_N_M = (60.0, 200.0, 600.0)
 SPEEDS_MM_S = (0.5, 2.0, 8.0)
 ADDED_G = (20.0, 60.0, 150.0)

@@ -495,7 +495,7 @@ class Discrepancy:
     shapes_not_converged: tuple[str, ...] = ()
 
     def as_dict(self) -> dict:
-        """The layout of docs/measurements.md."""
+        """The layout of docs/criticise-your-data.md."""
         tried = {name: round(p, 5) for name, p in self.tried.items()}
         failed = {"not_converged": list(self.not_converged)} if self.not_converged else {}
         if self.covariate is None:

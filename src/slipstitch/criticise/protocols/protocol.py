@@ -34,7 +34,7 @@ class Protocol:
 
     Attributes
     ----------
-    name, letter : name in files and its letter in docs/measurements.md.
+    name, letter : name in files and its letter in docs/criticise-your-data.md.
     tables : file (without its ending) -> columns; the first has a row a run, a second one the
         runs' traces.
     nominal : keys of ``meta.json``'s ``nominal`` that it cannot do without.

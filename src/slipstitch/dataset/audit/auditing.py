@@ -63,7 +63,7 @@ def _audit(
             notes.append(f"signed by {signer}")
     elif expected is None:
         how = "--verify" if (folder / SIGNATURE).is_file() else "--expect"
-        notes.append(f"not compared with any external reference ({how}): see docs/release.md")
+        notes.append(f"not compared with any external reference ({how}): see docs/dataset.md")
     of_files, numbers, shards = check_files(contents, jobs)
     parts = [
         check_lineage(contents, shards),

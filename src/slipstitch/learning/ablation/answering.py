@@ -105,7 +105,7 @@ def answer(
     Returns
     -------
     dict
-        ``question, seed, asks, left_out, variants, predictions``: see docs/learning.md.
+        ``question, seed, asks, left_out, variants, predictions``: see docs/how/learning.md.
 
     Raises
     ------

@@ -36,7 +36,7 @@ from slipstitch.physics.simulation.convergence import (
     study_digest,
 )
 
-# Said in calibration.json, in the words of docs/physics.md.
+# Said in calibration.json, in the words of docs/how/physics.md.
 NOT_TOLD = (
     "mesh: the strip is a cylinder along mesh lines, accurate even at a spacing of 15 mm; the "
     "cloth folds and wrinkles in two directions: the mesh of drop-and-drag is not chosen here",

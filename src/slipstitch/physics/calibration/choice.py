@@ -8,7 +8,7 @@ from slipstitch.base.errors import SlipstitchError
 from slipstitch.config.calibrate import BASE, CalibrateSettings
 
 # Looser values than the configured ones are tried and shown, but never chosen: the strip does not
-# tell what they do to the cloth (docs/physics.md). The strip's own mesh is not the cloth's.
+# tell what they do to the cloth (docs/how/physics.md). The strip's own mesh is not the cloth's.
 NEVER_LOOSER = ("time_step_s", "friction_tolerance", "damping_s")
 FREE = ("newton_iterations_max",)
 

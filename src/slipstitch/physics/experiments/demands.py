@@ -37,7 +37,7 @@ class Demand:
         return off / abs(expected) if expected else inf
 
 
-# docs/physics.md says how near they really come.
+# docs/how/physics.md says how near they really come.
 DEMANDS: dict[str, tuple[Demand, ...]] = {
     "incline": (Demand("acceleration_m_s2", 0.01, zero=2e-4),),  # 0.1 mm in 1 s: it sticks
     "tilt": (Demand("slope_at_slip", 0.005),),

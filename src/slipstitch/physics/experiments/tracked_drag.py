@@ -1,7 +1,8 @@
 """Drop-and-drag of a planar cloth in the cloth simulator, tracked as a camera would.
 
 A strip as long as the cloth is hinged to a holder at a height; its tail lies on the floor without
-tension; then the holder moves. Kept cylindrical: the planar protocol of docs/measurements.md.
+tension; then the holder moves. Kept cylindrical: the planar protocol (d) of
+docs/criticise-your-data.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Theoretical results for the cloth simulator: closed forms and elastica solutions.
 
 Everything here is independent of the simulator's code: NumPy and SciPy only, no mesh, no contact
-solver. The laws, their sources and the tests that check each are listed in ``docs/physics.md``.
+solver. The laws, their sources and the tests that check each are listed in ``docs/how/physics.md``.
 """
 
 from slipstitch.physics.theory.cantilever import (

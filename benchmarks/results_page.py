@@ -1,0 +1,432 @@
+"""Write docs/results.md, docs/config.md and the card of the instrument that ships.
+
+From published files and from the configuration's schema alone.
+
+python benchmarks/results_page.py [--check]
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import pandas
+from scipy.stats import binomtest
+
+from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.learning.evaluation import paper as printed
+from slipstitch.physics.theory import flexible_strip_drag
+
+ROOT = Path(__file__).parents[1]
+PUBLISHED = ROOT / "results" / "published"
+PAGE = ROOT / "docs" / "results.md"
+CONFIG_PAGE = ROOT / "docs" / "config.md"
+SCHEMA = ROOT / "workflow/schemas/config.schema.json"
+CARD = ROOT / "src/slipstitch/film/measure/shipped/MODEL_CARD.md"
+INTERVAL_SCORES = "mean error of μ|within 0.1|90 % intervals that hold|their mean width"
+NETWORKS = {
+    "material_baseline": "fabric",
+    "friction_baseline": "μ, without the fabric",
+    "friction_conditional": "μ, conditioned on the predicted fabric",
+}
+METRICS = {
+    "material_top1": "right",
+    "material_top2": "among the first two",
+    "friction_lt_0.1": "error below 0.1",
+    "friction_lt_0.2": "error below 0.2",
+}
+# ARGUS, the paper's simulator, measured: seconds a step of 0.5 ms, 41 × 41 vertices, one thread.
+ARGUS_STEP_S, ARGUS_STEPS_PER_S = (0.098, 0.122), 2000
+
+
+def read(name):
+    """Return a published JSON file."""
+    return json.loads((PUBLISHED / name).read_text(encoding="utf-8"))
+
+
+def table(head, rows):
+    """Return a Markdown table; `head` separates its cells with bars."""
+    head = head.split("|")
+    lines = [head, ["---"] * len(head), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def share_with_interval(share, number):
+    """Return a share in % with Wilson's 90 % interval over independent videos."""
+    found = binomtest(round(share * number), number).proportion_ci(0.9, "wilson")
+    return f"{100 * share:.0f} ({100 * found.low:.0f} ... {100 * found.high:.0f})"
+
+
+def of_view(details, split, network, view=None):
+    """Return the published scores of a network on a split, of one viewpoint or of all."""
+    found = details.get(split, {}).get(network) or {}
+    return found if view is None else found.get("viewpoints", {}).get(view) or {}
+
+
+def percent(found, metric):
+    """Return a mean score in %, with its spread over seeds where there are several."""
+    if metric not in found.get("mean", {}):
+        return "–"
+    spread = f" ± {100 * found['spread'][metric]:.1f}" if found.get("spread") else ""
+    return f"{100 * found['mean'][metric]:.1f}{spread}"
+
+
+def paper_table_2():
+    """Return Table 2 of the paper beside ours."""
+    details = read("paper/details.json")
+    rows = []
+    for (network, metric), share in printed.TABLE_2.items():
+        cells = [
+            percent(of_view(details, split, network, view), metric)
+            for split in ("by_video", "by_simulation")
+            for view in (None, "calibrated")
+        ]
+        rows.append([f"{NETWORKS[network]}: {METRICS[metric]}", f"{100 * share:.1f}", *cells])
+    for probe, words in (
+        ("probe_middle_frame", "linear probe of one frame"),
+        ("probe_middle_frame_network", "small network on one frame"),
+    ):
+        cells = [
+            percent(of_view(details, split, probe, view), "friction_lt_0.1")
+            for split in ("by_video", "by_simulation")
+            for view in (None, "calibrated")
+        ]
+        rows.append([f"{words}: error below 0.1", "", *cells])
+    head = "%|the paper|videos at random: three views|calibrated view"
+    return table(head + "|whole simulations held out: three views|calibrated view", rows)
+
+
+def paper_unseen():
+    """Return section 6.2.1 and Table 3 of the paper beside ours."""
+    details = read("paper/details.json")
+    network, metrics = "friction_conditional", ("friction_lt_0.1", "friction_lt_0.2")
+    tests = [
+        ("unseen texture", "unseen_texture", "calibrated", printed.UNSEEN_TEXTURE_VIDEOS,
+         [printed.UNSEEN_TEXTURE[network, metric] for metric in metrics])
+    ]  # fmt: skip
+    tests += [
+        (f"camera turned by {turn:+d}°", f"view_{turn:+d}", None, printed.TABLE_3_VIDEOS, shares)
+        for turn, shares in printed.TABLE_3.items()
+    ]
+    rows = []
+    for words, split, view, number, shares in tests:
+        found = of_view(details, split, network, view)
+        ours = [
+            share_with_interval(found["mean"][metric], found["n"]) if found else "not trained"
+            for metric in metrics
+        ]
+        theirs = [f"{100 * share:.1f}" for share in shares]
+        rows.append([words, number, *theirs, found.get("n", "–"), *ours])
+    return table("%|the paper's videos|< 0.1|< 0.2|our videos|< 0.1|< 0.2", rows)
+
+
+def paper_coefficients():
+    """Return how often each coefficient is right, beside what theory says of its neighbour."""
+    details = read("paper/details.json")["by_simulation"]["friction_conditional"]
+    height_m = StagePath().start_height_m - StagePath().drop_m
+    rows = []
+    for k, (of_class, counts) in enumerate(
+        zip(details["classes"], details["confusion"], strict=True)
+    ):
+        tail_m, next_m = (
+            flexible_strip_drag(friction, SIDE_M, height_m).holder_ahead_of_tail_m
+            for friction in (of_class["value"], of_class["value"] + 0.1)
+        )
+        moved = f"{1e3 * (next_m - tail_m):.1f} mm"
+        rows.append([f"{of_class['value']:g}", moved, f"{counts[k]} of {sum(counts)}"])
+    return table("μ|tail moves to the next 0.1 by|right", rows)
+
+
+def scores(part):
+    """Return the cells of `INTERVAL_SCORES`."""
+    error = part.get("coverage_90_error")
+    return [
+        f"{part['mean_absolute_error']:.3f}",
+        f"{part['within_0_1']:.0%}",
+        f"{part['coverage_90']:.0%}" + (f" ± {error:.0%}" if error else ""),
+        f"{part['interval_width']:.2f}",
+    ]
+
+
+def instrument_domains():
+    """Return the instrument's scores in its own domain and outside."""
+    details = read("instrument/details.json")["by_simulation"]["instrument_ensemble"]
+    textures = details["by"]["texture"].values()
+    inside = dict(details["mean"]) | {
+        "within_0_1": sum(part["n"] * part["within_0_1"] for part in textures) / details["n"]
+    }
+    reach, surrogates = read("camera/reach.json"), read("camera/surrogates.json")["all"]
+    drawn = read("camera/drawn_fabrics.json")["all"]
+    parts = [
+        ("held out: known fabrics, own clamps and cameras", details, inside),
+        ("coefficients between those of the grid", reach["off_grid"], reach["off_grid"]),
+        ("four unseen fabrics", reach["unseen_fabric"], reach["unseen_fabric"]),
+        ("other fabrics, clamps, coefficients and cloths", drawn, drawn),
+        ("cameras 22.5 to 30° aside", reach["far"], reach["far"]),
+        ("surrogate films, one camera each", surrogates, surrogates),
+    ]
+    rows = [
+        [words, counted.get("videos", counted.get("n")), counted["simulations"], *scores(part),
+         f"{part.get('alarms', part.get('alarm_rate')):.0%}"]
+        for words, counted, part in parts
+    ]  # fmt: skip
+    return table(f"|videos|simulations|{INTERVAL_SCORES}|alarms", rows)
+
+
+def instrument_angles():
+    """Return the instrument's scores from every side."""
+    rows = [
+        [f"{angle}°", *scores(part), f"{part['alarms']:.0%}"]
+        for angle, part in read("camera/angles.json")["angles"].items()
+    ]
+    return table(f"camera turned by|{INTERVAL_SCORES}|alarms", rows)
+
+
+def instrument_fabrics():
+    """Return the instrument's scores by fabric and by coefficient."""
+    by = read("instrument/details.json")["by_simulation"]["instrument_ensemble"]["by"]
+    parts = [*by["material"].items()]
+    parts += [
+        (f"μ = {value}", part)
+        for value, part in sorted(by["friction"].items(), key=lambda item: float(item[0]))
+    ]
+    rows = [
+        [name, part["simulations"], f"{part['mean_absolute_error']:.3f}",
+         f"{part['within_0_1']:.0%}", f"{part['coverage_90']:.0%}"]
+        for name, part in parts
+    ]  # fmt: skip
+    return table("|simulations|mean error of μ|within 0.1|90 % intervals that hold", rows)
+
+
+def clamp_height():
+    """Return what clamps at another height do to a measurement."""
+    found = read("camera/clamp_height.json")
+    part = found["all"]
+    measured = f"{part['error_per_mm']:+.1%} ± {part['error_per_mm_sd']:.1%}"
+    rows = [[f"{part['simulations']} simulations of all coefficients", measured]]
+    rows += [
+        [f"theory of a heavy flexible strip, μ = {friction}", f"{error:+.1%}"]
+        for friction, error in found["theory_error_per_mm"].items()
+    ]
+    return table("|relative error of μ per millimetre that the clamps hang higher", rows)
+
+
+def processors():
+    """Return what another kind of processor changes."""
+    found = read("camera/processors.json")
+    rows = [
+        ["videos, of simulations", f"{found['videos']}, {found['simulations']}"],
+        ["videos with the same pixels", f"{found['same_pixels']:.0%}"],
+        ["difference of the measured μ, mean", f"{found['mean_difference']:.4f}"],
+        ["difference of the measured μ, largest", f"{found['largest_difference']:.3f}"],
+    ]
+    return table("the same simulations on another kind of processor|", rows)
+
+
+def known_answers():
+    """Return the worst difference from theory of each known answer."""
+    worst = {}
+    for check in read("paper/calibration.json")["checks"]:
+        kept = worst.setdefault(check["name"], check | {"number": 0})
+        kept["number"] += 1
+        kept["error"] = max(kept["error"], check["error"])
+    rows = []
+    for name, check in worst.items():
+        unit = " %" if check["relative"] else " µm" if name.endswith("creep") else " mm"
+        scale = {" %": 1e2, " µm": 1e6, " mm": 1e3}[unit]
+        demand = "yes or no" if check["demand"] == 0 else f"{scale * check['demand']:g}{unit}"
+        error = "none" if check["error"] == 0 else f"{scale * check['error']:.2g}{unit}"
+        rows.append([name.replace("-", " "), check["number"], demand, error])
+    return table("experiment, compared|cases|allowed|largest error", rows)
+
+
+def convergence():
+    """Return distances from finer stepping and a finer mesh, worst coefficient of each fabric."""
+    rows = []
+    for kind, words in (("time_step", "finer stepping"), ("mesh", "81 × 81 vertices")):
+        by_fabric = {}
+        for case in read("convergence/convergence.json")["summary"]:
+            if (found := case[kind]) is not None:
+                by_fabric.setdefault(case["material"], []).append(found)
+        for fabric, found in by_fabric.items():
+            cells = [
+                f"{1e3 * max(one[size] for one in found):.1f}"
+                for size in ("mean_m", "steady_largest_m", "mean_largest_m")
+            ]
+            rows.append([fabric, words, *cells])
+    return table("fabric|compared with|mean, mm|steadily dragged, mm|worst moment, mm", rows)
+
+
+def simulation_cost():
+    """Return the CPU seconds of the paper's grid, by fabric, and of other simulators."""
+    grid = pandas.read_csv(PUBLISHED / "benchmark/simulations.csv")
+    rows = [
+        [name, *(f"{value:.0f}" for value in (part.min(), part.median(), part.max()))]
+        for name, part in grid.groupby("material")["cpu_s"]
+    ]
+    cost = grid["cpu_s"]
+    rows.append(["all", f"{cost.min():.0f}", f"{cost.median():.0f}", f"{cost.max():.0f}"])
+    each = (grid["cpu_s"] / grid["simulated_s"]).median()
+    side = read("benchmark/benchmark.json")["side-by-side"]
+    ours = side["ours"]["cpu_s_per_s"]
+    others = [["ours, median of the grid", "to its tolerance", f"{each:.2f}", ""]]
+    others += [
+        [
+            "ARGUS, steps of 0.5 ms",
+            "default",
+            f"{low:.0f} to {high:.0f}",
+            f"{low / each:.0f} to {high / each:.0f}",
+        ]
+        for low, high in [tuple(ARGUS_STEPS_PER_S * step for step in ARGUS_STEP_S)]
+    ]
+    others.append(["ours, one sheet landing", f"{side['ours']['residual']:.0e}", f"{ours:.2f}", ""])
+    others += [
+        [f"SolverVBD, {row['iterations']} iterations of {1e3 * row['step_s']:.3g} ms",
+         f"{row['residual']:.0e}", f"{row['cpu_s_per_s']:.1f}", f"{row['cpu_s_per_s'] / ours:.0f}"]
+        for row in side["descent"]
+    ]  # fmt: skip
+    head = "simulator|largest residual|CPU s per simulated second|times ours"
+    return table("fabric|least CPU s|median|most", rows) + "\n\n" + table(head, others)
+
+
+def measured_cases():
+    """Return the verdicts on the measured data that come with Slipstitch."""
+    rows = [[name, one["sentence"]] for name, one in read("criticise/measured.json").items()]
+    return table("case|verdict", rows)
+
+
+SECTIONS = {
+    "The paper's networks": (
+        "160 simulations, ten fabrics, sixteen coefficients; 3072 training videos of 32 pixels. "
+        "One seed; the scores are those after fine-tuning on the calibrated view.",
+        paper_table_2,
+    ),
+    "Unseen textures and turned cameras": ("In brackets: Wilson's 90 % interval.", paper_unseen),
+    "Which coefficients are hard": (
+        "Simulations held out. The tail of a heavy flexible strip moves less as friction grows.",
+        paper_coefficients,
+    ),
+    "The instrument, domain by domain": (
+        "The instrument that ships with Slipstitch. Each simulation counts once for the coverage. "
+        "The simulations of the fourth row have calibrated the intervals since they were measured.",
+        instrument_domains,
+    ),
+    "The instrument from every side": ("The same held-out simulations.", instrument_angles),
+    "The instrument by fabric and coefficient": ("Simulations held out.", instrument_fabrics),
+    "Height of the clamps": ("The instrument does not know the height.", clamp_height),
+    "Another processor": ("", processors),
+    "The simulator against theory": (
+        "Settings of the paper's grid, checked before the grid was simulated.",
+        known_answers,
+    ),
+    "Convergence": ("Distance of the vertices, largest over three coefficients.", convergence),
+    "What a simulation costs": (
+        "131 s of the protocol, 41 × 41 vertices, one core of a 2-core machine.",
+        simulation_cost,
+    ),
+    "Criticism of measured data": ("", measured_cases),
+}
+
+
+def results_page():
+    """Return the text of docs/results.md."""
+    text = "# Results\n\nEvery measured number, from the files in `results/published`. "
+    text += "Written by `make results`; how each was measured is in the file's record.\n"
+    for title, (words, make) in SECTIONS.items():
+        text += f"\n## {title}\n\n" + (f"{words}\n\n" if words else "") + f"{make()}\n"
+    return text
+
+
+def keys_of(schema, definitions, prefix):
+    """Yield name, default and description of every key below a section of the schema."""
+    for name, key in schema.get("properties", {}).items():
+        inner = key.get("$ref") or next(
+            (one["$ref"] for one in key.get("anyOf", ()) if "$ref" in one), None
+        )
+        section = definitions[inner.rpartition("/")[2]] if inner else {}
+        if section.get("properties"):
+            yield from keys_of(section, definitions, f"{prefix}{name}.")
+        else:
+            default = json.dumps(key["default"]) if "default" in key else "required"
+            default = "…" if len(default) > 40 else default.replace("|", "\\|")
+            yield f"{prefix}{name}", default, key.get("description", "").replace("|", "\\|")
+
+
+def config_page():
+    """Return the text of docs/config.md: every key, its default and meaning."""
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    rows = [
+        [f"`{name}`", f"`{default}`", words]
+        for name, default, words in keys_of(schema, schema["$defs"], "")
+    ]
+    return (
+        "# Configuration\n\nEvery key, from the schema; bounds are in "
+        "`workflow/schemas/config.schema.json`. Written by `make results`.\n\n"
+        + table("key|default|meaning", rows)
+        + "\n"
+    )
+
+
+def model_card():
+    """Return the text of the card of the instrument that ships."""
+    card = read("instrument/models/by_simulation/instrument/ensemble/instrument.json")
+    found = read("instrument/details.json")["by_simulation"]["instrument_ensemble"]["mean"]
+    frictions = card["frictions"]
+    return f"""# The instrument that comes with Slipstitch
+
+`instrument.safetensors`: {card["networks"]} networks of {card["parameters"]} parameters in all, \
+trained with different seeds; their predictions are averaged. Input: {card["frames"]} frames of \
+{card["pixels"]} × {card["pixels"]} pixels and the pose of the camera. Output: a distribution over \
+the friction coefficient μ, a 90 % interval, the most similar fabric, an out-of-distribution alarm.
+
+## Use
+
+`slipstitch measure VIDEO --camera CAMERA.json`, for films of the whole drop-and-drag protocol \
+([docs/measure-a-film.md](../../../../../docs/measure-a-film.md)). No real film has been measured \
+yet. Not for other protocols, nor where a wrong μ can do harm.
+
+## Training data
+
+- Simulated videos: {card["training_videos"]} trained the networks.
+- Fabrics: {", ".join(card["materials"])}.
+- μ: {len(frictions)} values from {frictions[0]:g} to {frictions[-1]:g}.
+- Intervals: conformal, also calibrated on 50 simulations of other fabrics, clamps and cloths.
+
+## Accuracy
+
+Held out: mean error of μ {found["mean_absolute_error"]:.3f}; {found["coverage_90"]:.0%} of the \
+90 % intervals hold; fabric right in {found["material_top1"]:.0%}.
+
+{instrument_domains()}
+
+{instrument_angles()}
+
+{instrument_fabrics()}
+
+## Limits
+
+- Other fabrics behind other clamps: see the table; fewer intervals hold.
+- Height of the clamps:
+
+{clamp_height()}
+
+## Licence
+
+GPL-3.0-or-later. The fabrics are those of Wang, O'Brien and Ramamoorthi (2011).
+"""
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page differs")
+    check = parser.parse_args().check
+    pages = {PAGE: results_page(), CONFIG_PAGE: config_page(), CARD: model_card()}
+    stale = [path for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
+    for path in stale:
+        print(f"{path.relative_to(ROOT)}: not the published numbers" if check else f"wrote {path}")
+        if not check:
+            path.write_text(pages[path], encoding="utf-8")
+    raise SystemExit(bool(stale) and check)
+
+
+if __name__ == "__main__":
+    main()
