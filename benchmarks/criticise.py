@@ -20,17 +20,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.alternatives import nuisance_columns
-from slipstitch.criticise.inference.analysis import analyse
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Weights, fit
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.prediction.predictive import predict_model
-from slipstitch.criticise.verdict import verdict_of
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 KINDS = (
     *["null"] * 5,

@@ -14,10 +14,10 @@ from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import power_to_file
 from slipstitch.criticise.expected_traces import assumptions_of, expected
-from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
+from slipstitch.criticise.false_alarms import false_alarms
 from slipstitch.criticise.inference.certificate import of_design, plain_model
-from slipstitch.criticise.inference.false_alarms import false_alarms
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
 
 
 def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_is_not(tmp_path):

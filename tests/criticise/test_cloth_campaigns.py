@@ -11,10 +11,10 @@ from support.hidden_effects.cloth_bench import make_campaign
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.resimulation import resimulate
-from slipstitch.criticise.verdict import verdict_of
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 PLANTED = {
     "anisotropy": {"anisotropy": 0.25},

@@ -13,13 +13,10 @@ from support.hidden_effects.bench import make_case
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import criticise_to_files
-from slipstitch.criticise.inference.discrepancy import (
-    _Problem,
-    discrepancy_words,
-    embedded_discrepancy,
-)
+from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
 from slipstitch.criticise.inference.gain import plain_scatters
 from slipstitch.criticise.inference.outliers import fit_without_outliers
+from slipstitch.criticise.inference.smooth_factor import Problem
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.prediction.predictive import is_discrepancy, predict_model, read_verdict
 from slipstitch.criticise.resimulation import law_of_run
@@ -87,7 +84,7 @@ def test_where_nothing_is_hidden_no_factor_is_found(seed, tmp_path):
 
 
 def test_a_fit_that_did_not_converge_says_so_and_is_not_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("slipstitch.criticise.inference.discrepancy.ROUNDS", 1)
+    monkeypatch.setattr("slipstitch.criticise.inference.smooth_factor.ROUNDS", 1)
     *_, found = discrepancy(tmp_path, SEED, PLANTED["a patch"])
     result = found.as_dict()
     assert (result["covariate"], result["not_converged"]) == (None, list(found.tried))
@@ -96,14 +93,14 @@ def test_a_fit_that_did_not_converge_says_so_and_is_not_used(tmp_path, monkeypat
 
 
 def test_a_short_formula_whose_fit_did_not_converge_is_not_said_to_fit_worse(tmp_path, monkeypatch):
-    fit = _Problem.fit
+    fit = Problem.fit
 
     def without_short_formulas(problem, form):
         found = fit(problem, form)
         curve = form is None or form.roots is not None
         return replace(found, converged=found.converged and curve)
 
-    monkeypatch.setattr(_Problem, "fit", without_short_formulas)
+    monkeypatch.setattr(Problem, "fit", without_short_formulas)
     *_, found = discrepancy(tmp_path, SEED, PLANTED["a patch"])
     result = found.as_dict()
     assert (result["covariate"], result["formula"]) == ("pos_x_mm", None)

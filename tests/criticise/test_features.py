@@ -7,9 +7,9 @@ from support.departures.campaign import draw_plan, write
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import parameters_of
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.mechanisms import MECHANISMS
 
 SEEDS = range(40, 52)
 # Standard deviation of z by feature; that of features with a specimen's scatter in them is known to

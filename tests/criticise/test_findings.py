@@ -5,9 +5,10 @@ import pandas as pd
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import sentence, verdict_of
+from slipstitch.criticise.statement import sentence
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 
 def judged(folder, spoil):

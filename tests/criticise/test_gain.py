@@ -5,10 +5,10 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.prediction.predictive import predict_model
-from slipstitch.criticise.verdict import verdict_of
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 
 def test_scores_of_left_out_specimens_are_near_those_of_the_models_written_down(tmp_path):

@@ -5,10 +5,10 @@ import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.criticise.verdict import parameters_with_intervals
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import parameters_with_intervals
 
 # One plain effect a mechanism, in the protocols that can tell it from the others.
 PLANTED = {

@@ -11,9 +11,9 @@ from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.extended_model import extended_model
 from slipstitch.criticise.identifiability import AT_BOUND, TOO_WIDE, not_identified
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import verdict_of
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols.push import LEVEL, PEAK
 from slipstitch.physics.friction_law import FrictionLaw
 

@@ -6,10 +6,9 @@ from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference import structure
-from slipstitch.criticise.inference.clusters import Clusters, log_likelihood
-from slipstitch.criticise.inference.covariance import Group, Scatter
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter, log_likelihood
 from slipstitch.criticise.inference.outliers import fit_without_outliers
-from slipstitch.criticise.inference.ratio import Ratios, run_tests
+from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.measurements import assemble
 
 
@@ -32,6 +31,7 @@ def test_the_sums_over_clusters_give_what_the_matrix_gives(group):
     assert np.allclose(clusters.gram(scatter), columns.T @ inverse @ columns, rtol=1e-10)
     assert np.allclose(score, columns.T @ inverse @ data, rtol=1e-9, atol=1e-9)
     assert np.allclose(squares, np.diag(data.T @ inverse @ data), rtol=1e-10)
+    assert np.allclose(clusters.solved(scatter, data), inverse @ data, rtol=1e-9)
     determinant = np.linalg.slogdet(group.variance(scatter))[1]
     assert clusters.log_determinant(scatter) == pytest.approx(determinant, rel=1e-10)
 
@@ -46,11 +46,10 @@ def test_free_and_shrunken_columns_enter_the_likelihood_as_they_should(group):
     pulled = fixed.T @ inverse @ data
     squares = data.T @ inverse @ data - pulled.T @ np.linalg.solve(information, pulled)
     wanted = np.linalg.slogdet(variance)[1] + squares.item()
-    clusters = Clusters(group, np.column_stack([fixed, random]))
-    of = clusters.responses(data)
-    assert log_likelihood(clusters, scatter, of, 1, False) == pytest.approx(-0.5 * wanted)
+    clusters = Clusters(group, np.column_stack([fixed, random, data]))
+    assert log_likelihood(clusters, scatter, 1, False) == pytest.approx(-0.5 * wanted)
     wanted += np.linalg.slogdet(information)[1]
-    assert log_likelihood(clusters, scatter, of, 1, True) == pytest.approx(-0.5 * wanted)
+    assert log_likelihood(clusters, scatter, 1, True) == pytest.approx(-0.5 * wanted)
 
 
 def test_another_protocol_takes_no_evidence_away(tmp_path):
@@ -60,39 +59,13 @@ def test_another_protocol_takes_no_evidence_away(tmp_path):
         folder = tmp_path / "-".join(protocols)
         make_case(51, "outside", folder, plant=(patch, protocols))
         measurements = assemble(read_case(folder))
-        null, state, _ = fit_without_outliers(measurements, (), None)
-        residual = measurements.y - null.prediction
-        outcome = run_tests(
-            state.tests,
-            null.jacobian,
-            residual,
-            state.groups,
-            state.scatters,
-            np.random.default_rng(1),
-            100,
-        )
+        _, state, _ = fit_without_outliers(measurements, (), None)
+        outcome = state.outcome(np.random.default_rng(1), 100)
         evidence[len(protocols)] = outcome.global_p
         strongest = outcome.tests[outcome.strongest()]
         assert strongest.covariate == "pos_x_mm"
     assert max(evidence.values()) < 0.01
     assert evidence[2] <= evidence[1]
-
-
-def test_the_whitening_is_a_root_of_the_inverse_covariance(group):
-    scatter = Scatter(0.07, 0.04, 1.3)
-    inverse = np.linalg.inv(group.variance(scatter))
-    root = group.whitening(scatter)
-    matrix = root.whiten(np.eye(36))
-    assert np.allclose(matrix.T @ matrix, inverse, rtol=1e-9, atol=1e-12)
-    assert np.allclose(root.pull(matrix), inverse, rtol=1e-9, atol=1e-12)
-    assert np.allclose(root.diagonal(), np.diag(inverse), rtol=1e-9)
-    wanted = [
-        (group.sensitivity * (group.run == run))
-        @ inverse
-        @ (group.sensitivity * (group.run == run))
-        for run in group.run
-    ]
-    assert np.allclose(root.information_of_runs(), wanted, rtol=1e-9)
 
 
 def test_a_mechanism_that_cannot_be_negative_is_no_evidence_the_other_way(group):

@@ -7,10 +7,11 @@ from support import departures
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.inference.rivals import rivals_of
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import sentence, verdict_of
+from slipstitch.criticise.statement import sentence
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 
 def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):

@@ -11,11 +11,11 @@ from support.hidden_effects.bench import make_case
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols import spring_slider
 from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
-from slipstitch.criticise.verdict import parameters_with_intervals
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import parameters_with_intervals
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)

@@ -12,7 +12,7 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols.stick_slip import Slider, run
 from slipstitch.criticise.resimulation import compare
-from slipstitch.criticise.verdict import gain_words, sentence
+from slipstitch.criticise.statement import gain_words, sentence
 from slipstitch.criticise.within_runs import (
     _Run,
     _uneven_track,

@@ -12,11 +12,12 @@ from slipstitch.base.provenance import provenance_record, start_clock, write_jso
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
 from slipstitch.criticise.extended_model import write_extended_model
-from slipstitch.criticise.inference.analysis import SIGNIFICANCE, analyse
-from slipstitch.criticise.inference.certificate import of_design, plain_model
-from slipstitch.criticise.inference.false_alarms import false_alarms
+from slipstitch.criticise.false_alarms import false_alarms
+from slipstitch.criticise.inference.certificate import certificate, of_design, plain_model
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import certificate, false_alarm_words, statement, verdict_of
+from slipstitch.criticise.statement import false_alarm_words, statement
+from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
+from slipstitch.criticise.verdict_data import verdict_of
 
 
 def finite(content: Any) -> Any:

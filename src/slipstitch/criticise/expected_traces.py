@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import COEFFICIENTS, Measurements, assemble
-from slipstitch.criticise.mechanisms import Bench
 from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.push import USUAL_STIFFNESS_N_M

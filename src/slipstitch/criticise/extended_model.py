@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from slipstitch.base.provenance import write_text
-from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS
+from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
 
 
@@ -17,7 +17,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     """Friction laws of face and edge, and what departs from the nominal bench and fabric.
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
-    :class:`slipstitch.criticise.mechanisms.Bench`. ``which`` may be ``null``. A side whose
+    :class:`slipstitch.criticise.causes.Bench`. ``which`` may be ``null``. A side whose
     coefficient the data do not tell is left out. Where no mechanism explains the data,
     ``discrepancy`` has the smooth factor on the coefficients. So is a cause with a parameter that
     they do not tell (``not_exported``); without any other, the coefficients are those of no cause.

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.measurements import COEFFICIENTS
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.physics.friction_law import Mechanism, Parameter
 
 LARGEST_FACTOR = 3.0

@@ -10,7 +10,7 @@ import pandas as pd
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.mechanisms import BENCH_MECHANISMS, MECHANISMS, Bench
+from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS, Bench
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block

@@ -11,10 +11,10 @@ from scipy.stats import t as student
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.extended_model import extended_model
-from slipstitch.criticise.inference.analysis import analyse
 from slipstitch.criticise.inference.discrepancy import along
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import verdict_of
+from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.verdict_data import verdict_of
 from slipstitch.physics.experiments.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
 from slipstitch.physics.friction_law.extended_model import ExtendedModel, model_of

@@ -17,7 +17,7 @@ class Zero:
 
     Attributes
     ----------
-    field : of :class:`slipstitch.criticise.mechanisms.Bench`, which holds it.
+    field : of :class:`slipstitch.criticise.causes.Bench`, which holds it.
     sensor, quantity : as they are said.
     unit, to_si : of the size that is said, and its worth in the unit of the field.
     sd : how large it usually is, in ``unit``.

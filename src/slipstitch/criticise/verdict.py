@@ -1,409 +1,362 @@
-"""The verdict as plain data, in the layout of docs/criticise-your-data.md."""
+"""The verdict on the model: an ordered list of rules over the evidence; the first that applies."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
-from scipy.stats import t as student
 
-from slipstitch.base.page.wording import counted, with_interval
-from slipstitch.criticise.case import Case
-from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.identifiability import not_exported, not_identified
-from slipstitch.criticise.inference.analysis import LEFTOVER_SIGNIFICANCE, SIGNIFICANCE, Analysis
-from slipstitch.criticise.inference.certificate import POWER, Detectable
-from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
-from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
-from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
-from slipstitch.criticise.inference.rivals import TITLES as RIVALS
-from slipstitch.criticise.inference.separation import separations
-from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
-from slipstitch.criticise.measurements import COEFFICIENTS
-from slipstitch.criticise.mechanisms import MECHANISMS
-from slipstitch.criticise.within_runs import departure, within_runs, words
+from slipstitch.criticise.inference.candidates import (
+    LEFTOVER_SIGNIFICANCE,
+    STANDS_BESIDE,
+    TIE_BIC,
+    Candidate,
+    explains,
+    stands_beside,
+)
+from slipstitch.criticise.inference.evidence import SIGNIFICANCE, Evidence
+from slipstitch.criticise.inference.findings import noise_findings, zero_findings
+from slipstitch.criticise.inference.rivals import TITLES
+from slipstitch.criticise.inference.state import State, refit
+from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 
-CLEAR_FALL = 0.8  # of an error, to be worth a headline
-
-# Relative errors that a power of ten makes, and in what it would be.
-TENFOLD = (9.0, -0.9)
-TENFOLD_IN = {
-    "bending_error": "B_Nm or B_strip_Nm",
-    "mass_error": "rho_kg_m2",
-    "force_gain": "the force",
-}
-
-SPEC_VERSION = 1
-CLOSE_BIC = 25.0
-
-
-def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> dict:
-    """Everything a machine may want to know of a case's verdict."""
-    chosen = analysis.chosen
-    candidates = [c for c in analysis.ranking if c.bic < min(_best(analysis) + CLOSE_BIC, 0.0)]
-    named = analysis.verdict in ("cause", "confounded")
-    gain = held_out_gain(analysis, candidates[:12] if named else [])
-    fitted = chosen.fitted if named and chosen is not None else analysis.null
-    left = analysis.left_over or analysis.null_outcome
-    parameters = parameters_with_intervals(analysis, fitted)
-    unknown = not_identified(_entries(analysis, fitted) | parameters)
-    return {
-        "case": case.name,
-        "spec_version": SPEC_VERSION,
-        "about": str(case.meta.get("about", "")),
-        "verdict": analysis.verdict,
-        "causes": list(analysis.causes),
-        "alternatives": [list(c) for c in analysis.alternatives],
-        "separate_by": [
-            {
-                "between": [list(s.between[0]), list(s.between[1])],
-                "measure": s.measure,
-                "expected_delta_loglik": s.expected_delta_loglik,
-            }
-            for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
-        ],
-        "reason": analysis.reason,
-        "discrepancy": embedded_discrepancy(
-            analysis.measurements, analysis.null, analysis.null_state, seed
-        ).as_dict()
-        if analysis.verdict == "unknown"
-        else None,
-        "parameters": parameters,
-        "null": {
-            "log_score_per_row": round(gain.null_score, 5),
-            "rmse": round(gain.rmse_null, 5),
-            "global_p": round(analysis.global_p, 5),
-        },
-        "residual_tests": residual_tests(left),
-        "null_tests": residual_tests(analysis.null_outcome),
-        "gain": _gain(gain),
-        "not_identified": unknown,
-        "not_exported": not_exported(fitted.causes, unknown),
-        "certificate": certificate(analysis.detectable, SIGNIFICANCE),
-        "data_findings": [finding.as_dict() for finding in analysis.data_findings],
-        "scatter_findings": scatter_findings(
-            analysis.measurements, analysis.state, fitted.as_dict()
-        ),
-        "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
-        "ranking": _ranking(analysis),
-        "not_testable": dict(sorted(_untestable(analysis).items())),
-        "scatter": {
-            p: {
-                "specimen": round(s.specimen, 5),
-                "run": round(s.run, 5),
-                "instrument_factor": round(s.kappa, 4),
-            }
-            for p, s in analysis.state.scatters.items()
-        },
-        "within_runs": within_runs(case, analysis.measurements),
-        "models": {"null": _model(analysis, analysis.null), "extended": _model(analysis, fitted)},
-        "nominal": case.nominal,
-        "ignored_files": list(case.ignored_files),
-        "seed": seed,
-        "code_version": code_version,
-    }
+# Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
+SMALLEST_RUNS, SMALLEST_SPECIMENS, LEAST_RUNS = 8, 3, 5
+# BIC of the best explanation relative to plain friction from where on it may be named.
+WORTH_NAMING = -2.0
+# Stated uncertainties may be 1.5 times too small; readings of one run that disagree by more than
+# this hold an effect that differs within runs.
+LARGEST_INSTRUMENT_FACTOR = 1.8
+# A sensor whose noise is a finding may have heavy tails as well: the standard deviation of
+# Student's t of 3 degrees is 1.5 times the one that its median tells.
+HEAVY_TAILS = 1.5
+# Gain in log-likelihood from where on zeros may stand where a cause should.
+ZEROS_NEEDED = 4.0
 
 
-def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
-    """What this design could have seen; sizes are None where nothing would show the mechanism."""
-    return {
-        "false_alarm_limit": limit,
-        "false_alarm_rate": None,
-        "power": POWER,
-        "smallest_detectable": {
-            name: {
-                "parameter": found.parameter,
-                "size": float(f"{found.size:.3g}") if np.isfinite(found.size) else None,
-                "unit": found.unit,
-            }
-            for name, found in sorted(detectable.items())
-        },
-    }
+@dataclass(frozen=True)
+class Rule:
+    """A rule of the verdict.
 
-
-def false_alarm_words(shown: dict) -> str:
-    """How often a certificate says that nothing is taken for something: simulated, or at most."""
-    rate = shown["false_alarm_rate"]
-    if rate is None:
-        return (
-            "where there is nothing, the tests are made to say something in at most "
-            f"{100 * shown['false_alarm_limit']:.0f} of 100 (a limit, not simulated)"
-        )
-    low, high = (100 * end for end in rate["ci95"])
-    return (
-        f"of {rate['campaigns']} simulated campaigns that held nothing, "
-        f"{100 * rate['estimate']:.3g} % [{low:.2g}, {high:.2g}] were said to hold something"
-    )
-
-
-def _best(analysis: Analysis) -> float:
-    return min((c.bic for c in analysis.ranking), default=0.0)
-
-
-def _gain(gain: Gain) -> dict:
-    return {
-        "metric": "log_score_per_row",
-        "estimate": round(gain.estimate, 5),
-        "ci95": [round(gain.low, 5), round(gain.high, 5)],
-        "rmse_null": round(gain.rmse_null, 5),
-        "rmse_extended": round(gain.rmse_extended, 5),
-        "grouping": "specimen_id",
-        "n_groups": gain.groups,
-        "selection_nested": True,
-    }
-
-
-def _ranking(analysis: Analysis) -> list[dict]:
-    models: list[tuple[list[str], float]] = [(list(c.causes), c.bic) for c in analysis.ranking]
-    entries = sorted([([], 0.0), *models], key=lambda entry: entry[1])
-    best = entries[0][1]
-    return [{"model": m, "delta_bic": round(float(b - best), 3)} for m, b in entries]
-
-
-def _untestable(analysis: Analysis) -> dict[str, str]:
-    result = dict(analysis.null_state.untestable)
-    outcome = analysis.null_outcome
-    for name in MECHANISMS:
-        own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
-        if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
-            result[name] = "cannot be distinguished from the friction coefficient with these data"
-    return result
-
-
-def residual_tests(outcome: Outcome) -> list[dict]:
-    """The strongest shape of each covariate, p adjusted for all that was looked at."""
-    best: dict[str, int] = {}
-    for i, test in enumerate(outcome.tests):
-        told = test.family == "generic" and np.isfinite(outcome.log_p[i])
-        if not told or test.covariate is None:
-            continue
-        if test.covariate not in best or outcome.log_p[i] > outcome.log_p[best[test.covariate]]:
-            best[test.covariate] = i
-    return [
-        {
-            "covariate": covariate,
-            "name": COVARIATES[covariate].title,
-            "p_adjusted": round(float(outcome.adjusted[i]), 5),
-            "shape": outcome.tests[i].shape,
-        }
-        for covariate, i in sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])
-    ]
-
-
-def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
-    """Estimates with 95 % intervals in the units of the specification."""
-    reach = _reach(analysis, fitted)
-    inflation = analysis.null_outcome.mechanism_inflation()
-    result = _entries(analysis, fitted)
-    for cause in fitted.causes:
-        names = MECHANISMS[cause].components
-        if names is not None:
-            own = {p.name for p in MECHANISMS[cause].parameters}
-            result = {name: entry for name, entry in result.items() if name not in own}
-            result |= _size_and_direction(fitted, cause, names, reach, inflation.get(cause, 1.0))
-    return result
-
-
-def _reach(analysis: Analysis, fitted: Fit) -> float:
-    """Half of a 95 % interval in standard errors."""
-    specimens = len(np.unique(analysis.measurements.specimen[analysis.state.keep]))
-    return float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
-
-
-def _entries(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
-    """Every fitted parameter with its 95 % interval, vectors by their components."""
-    reach = _reach(analysis, fitted)
-    inflation = analysis.null_outcome.mechanism_inflation()
-    owner = {p.name: c for c in fitted.causes for p in MECHANISMS[c].parameters}
-    result: dict[str, dict] = {}
-    for j, parameter in enumerate(fitted.parameters):
-        value = float(fitted.values[j])
-        inflated = inflation.get(owner.get(parameter.name, ""), 1.0)
-        error = float(np.sqrt(fitted.covariance[j, j] * inflated))
-        if parameter.coefficient:
-            estimate, interval = (
-                np.exp(value),
-                np.exp([value - reach * error, value + reach * error]),
-            )
-        elif parameter.relative:
-            half = reach * error / (1 + value)
-            estimate = value
-            interval = (1 + value) * np.exp([-half, half]) - 1
-        else:
-            estimate, interval = value, np.array([value - reach * error, value + reach * error])
-        result[parameter.name] = _entry(estimate, interval, parameter.unit)
-    return result
-
-
-def _size_and_direction(
-    fitted: Fit, cause: str, names: tuple[str, str], reach: float, inflated: float
-) -> dict[str, dict]:
-    """Two components of a vector as its size and its direction."""
-    size_name, direction_name = names
-    fitted_names = [p.name for p in fitted.parameters]
-    components = MECHANISMS[cause].parameters
-    index = [fitted_names.index(p.name) for p in components]
-    x, y = fitted.values[index]
-    covariance = fitted.covariance[np.ix_(index, index)] * inflated
-    size = float(np.hypot(x, y))
-    along = np.array([x, y]) / max(size, 1e-12)
-    across = np.array([-y, x]) / max(size, 1e-12)
-    error = float(np.sqrt(along @ covariance @ along))
-    turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
-    turn = min(reach * turn, 180.0)
-    azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
-    limits = [max(size - reach * error, 0.0), size + reach * error]
-    return {
-        size_name: _entry(size, limits, components[0].unit),
-        direction_name: _entry(azimuth, [azimuth - turn, azimuth + turn], "deg"),
-    }
-
-
-def _entry(estimate, interval, unit) -> dict:
-    return {
-        "estimate": float(f"{estimate:.6g}"),
-        "ci95": [float(f"{interval[0]:.6g}"), float(f"{interval[1]:.6g}")],
-        "unit": unit,
-    }
-
-
-def _model(analysis: Analysis, fitted: Fit) -> dict:
-    """What prediction needs: values, their covariance, sensors' zeros, scatter of new specimens.
-
-    Zeros are [value, standard deviation] in units of :attr:`Zero.sd`, by protocol and field.
+    Attributes
+    ----------
+    name, says : of the rule, and what it says, for the documentation.
+    verdict : that it gives.
+    reason : of the verdict where the rule applies, None where it does not.
+    of_best : the best explanation is reported, not plain friction.
     """
-    zeros: dict[str, dict[str, list[float]]] = {}
-    found, covariance = estimated_zeros(analysis.measurements, fitted, analysis.state)
-    for k, (protocol, zero) in enumerate(analysis.measurements.zeros):
-        own = [float(found[k]), float(np.sqrt(covariance[k, k]))]
-        zeros.setdefault(protocol, {})[zero.field] = own
-    return {
-        "causes": list(fitted.causes),
-        "parameters": [p.name for p in fitted.parameters],
-        "values": [float(v) for v in fitted.values],
-        "covariance": [[float(v) for v in row] for row in fitted.covariance],
-        "zeros": zeros,
-        "scatter": {
-            protocol: [s.specimen, s.run, s.kappa]
-            for protocol, s in plain_scatters(analysis, fitted).items()
-        },
-    }
+
+    name: str
+    says: str
+    verdict: str
+    reason: Callable[[Evidence], str | None]
+    of_best: bool = False
 
 
-def statement(verdict: dict) -> str:
-    """The verdict, and what single runs show besides."""
-    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {}))])
-
-
-def sentence(verdict: dict) -> str:
-    """The verdict in one sentence."""
-    kind = verdict["verdict"]
-    if kind == "none":
-        within = departure(verdict.get("within_runs", {}))
-        beyond = "beyond plain Coulomb friction with scatter was found"
-        p = f"(family-wise p = {verdict['null']['global_p']:.2g})"
-        found = f"Nothing {beyond} in these measurements {p}."
-        if within:
-            found = f"Between the runs nothing {beyond} {p}; but within them {within}."
-        return found + _scatter(verdict)
-    if kind == "insufficient":
-        return f"These measurements cannot judge the model: {verdict['reason'].rstrip('.')}."
-    if kind == "unknown":
-        shape = next(iter(verdict["residual_tests"]), None)
-        where = f"; the clearest trace is {shape['shape']} in the {shape['name']}" if shape else ""
-        return f"The model is wrong and no known mechanism explains how{where}."
-    if kind == "confounded":
-        rivals = " or ".join(
-            " with ".join(RIVALS.get(name, name) for name in c) for c in verdict["alternatives"]
-        )
+def _too_few(e: Evidence) -> str | None:
+    few = e.runs < SMALLEST_RUNS or e.specimens < SMALLEST_SPECIMENS
+    if e.runs < LEAST_RUNS or e.specimens < 2 or (few and not e.is_significant):
         return (
-            f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
-            + _power_of_ten(verdict)
-            + _left(verdict)
-            + _kept_back(verdict)
+            f"{e.runs} runs of {e.specimens} specimens; at least {SMALLEST_RUNS} of "
+            f"{SMALLEST_SPECIMENS} are needed"
         )
-    titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
-    numbers = ", ".join(
-        f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"
-        + ("" if p["unit"] == "1" else f" {p['unit']}")
-        for name, p in verdict["parameters"].items()
-        if name not in [coefficient.name for coefficient in COEFFICIENTS]
+    return None
+
+
+def _blind(e: Evidence) -> str | None:
+    seen = any(
+        found.on_friction < np.log(2)
+        for name, found in e.detectable.items()
+        if name in CONTACT_MECHANISMS
     )
+    if e.is_significant or seen:
+        return None
+    return "not even an effect that doubles the friction would have been seen"
+
+
+def _structure_left(e: Evidence) -> str | None:
+    best = e.best
+    explained = best.left.global_p >= LEFTOVER_SIGNIFICANCE
+    if explained or stands_beside(best.chosen, best.left, best.judge):
+        return None
+    return "structure is left that no one or two mechanisms remove"
+
+
+def _differs_within_runs(e: Evidence) -> str | None:
+    largest = dict.fromkeys(e.best.state.scatters, LARGEST_INSTRUMENT_FACTOR)
+    for finding in noise_findings(e.measurements):
+        largest[finding.protocol] = LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS
+    noisy = {p: s.kappa for p, s in e.best.state.scatters.items() if s.kappa > largest[p]}
+    if not noisy or e.best.chosen.credit >= STANDS_BESIDE:
+        return None
+    protocol = max(noisy, key=noisy.__getitem__)
     return (
-        f"The model is wrong because {titles} ({numbers})."
-        + _power_of_ten(verdict)
-        + _left(verdict)
-        + _kept_back(verdict)
+        f"readings of one run of {protocol} disagree by {noisy[protocol]:.1f} times their "
+        "stated uncertainty: something differs within runs"
     )
 
 
-def _power_of_ten(verdict: dict) -> str:
-    """Whether a nominal value is ten times off; beyond a bound the fit cannot follow it."""
-    found = []
-    for name, where in TENFOLD_IN.items():
-        if name not in verdict["parameters"]:
-            continue
-        entry, (parameter,) = verdict["parameters"][name], MECHANISMS[name].parameters
-        low, high = entry["ci95"]
-        near = 0.01 * (parameter.upper - parameter.lower)
-        at_bound = not parameter.lower + near < entry["estimate"] < parameter.upper - near
-        if at_bound or any(low <= error <= high for error in TENFOLD):
-            found.append(where)
-    return f" A power of ten in {' and '.join(found)}?" if found else ""
+def _driver_not_recorded(e: Evidence) -> str | None:
+    if (found := e.unrecorded_alias()) is None:
+        return None
+    cause, alias = found
+    return f"{cause} would explain it, but what would drive {alias} instead was not recorded"
 
 
-def _kept_back(verdict: dict) -> str:
-    """The causes that the extended model has to do without."""
-    left_out = verdict.get("not_exported") or {}
-    why = "; ".join(f"{cause} ({why})" for cause, why in left_out.items())
-    return f" A model exported from this leaves out {why}." if why else ""
-
-
-def _left(verdict: dict) -> str:
-    """The clearest trace of what else is left beside the causes, if it is significant."""
-    shape = next(iter(verdict["residual_tests"]), None)
-    if shape is None or shape["p_adjusted"] >= LEFTOVER_SIGNIFICANCE * ERROR_WEIGHTS["generic"]:
-        return ""
-    return f" Beside it, structure is left: {shape['shape']} in the {shape['name']}."
-
-
-def _scatter(verdict: dict) -> str:
-    """What is said of runs that scatter by more than is usual."""
-    found = verdict["scatter_findings"]
-    if not found:
-        return ""
-    first = found[0]
-    names = [COVARIATES[name].title for name in first["record_next"]]
-    record = f": record {', '.join(names)}" if names else ""
+def _taken(e: Evidence) -> str | None:
+    if not e.taken:
+        return None
     return (
-        f" But runs of {first['protocol']} scatter by {100 * first['run_scatter']:.2g} % "
-        f"(usual: {100 * first['usual']:.2g} %), for which something may be to blame that was not "
-        f"looked at{record}."
+        f"beside {' or '.join(TITLES[name] for name in _takers(e))} its evidence is gone; "
+        "runs in a random order would tell"
     )
 
 
-def second_sentence(verdict: dict) -> str:
-    """What the extended model gains; without one, why none was named."""
-    if verdict["verdict"] in ("cause", "confounded"):
-        return gain_words(verdict["gain"])
-    if verdict["verdict"] == "unknown":
-        return f"{verdict['reason'].capitalize()}. {discrepancy_words(verdict['discrepancy'])}"
-    p = verdict["null"]["global_p"]
-    return f"Family-wise p of the plain model over all tests: {p:.3g}."
+def _takers(e: Evidence) -> list[str]:
+    return list(dict.fromkeys(name for names in e.taken.values() for name in names))
 
 
-def gain_words(gain: dict) -> str:
-    """The gain on unseen specimens; errors only where they fall clearly."""
-    how = (
-        f"({counted(gain['n_groups'], 'specimen')} held out one by one, with the selection "
-        "repeated each time)"
-    )
-    score = f"{with_interval(gain['estimate'], gain['ci95'])} in log score per row"
-    if not gain["ci95"][0] > 0:
-        return f"On unseen specimens no gain is certain: {score} {how}."
-    before, after = 100 * gain["rmse_null"], 100 * gain["rmse_extended"]
-    if after > CLEAR_FALL * before:
-        return f"On unseen specimens the extended model gains {score} {how}."
-    return (
-        f"On unseen specimens the error falls from {before:.1f} to {after:.1f} % of friction, a "
-        f"gain of {score} {how}."
+def _where(applies: Callable[[Evidence], bool], why: str = "") -> Callable[[Evidence], str | None]:
+    return lambda e: why if applies(e) else None
+
+
+RULES: tuple[Rule, ...] = (
+    Rule(
+        "too few runs",
+        f"Fewer than {LEAST_RUNS} runs or 2 specimens; or fewer than {SMALLEST_RUNS} runs or "
+        f"{SMALLEST_SPECIMENS} specimens, and nothing significant.",
+        "insufficient",
+        _too_few,
+    ),
+    Rule(
+        "another unit",
+        "Readings or sizes that no cloth and no bench has.",
+        "insufficient",
+        lambda e: "; ".join(e.measurements.implausible) or None,
+    ),
+    Rule(
+        "only bounds",
+        "Every reading is only a bound.",
+        "insufficient",
+        _where(
+            lambda e: bool(e.measurements.lower_bound[e.null_state.keep].all()),
+            "every reading is only a bound",
+        ),
+    ),
+    Rule(
+        "blind design",
+        "Nothing is significant, and not even an effect that doubles the friction would be seen.",
+        "insufficient",
+        _blind,
+    ),
+    Rule(
+        "nothing significant",
+        f"The family-wise p of plain friction is above {SIGNIFICANCE}.",
+        "none",
+        _where(lambda e: not e.is_significant),
+    ),
+    Rule(
+        "nothing to test",
+        "No mechanism can be tested with these data.",
+        "unknown",
+        _where(lambda e: not e.screened, "no mechanism can be tested with these data"),
+    ),
+    Rule(
+        "no gain",
+        f"The BIC of the best explanation, relative to plain friction, is above {WORTH_NAMING:g}.",
+        "unknown",
+        _where(
+            lambda e: e.best.chosen.bic > WORTH_NAMING,
+            "no mechanism improves on the null by enough to be named",
+        ),
+    ),
+    Rule(
+        "structure left",
+        f"What the best explanation leaves has a family-wise p below {LEFTOVER_SIGNIFICANCE}, and "
+        f"beside that its credit is below {STANDS_BESIDE:g}.",
+        "unknown",
+        _structure_left,
+        of_best=True,
+    ),
+    Rule(
+        "differs within runs",
+        f"Readings of one run disagree by more than {LARGEST_INSTRUMENT_FACTOR} times their stated "
+        f"uncertainty ({LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS:g} where a sensor is found noisy), "
+        f"and the credit is below {STANDS_BESIDE:g}.",
+        "unknown",
+        _differs_within_runs,
+        of_best=True,
+    ),
+    Rule(
+        "driver not recorded",
+        "Another mechanism would do the same, and what drives that one was not recorded.",
+        "unknown",
+        _driver_not_recorded,
+        of_best=True,
+    ),
+    Rule(
+        "a free shape is better",
+        "A shape outside the library describes the data better than any mechanism.",
+        "unknown",
+        _where(
+            lambda e: (
+                not explains(e.null_outcome, e.best.chosen, e.measurements, e.null_state.keep)
+            ),
+            "a shape outside the library describes the data better than any mechanism",
+        ),
+        of_best=True,
+    ),
+    Rule(
+        "a rival takes the evidence",
+        "Beside a drift with time, memory of the run before, or the place on the track, the "
+        "evidence for a cause is gone.",
+        "confounded",
+        _taken,
+        of_best=True,
+    ),
+    Rule(
+        "tied",
+        f"Another explanation is within {TIE_BIC:g} units of BIC.",
+        "confounded",
+        _where(lambda e: len(e.ties) > 1),
+        of_best=True,
+    ),
+    Rule("named", "None of the above.", "cause", lambda e: "", of_best=True),
+)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """The evidence, the rule that applies, and why: all that verdict, report, prediction need."""
+
+    evidence: Evidence
+    rule: Rule
+    reason: str
+
+    def __getattr__(self, name: str):
+        # What the evidence has, the analysis has.
+        if name.startswith("_") or name == "evidence":
+            raise AttributeError(name)
+        return getattr(self.evidence, name)
+
+    @property
+    def verdict(self) -> str:
+        """One of none, cause, confounded, unknown, insufficient."""
+        return self.rule.verdict
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes that are named."""
+        return self.chosen.causes if self.verdict == "cause" and self.chosen else ()
+
+    @cached_property
+    def alternatives(self) -> list[tuple[str, ...]]:
+        """Every set of causes that is possible."""
+        e = self.evidence
+        if self.verdict not in ("cause", "confounded"):
+            return []
+        if self.verdict == "cause" or not e.taken:
+            return e.ties
+        kept = tuple(c for c in e.best.chosen.causes if c not in e.taken)
+        return [*e.ties, *((*kept, name) for name in _takers(e))]
+
+    @property
+    def chosen(self) -> Candidate | None:
+        """The best explanation, where the rule is about it."""
+        return self.evidence.best.chosen if self.rule.of_best else None
+
+    @property
+    def state(self) -> State:
+        """Scatter and tests beside the chosen explanation, or beside plain friction."""
+        return self.evidence.best.state if self.rule.of_best else self.evidence.null_state
+
+    @property
+    def left_over(self) -> Outcome | None:
+        """Tests of what is left, where something is."""
+        if self.rule.of_best:
+            return self.evidence.best.left
+        return self.evidence.null_outcome if self.verdict == "unknown" else None
+
+    @property
+    def global_p(self) -> float:
+        """Family-wise p of plain friction."""
+        return self.evidence.null_outcome.global_p
+
+    @cached_property
+    def data_findings(self) -> list[DataFinding]:
+        """What is wrong with the data themselves."""
+        m, fitted = self.evidence.measurements, self.evidence.null
+        fitted = self.chosen.fitted if self.chosen else fitted
+        return [*noise_findings(m), *zero_findings(m, fitted, self.state)]
+
+
+def judged(measurements: Measurements, seed: int, replicates: int) -> Analysis:
+    """Apply the rules in their order."""
+    evidence = Evidence(measurements, seed, replicates)
+    for rule in RULES:
+        reason = rule.reason(evidence)
+        if reason is not None:
+            return Analysis(evidence, rule, reason)
+    raise AssertionError("the last rule always applies")
+
+
+def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) -> Analysis:
+    """Reach a verdict.
+
+    Parameters
+    ----------
+    seed : of the simulated maxima; the same data and seed give the same verdict.
+    replicates : simulated data sets behind every family-wise p.
+    """
+    found = judged(measurements, seed, replicates)
+    tares = _unsure_tares(found)
+    if tares:
+        measurements = replace(measurements, further_zeros=tares)
+        found = judged(measurements, seed, replicates)
+    if found.verdict != "none" or not measurements.zeros:
+        return found
+    # Zeros may have taken a cause's place: does one explain the data as well without them?
+    sound = replace(measurements, sound_sensors=True)
+    null, keep, scatters = found.null, found.null_state.keep, found.null_state.scatters
+    zeros = refit(measurements, keep, (), null, scatters).log_likelihood
+    plain = refit(sound, keep, (), null, scatters).log_likelihood
+    if zeros - plain < ZEROS_NEEDED:
+        return found
+    other = judged(sound, seed, replicates)
+    chosen = other.chosen
+    if other.verdict not in ("cause", "confounded") or chosen is None:
+        return found
+    without = refit(sound, keep, chosen.causes, chosen.fitted, chosen.scatters).log_likelihood
+    extra = len(chosen.fitted.values) - len(null.values)
+    without -= 0.5 * extra * np.log(max(found.runs, 2))
+    # Where zeros explain it about as well, nothing is said: of campaigns that hold nothing, a
+    # quarter would be said to hold something, and none of the bench's effects was found by it.
+    return other if without >= zeros + 0.5 * TIE_BIC else found
+
+
+def _unsure_tares(found: Analysis) -> tuple[tuple[str, Zero], ...]:
+    """Zeros of cells that drift, where an offset is blamed.
+
+    A drift is counted from the middle of the session; when the cell read right is not known, so
+    that it is off there by up to what it drifts in half the session.
+    """
+    blamed = {cause for causes in found.alternatives for cause in causes}
+    blamed |= set(found.chosen.causes if found.chosen else ())
+    if "force_offset" not in blamed:
+        return ()
+    drift, blocks = ZEROS["force_drift_N_h"], found.measurements.blocks
+    hours = {b.protocol: np.abs(b.hours()).max(initial=0.0) for b in blocks}
+    name, quantity = "force_offset_N", "zero of the drifting force"
+    return tuple(
+        (
+            of.protocol,
+            Zero(name, of.sensor, quantity, "mN", 1e-3, float(abs(of.size) * hours[of.protocol])),
+        )
+        for of in found.data_findings
+        if of.quantity == drift.quantity
     )

@@ -4,7 +4,7 @@ from pathlib import PurePath
 from typing import Any
 
 from slipstitch.base.page.figures import svg_uri
-from slipstitch.criticise.verdict import second_sentence, statement
+from slipstitch.criticise.statement import second_sentence, statement
 from slipstitch.report.results import Results
 
 

@@ -6,17 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.inference.covariance import Group, Scatter
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.generic import generic_shapes
+from slipstitch.criticise.inference.mixed_model import START_SCATTER, Clusters, Group
+from slipstitch.criticise.inference.shapes import generic_shapes
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.mechanisms import MECHANISMS
 
 # Noncentrality, a run, that the shrunken rich model expects of all columns together. The same for
 # every column: room given to columns because they stand out is not given in the simulated
 # replicates, and doubled the false alarms when it was tried.
 EXPECTED_NONCENTRALITY = 0.25
+# What a mechanism changes by less, in units of the noise, is rounding of what cancels.
+ROUNDING = 1e-7
 
 
 @dataclass
@@ -26,12 +28,6 @@ class Alternatives:
     tests: list[Test]
     sensitivity: np.ndarray
     untestable: dict[str, str]
-
-
-def sensitivity_of(fitted: Fit) -> np.ndarray:
-    """d(feature)/d(ln mu), (n,)."""
-    own = [j for j, p in enumerate(fitted.parameters) if p.coefficient]
-    return fitted.jacobian[:, own].sum(axis=1)
 
 
 def nuisance_columns(
@@ -52,7 +48,7 @@ def nuisance_columns(
 
 def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> Alternatives:
     """Every mechanism beyond the fitted causes, and every generic shape."""
-    sensitivity = sensitivity_of(fitted)
+    sensitivity = fitted.sensitivity()
     tests, untestable = [], {}
     values = fitted.as_dict()
     for name, mechanism in MECHANISMS.items():
@@ -72,8 +68,9 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
                     measurements.predict(start | {parameter.name: parameter.null + s}, causes)
                     for s in (step, -back)
                 ]
-                change = (ends[0] - ends[1]) / (step + back)
-                columns.append(np.where(unrecorded, 0.0, change * parameter.scale))
+                change = (ends[0] - ends[1]) / (step + back) * parameter.scale
+                silent = unrecorded | (np.abs(change) < ROUNDING * measurements.u)
+                columns.append(np.where(silent, 0.0, change))
             column_values.append(np.column_stack(columns))
         acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0) & keep
         if not acting.any():
@@ -108,12 +105,11 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
     return Alternatives(tests, sensitivity, untestable)
 
 
-def rich_columns(
-    tests: list[Test], group: Group, scatter: Scatter, fixed: np.ndarray
-) -> np.ndarray:
+def rich_columns(tests: list[Test], group: Group) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 
-    Each is scaled to the noncentrality expected of it, seen orthogonal to the fixed columns.
+    Each is scaled to the noncentrality expected of it under usual scatter, seen orthogonal to the
+    level of friction.
     """
     chosen, scanned = [], {}
     for test in tests:
@@ -126,15 +122,12 @@ def rich_columns(
         chosen.append(test.columns[group.index])
     if not chosen:
         return np.zeros((len(group.index), 0))
-    columns = np.column_stack(chosen)
-    root = group.whitening(scatter)
-    white = root.whiten(columns)
-    if fixed.shape[1]:
-        q, _ = np.linalg.qr(root.whiten(fixed))
-        projected = white - q @ (q.T @ white)
-    else:
-        projected = white
-    norm, before = (projected**2).sum(axis=0), (white**2).sum(axis=0)
+    columns, level = np.column_stack(chosen), group.level()
+    gram = Clusters(group, np.column_stack([columns, level])).gram(START_SCATTER)
+    before = gram.diagonal()[: columns.shape[1]]
+    norm = before.copy()
+    if level.shape[1]:
+        norm -= gram[-1, :-1] ** 2 / gram[-1, -1]
     good = norm > 1e-3 * np.maximum(before, 1e-12)
     runs = len(np.unique(group.run))
     expected = EXPECTED_NONCENTRALITY * runs / max(int(good.sum()), 1)

@@ -14,13 +14,13 @@ from scipy.optimize import brentq
 from scipy.special import chdtri
 from scipy.stats import ncx2
 
-from slipstitch.criticise.inference.alternatives import alternatives, sensitivity_of
-from slipstitch.criticise.inference.covariance import KAPPA_LIMITS, Scatter, make_groups
+from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.inference.alternatives import alternatives
 from slipstitch.criticise.inference.fit import Fit, jacobian
-from slipstitch.criticise.inference.ratio import run_tests
+from slipstitch.criticise.inference.mixed_model import KAPPA_LIMITS, Scatter, make_groups
+from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.mechanisms import MECHANISMS
 
 POWER = 0.8
 # Logarithm of the largest change of friction for which an effect counts as one that could be seen:
@@ -44,7 +44,7 @@ class Detectable:
 
 def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str, Detectable]:
     """The smallest effect of every mechanism beside a fitted model, at a family-wise limit."""
-    sensitivity = sensitivity_of(fitted)
+    sensitivity = fitted.sensitivity()
     acting = sensitivity != 0
     found: dict[str, Detectable] = {}
     largest = outcome.largest.get("mechanism")
@@ -119,14 +119,26 @@ def of_design(
     replicates: int,
 ) -> dict[str, Detectable]:
     """The same for a campaign that is still to be made, at its plain model."""
-    outcome = run_tests(
-        alternatives(design, plain, np.ones(len(design.y), bool)).tests,
-        plain.jacobian,
-        np.zeros(len(design.y)),
-        make_groups(design, sensitivity_of(plain), ~design.lower_bound),
-        scatters,
-        np.random.default_rng(seed),
-        replicates,
-        shrunken=design.zero_columns,
-    )
+    tests = alternatives(design, plain, np.ones(len(design.y), bool)).tests
+    groups = make_groups(design, plain.sensitivity(), ~design.lower_bound)
+    nothing = np.zeros(len(design.y))
+    ratios = Ratios(tests, plain.jacobian, nothing, groups, scatters, design.zero_columns)
+    outcome = ratios.outcome(np.random.default_rng(seed), replicates)
     return smallest_detectable(outcome, plain, limit)
+
+
+def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
+    """What this design could have seen; sizes are None where nothing would show the mechanism."""
+    return {
+        "false_alarm_limit": limit,
+        "false_alarm_rate": None,
+        "power": POWER,
+        "smallest_detectable": {
+            name: {
+                "parameter": found.parameter,
+                "size": float(f"{found.size:.3g}") if np.isfinite(found.size) else None,
+                "unit": found.unit,
+            }
+            for name, found in sorted(detectable.items())
+        },
+    }

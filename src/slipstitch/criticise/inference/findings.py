@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.mixed_model import Clusters
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.sensors import DataFinding
@@ -49,9 +50,8 @@ def estimated_zeros(
     gram, pulled = np.zeros((size, size)), np.zeros(size)
     for group in state.groups:
         both = np.column_stack([columns[group.index], residual[group.index]])
-        white = group.whitening(state.scatters[group.protocol]).whiten(both)
-        gram += white[:, :-1].T @ white[:, :-1]
-        pulled += white[:, :-1].T @ white[:, -1]
+        own = Clusters(group, both).gram(state.scatters[group.protocol])
+        gram, pulled = gram + own[:-1, :-1], pulled + own[:-1, -1]
     scale = [1.0] * count + [30.0 * p.scale for p in fitted.parameters]
     ridge = 1.0 / np.array(scale) ** 2
     if usual:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from slipstitch.base.errors import NotConverged
-from slipstitch.criticise.inference.covariance import Group, Scatter, Whitening
+from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.inference.mixed_model import START_SCATTER, Clusters, Scatter, make_groups
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.physics.friction_law import Parameter
 
 # Most fits take 1 to 3 iterations, one in a hundred more than 14, along a narrow valley up to 50.
@@ -23,78 +23,87 @@ def parameters_of(measurements: Measurements, causes: tuple[str, ...]) -> list[P
     return [*measurements.null_parameters, *own]
 
 
-@dataclass
 class Weights:
-    """Whitening of the kept, uncensored features and the total sd of those that are bounds."""
+    """The inverse covariance P of the kept features; bounds with their total sd.
 
-    groups: list[Group]
-    roots: list[Whitening]
-    bounds: np.ndarray
-    bound_sd: np.ndarray
-    nuisance: np.ndarray | None = None  # orthonormal, whitened; projected out of everything
-    # Zeros of sensors, whitened: directions, and the share of each that they take off.
-    zeros: tuple[np.ndarray, np.ndarray] | None = None
+    What sensors' zeros (unit prior sd) and ``nuisance`` columns (n, q), which are fitted freely and
+    silently, can carry counts for nothing.
+    """
 
-    @classmethod
-    def build(
-        cls,
-        groups: list[Group],
-        scatters: dict[str, Scatter],
+    def __init__(
+        self,
         measurements: Measurements,
         sensitivity: np.ndarray,
         keep: np.ndarray,
-    ) -> Weights:
-        roots = [group.whitening(scatters[group.protocol]) for group in groups]
-        bounds = np.flatnonzero(measurements.lower_bound & keep)
-        sd = np.empty(len(bounds))
-        for i, b in enumerate(bounds):
-            s = scatters.get(measurements.protocol[b], Scatter(0.05, 0.03, 1.2))
+        scatters: dict[str, Scatter],
+        nuisance: np.ndarray | None = None,
+    ):
+        m = self._measurements = measurements
+        self.groups = make_groups(m, sensitivity, keep & ~m.lower_bound)
+        self._scatters = scatters
+        self._index = np.concatenate([[], *(g.index for g in self.groups)]).astype(int)
+        self._clusters = [Clusters(g, np.zeros((len(g.u), 0))) for g in self.groups]
+        self._carried: list[tuple[np.ndarray, np.ndarray]] = []
+        zeros = m.zero_columns[self._index]
+        if zeros.size:
+            pulled = self._solved(zeros)
+            self._carried.append((pulled, np.linalg.inv(zeros.T @ pulled + np.eye(zeros.shape[1]))))
+        if nuisance is not None and self.groups:
+            free = nuisance[self._index]
+            pulled = self._solved(free)
+            self._carried.append((pulled, np.linalg.pinv(free.T @ pulled, hermitian=True)))
+        self._bounds = np.flatnonzero(m.lower_bound & keep)
+        sd = np.empty(len(self._bounds))
+        for i, b in enumerate(self._bounds):
+            s = scatters.get(m.protocol[b], START_SCATTER)
             d = sensitivity[b]
-            sd[i] = np.sqrt((s.kappa * measurements.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
-        result = cls(groups, roots, bounds, np.maximum(sd, 1e-9))
-        if measurements.zero_columns.shape[1] and groups:
-            # V + Z Z' whitened: (1 + s^2)^-1/2 along each left singular vector of W Z.
-            white = result.whiten(measurements.zero_columns)
-            left, size, _ = np.linalg.svd(white, full_matrices=False)
-            result.zeros = (left, 1.0 - 1.0 / np.sqrt(1.0 + size**2))
+            sd[i] = np.sqrt((s.kappa * m.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
+        self._bound_sd = np.maximum(sd, 1e-9)
+
+    def _solved(self, values: np.ndarray) -> np.ndarray:
+        """P x of the groups' rows (n, k)."""
+        parts, start = [], 0
+        for group, clusters in zip(self.groups, self._clusters, strict=True):
+            own = values[start : start + len(group.index)]
+            parts.append(clusters.solved(self._scatters[group.protocol], own))
+            start += len(group.index)
+        result = np.concatenate(parts) if parts else values
+        for pulled, core in self._carried:
+            result = result - pulled @ (core @ (pulled.T @ values))
         return result
 
-    def whiten(self, values: np.ndarray) -> np.ndarray:
-        """Stacked roots of V^-1 times the groups' rows of ``values`` (n, ...)."""
-        parts = [
-            root.whiten(values[group.index])
-            for group, root in zip(self.groups, self.roots, strict=True)
-        ]
-        return np.concatenate(parts) if parts else np.zeros((0, *values.shape[1:]))
+    def _distance(self, prediction: np.ndarray) -> np.ndarray:
+        """How far predictions lie above the bounds, in standard deviations."""
+        y = self._measurements.y
+        return (prediction[self._bounds] - y[self._bounds]) / self._bound_sd
 
-    def with_nuisance(self, columns: np.ndarray) -> Weights:
-        """The same weights with nuisance columns (n, q) fitted freely and silently."""
-        white = self._beside_zeros(self.whiten(columns))
-        size = np.linalg.norm(white, axis=0)
-        q, _ = np.linalg.qr(white[:, size > 1e-9] / size[size > 1e-9])
-        return Weights(self.groups, self.roots, self.bounds, self.bound_sd, q, self.zeros)
+    def log_probability(self, prediction: np.ndarray) -> float:
+        """Of the truth to lie above every bound."""
+        return float(log_ndtr(self._distance(prediction)).sum())
 
-    def projected(self, white: np.ndarray) -> np.ndarray:
-        """Whitened rows without what the nuisance columns can carry."""
-        white = self._beside_zeros(white)
-        if self.nuisance is None:
-            return white
-        return white - self.nuisance @ (self.nuisance.T @ white)
+    def chi2(self, prediction: np.ndarray) -> float:
+        """r' P r, less twice the log-probability of the bounds."""
+        residual = (self._measurements.y - prediction)[self._index][:, None]
+        squares = float((residual * self._solved(residual)).sum())
+        return squares - 2 * self.log_probability(prediction)
 
-    def _beside_zeros(self, white: np.ndarray) -> np.ndarray:
-        if self.zeros is None:
-            return white
-        left, share = self.zeros
-        pulled = left.T @ white
-        return white - left @ (share[:, None] * pulled if white.ndim > 1 else share * pulled)
-
-    def residual(self, measurements: Measurements, prediction: np.ndarray) -> np.ndarray:
-        """Whitened residuals; a bound adds sqrt(-2 ln P(truth above it))."""
-        white = self.projected(self.whiten(measurements.y - prediction))
-        if not len(self.bounds):
-            return white
-        z = (prediction[self.bounds] - measurements.y[self.bounds]) / self.bound_sd
-        return np.concatenate([white, np.sqrt(np.maximum(-2 * log_ndtr(z), 0.0))])
+    def normal_equations(
+        self, columns: np.ndarray, prediction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Half the curvature (Gauss and Newton) and half the descent of chi2 along columns."""
+        own = columns[self._index]
+        pulled = self._solved(own)
+        curvature = own.T @ pulled
+        descent = pulled.T @ (self._measurements.y - prediction)[self._index]
+        if len(self._bounds):
+            z = self._distance(prediction)
+            log_p = log_ndtr(z)
+            root = np.sqrt(np.maximum(-2 * log_p, 1e-12))
+            hazard = np.exp(-0.5 * z**2 - log_p) / np.sqrt(2 * np.pi)
+            of_bounds = (hazard / root / self._bound_sd)[:, None] * columns[self._bounds]
+            curvature = curvature + of_bounds.T @ of_bounds
+            descent = descent + of_bounds.T @ np.sqrt(np.maximum(-2 * log_p, 0.0))
+        return curvature, descent
 
 
 @dataclass
@@ -112,6 +121,11 @@ class Fit:
     def as_dict(self) -> dict[str, float]:
         """Parameter values by name (mu as logarithms)."""
         return {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
+
+    def sensitivity(self) -> np.ndarray:
+        """d(feature)/d(ln mu), (n,)."""
+        own = [j for j, p in enumerate(self.parameters) if p.coefficient]
+        return self.jacobian[:, own].sum(axis=1)
 
 
 def jacobian(
@@ -156,54 +170,50 @@ def fit(
         If it still improves after `ITERATIONS_MAX` iterations: no verdict may hang on it.
     """
     parameters = parameters_of(measurements, causes)
-    lower = np.array([p.lower for p in parameters])
-    upper = np.array([p.upper for p in parameters])
-    scale = np.array([p.scale for p in parameters])
-    null = np.array([p.null for p in parameters])
+    lower, upper, scale, null, width = np.array(
+        [(p.lower, p.upper, p.scale, p.null, p.prior_width) for p in parameters]
+    ).T
     start = start or {}
     values = np.array([start.get(p.name, p.null) for p in parameters])
-    width = np.array([p.prior_width for p in parameters])
 
     def evaluate(v):
         named = {p.name: float(x) for p, x in zip(parameters, v, strict=True)}
         prediction = measurements.predict(named, causes)
-        residual = weights.residual(measurements, prediction)
         prior = (v - null) / width
-        return prediction, residual, float(residual @ residual), float(prior @ prior)
+        return prediction, weights.chi2(prediction), float(prior @ prior)
+
+    def normal_equations():
+        columns = jacobian(measurements, causes, parameters, values, prediction)
+        curvature, descent = weights.normal_equations(columns, prediction)
+        return columns, curvature + np.diag(1 / width**2), descent - (values - null) / width**2
 
     values = _better_side(values, parameters, start, evaluate)
-    prediction, residual, chi2, prior = evaluate(values)
+    prediction, chi2, prior = evaluate(values)
     damping = 1e-3
     for _ in range(ITERATIONS_MAX):
-        columns = jacobian(measurements, causes, parameters, values, prediction)
-        white = _whitened_jacobian(measurements, weights, columns, prediction)
-        gradient = white.T @ residual - (values - null) / width**2
-        curvature = white.T @ white + np.diag(1 / width**2)
+        _, curvature, descent = normal_equations()
         improved = False
         for _ in range(6):
             ridge = damping * np.diag(np.maximum(np.diag(curvature), 1.0 / scale**2 * 1e-6))
-            step = np.linalg.solve(curvature + ridge, gradient)
+            step = np.linalg.solve(curvature + ridge, descent)
             trial = np.clip(values + np.clip(step, -12 * scale, 12 * scale), lower, upper)
             new = evaluate(trial)
-            if new[2] + new[3] <= chi2 + prior + 1e-9:
+            if new[1] + new[2] <= chi2 + prior + 1e-9:
                 improved = True
                 break
             damping *= 8
         if not improved:
             break
-        gain = chi2 + prior - new[2] - new[3]
-        values, (prediction, residual, chi2, prior) = trial, new
+        gain = chi2 + prior - new[1] - new[2]
+        values, (prediction, chi2, prior) = trial, new
         damping = max(damping / 6, 1e-7)
         if gain < 1e-3:
             break
     else:
         model = " with ".join(("plain friction", *causes))
         raise NotConverged(f"the fit of {model} did not converge in {ITERATIONS_MAX} iterations")
-    columns = jacobian(measurements, causes, parameters, values, prediction)
-    white = _whitened_jacobian(measurements, weights, columns, prediction)
-    curvature = white.T @ white + np.diag(1 / width**2)
-    covariance = np.linalg.inv(curvature)
-    return Fit(causes, parameters, values, chi2, prediction, columns, covariance)
+    columns, curvature, _ = normal_equations()
+    return Fit(causes, parameters, values, chi2, prediction, columns, np.linalg.inv(curvature))
 
 
 def _better_side(values, parameters, start, evaluate):
@@ -215,19 +225,6 @@ def _better_side(values, parameters, start, evaluate):
         for shift in (0.0, parameter.scale, -parameter.scale):
             moved = values.copy()
             moved[j] = np.clip(moved[j] + shift, parameter.lower, parameter.upper)
-            trials.append((evaluate(moved)[2], shift, moved))
+            trials.append((evaluate(moved)[1], shift, moved))
         values = min(trials, key=lambda trial: trial[0])[2]
     return values
-
-
-def _whitened_jacobian(measurements, weights, columns, prediction):
-    """Derivative of minus the residual vector."""
-    white = weights.projected(weights.whiten(columns))
-    if not len(weights.bounds):
-        return white
-    b = weights.bounds
-    z = (prediction[b] - measurements.y[b]) / weights.bound_sd
-    log_p = log_ndtr(z)
-    root = np.sqrt(np.maximum(-2 * log_p, 1e-12))
-    hazard = np.exp(-0.5 * z**2 - log_p) / np.sqrt(2 * np.pi)
-    return np.concatenate([white, (hazard / root / weights.bound_sd)[:, None] * columns[b]])

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.findings import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
-from slipstitch.criticise.inference.scatter import estimate_scatter
-from slipstitch.criticise.inference.selection import Candidate
-from slipstitch.criticise.inference.state import State, level_column, zeros_of
+from slipstitch.criticise.inference.mixed_model import (
+    Scatter,
+    estimate_scatter,
+    make_groups,
+    zeros_of,
+)
+from slipstitch.criticise.inference.state import State
+from slipstitch.criticise.verdict import Analysis
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,9 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     everything = make_groups(m, state.sensitivity, ~m.lower_bound)
     result = {}
     for group in everything:
-        fixed = level_column(group, state.sensitivity)
-        zeros = zeros_of(m, group)
-        result[group.protocol], _ = estimate_scatter(group, residual[group.index], fixed, zeros)
+        result[group.protocol], _ = estimate_scatter(
+            group, residual[group.index], group.level(), zeros_of(m, group)
+        )
     return result
 
 

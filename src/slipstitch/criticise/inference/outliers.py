@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slipstitch.criticise.inference.alternatives import rich_columns
-from slipstitch.criticise.inference.covariance import make_groups
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.scatter import START_SCATTER, estimate_scatter
-from slipstitch.criticise.inference.state import State, level_column, state_at, zeros_of
+from slipstitch.criticise.inference.mixed_model import (
+    START_SCATTER,
+    Clusters,
+    estimate_scatter,
+    zeros_of,
+)
+from slipstitch.criticise.inference.state import State, state_at
 from slipstitch.criticise.measurements import Measurements
 
 OUTLIER_T = 4.2
@@ -74,19 +78,16 @@ def fit_without_outliers(
         fitted = fit(measurements, state.weights, causes, fitted.as_dict())
     state = state_at(measurements, fitted, keep, state.scatters)
     fitted = fit(measurements, state.weights, causes, fitted.as_dict())
-    return fitted, state, excluded
+    return fitted, replace(state, fitted=fitted), excluded
 
 
 def _first_fit(measurements, causes, keep, start) -> Fit:
     """A fit with usual scatters; sensitivities from a first guess of the coefficients."""
-    fitted = None
     values = dict(start or {})
     for _ in range(2):
         named = {p.name: values.get(p.name, p.null) for p in measurements.null_parameters}
-        sensitivity = measurements.sensitivity(named)
-        groups = make_groups(measurements, sensitivity, keep & ~measurements.lower_bound)
-        scatters = {g.protocol: START_SCATTER for g in groups}
-        weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
+        scatters = dict.fromkeys(np.unique(measurements.protocol), START_SCATTER)
+        weights = Weights(measurements, measurements.sensitivity(named), keep, scatters)
         fitted = fit(measurements, weights, causes, values)
         values = fitted.as_dict()
     return fitted
@@ -100,12 +101,10 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     found: list[tuple[float, Excluded]] = []
     residual = measurements.y - fitted.prediction
     for group in state.groups:
-        fixed = level_column(group, state.sensitivity)
-        rich = rich_columns(state.tests, group, START_SCATTER, fixed)
-        rich = np.column_stack([rich, zeros_of(measurements, group)])
+        rich = np.column_stack([rich_columns(state.tests, group), zeros_of(measurements, group)])
         # Effects would count as scatter, and hide outliers, without columns for them.
-        scatter, _ = estimate_scatter(group, residual[group.index], fixed, rich)
-        suspects = _deviations(measurements, group, scatter, rich, residual, state)
+        scatter, _ = estimate_scatter(group, residual[group.index], group.level(), rich)
+        suspects = _deviations(measurements, group, scatter, rich, residual)
         suspects = [s for s in suspects if s[0] > SUSPECT_T]
         if not suspects:
             continue
@@ -116,12 +115,8 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
         if len(kept) < 0.6 * len(group.index):
             continue
         rest = group.part(kept)
-        scatter, _ = estimate_scatter(
-            rest, residual[rest.index], level_column(rest, state.sensitivity), rich[kept], scatter
-        )
-        for t, signed, features, what in _deviations(
-            measurements, group, scatter, rich, residual, state
-        ):
+        scatter, _ = estimate_scatter(rest, residual[rest.index], rest.level(), rich[kept], scatter)
+        for t, signed, features, what in _deviations(measurements, group, scatter, rich, residual):
             limit = OUTLIER_T if what == "run-level outlier" else OUTLIER_T + 0.6
             if t > limit:
                 name = str(measurements.rows["run_id"].iloc[features[0]])
@@ -130,26 +125,23 @@ def find_outliers(measurements: Measurements, fitted: Fit, state: State) -> list
     return [item[1] for item in found]
 
 
-def _deviations(measurements, group, scatter, rich, residual, state):
+def _deviations(measurements, group, scatter, rich, residual):
     """(|t|, t, features, what) of every run and of single features, the worst first."""
-    level = level_column(group, state.sensitivity)
-    root = group.whitening(scatter)
-    columns = np.column_stack([rich, level])
-    white = root.whiten(columns)
+    columns = np.column_stack([rich, group.level()])
+    free = np.arange(columns.shape[1]) >= rich.shape[1]
+    clusters = Clusters(group, columns)
     # Less what rich columns (unit prior sd) and the level (free) take.
-    core = white.T @ white + np.diag(np.r_[np.ones(rich.shape[1]), np.zeros(level.shape[1])])
-    taken = root.pull(white)
-    half = np.linalg.solve(np.linalg.cholesky(core), taken.T).T
-    own = root.pull(root.whiten(residual[group.index]))
-    pulled = own - taken @ np.linalg.solve(core, columns.T @ own)
-    of_runs = root.information_of_runs()
-    of_features = root.diagonal() - (half**2).sum(axis=1)
+    taken = clusters.solved(scatter, columns)
+    core = columns.T @ taken + np.diag(np.where(free, 0.0, 1.0))
+    precision = clusters.solved(scatter, np.eye(len(columns)))
+    precision -= taken @ np.linalg.solve(core, taken.T)
+    pulled = precision @ residual[group.index]
     runs, d = measurements.run[group.index], group.sensitivity
     quantities = measurements.rows["quantity"].to_numpy()[group.index]
     result = []
     for run in np.unique(runs):
         mine = np.flatnonzero(runs == run)
-        information = of_runs[mine[0]] - np.sum((d[mine] @ half[mine]) ** 2)
+        information = d[mine] @ precision[np.ix_(mine, mine)] @ d[mine]
         worst = 0.0
         if information > 1e-9:
             t = float(d[mine] @ pulled[mine] / np.sqrt(information))
@@ -158,7 +150,7 @@ def _deviations(measurements, group, scatter, rich, residual, state):
         if len(mine) == 1:
             continue
         for i in mine:
-            t = float(pulled[i] / np.sqrt(max(of_features[i], 1e-12)))
+            t = float(pulled[i] / np.sqrt(max(precision[i, i], 1e-12)))
             if abs(t) > worst + 1.0:
                 result.append((abs(t), t, group.index[[i]], f"outlier in {quantities[i]}"))
     return sorted(result, key=lambda item: -item[0])

@@ -10,13 +10,12 @@ not be fine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from slipstitch.criticise.inference.clusters import Clusters
-from slipstitch.criticise.inference.covariance import KAPPA_LIMITS, Group, Scatter, scatter_prior
-from slipstitch.criticise.inference.structure import Outcome, Test, outcome_of
+from slipstitch.criticise.inference.mixed_model import KAPPA_LIMITS, Clusters, Group, Scatter
+from slipstitch.criticise.inference.structure import Outcome, outcome_of
 
 # A column that other columns make up to this is not identified.
 IDENTIFIED = 1e-4
@@ -41,62 +40,177 @@ def scatter_grid(centre: Scatter, readings_a_run: float) -> list[Scatter]:
     return [*found, centre]
 
 
-@dataclass
-class _Set:
-    """Tests with the same nuisance columns, and the base that these and the common columns make.
+class _Side:
+    """Tests beside one base in one protocol: what the base carries of them at every scatter.
 
     Attributes
     ----------
-    base : indices into :attr:`Ratios.fixed`.
-    tests : number of each test, tests of as many columns together.
-    own : (tests, k) their columns, an array for each k.
+    rows : (g, base, m) of X' V^-1 X at every scatter; the base's columns come first.
+    blocks : (g, t, k, k) of the tests' own columns, an array for each width k.
+    vectors : (g, t, k, k) of unit information, from what the base leaves of these columns; zero
+        for those that it makes up.
     """
 
-    base: np.ndarray
-    tests: list[np.ndarray]
-    own: list[np.ndarray]
+    def __init__(self, columns, ridge, own, group: Group, centre: Scatter):
+        self.clusters = Clusters(group, columns[group.index])
+        self.grid = scatter_grid(centre, self.clusters.readings_a_run)
+        grams = [self.clusters.gram(scatter) for scatter in self.grid]
+        self.rows = np.stack([gram[: len(ridge)] for gram in grams])
+        self.blocks = [
+            np.stack([gram[index[:, :, None], index[:, None, :]] for gram in grams])
+            for index in own
+        ]
+        self.constants = [s.log_prior() - 0.5 * self.clusters.log_determinant(s) for s in self.grid]
+        self.inverse, self.carried, self.vectors = beside(self.rows, self.blocks, ridge, own)
+
+    def joined(self, base: int, own=None, block=None) -> np.ndarray:
+        """X' V^-1 X of the base, and of a test's own columns, at every scatter."""
+        if own is None:
+            return self.rows[:, :, :base]
+        index = np.r_[np.arange(base), own]
+        whole = np.empty((len(self.grid), len(index), len(index)))
+        whole[:, :base] = self.rows[:, :, index]
+        whole[:, base:, :base] = self.rows[:, :, own].transpose(0, 2, 1)
+        whole[:, base:, base:] = block
+        return whole
+
+    def search(self, response: np.ndarray, one_sided: np.ndarray, own) -> None:
+        """Ratios of data sets (features, b), and the best scatter of the base and of each test."""
+        of, count, base = self.clusters.responses(response), response.shape[1], self.rows.shape[1]
+        best = np.full((len(one_sided), count), -np.inf)
+        self.choice = np.zeros(best.shape, int)
+        best_null, self.null_choice = np.full(count, -np.inf), np.zeros(count, int)
+        self.scores = np.empty((len(self.grid), self.rows.shape[2], count))
+        self.bare = np.empty((len(self.grid), count))
+        for g, scatter in enumerate(self.grid):
+            score, squares = self.clusters.products(scatter, of)
+            self.scores[g], self.bare[g] = score, self.constants[g] - 0.5 * squares
+            pulled = score[:base]
+            explained = np.einsum("kb,kb->b", pulled, self.inverse[g] @ pulled)
+            null = self.bare[g] + 0.5 * explained
+            better = null > best_null
+            best_null[better], self.null_choice[better] = null[better], g
+            left = score - self.carried[g].T @ pulled
+            start = 0
+            for index, vectors in zip(own, self.vectors, strict=True):
+                tests = slice(start, start := start + len(index))
+                along = vectors[g].transpose(0, 2, 1) @ left[index]
+                along[one_sided[tests]] = np.maximum(along[one_sided[tests]], 0.0)
+                value = null + 0.5 * (along**2).sum(axis=1)
+                better = value > best[tests]
+                best[tests] = np.where(better, value, best[tests])
+                self.choice[tests] = np.where(better, g, self.choice[tests])
+        self.ratios = 2 * (best - best_null)
 
 
-@dataclass
-class _Beside:
-    """One set at every scatter of one protocol: what its base carries, and what is left of tests.
+class _Bank:
+    """Tests with one base of fixed columns, in the order of their widths.
 
     Attributes
     ----------
-    inverse : (g, base, base) of the base's Gram matrix.
-    carried : (g, base, m) coefficients of the columns on the base.
-    bases : (g, tests, k, k) for each k, of the columns less what the base carries; vectors of
-        unit information, zero for those that the base makes up.
+    numbers : of each test.
+    own : (t, k) their columns, an array for each width k.
+    degrees, information : (protocols and all together, tests).
     """
 
-    inverse: np.ndarray
-    carried: np.ndarray
-    bases: list[np.ndarray]
+    def __init__(self, numbers, tests, fixed, shrunken, groups, scatters):
+        widths = dict.fromkeys(tests[i].columns.shape[1] for i in numbers)
+        ordered = [[i for i in numbers if tests[i].columns.shape[1] == k] for k in widths]
+        self.numbers = np.array([i for same in ordered for i in same])
+        columns = np.column_stack([fixed, *(tests[i].columns for i in self.numbers)])
+        size = np.linalg.norm(columns, axis=0)
+        size[shrunken] = 1.0
+        self.size = np.where(size > 0, size, 1.0)
+        self.ridge = np.isin(np.arange(fixed.shape[1]), shrunken).astype(float)
+        self.one_sided = np.array([tests[i].one_sided for i in self.numbers], bool)
+        self.own, position = [], fixed.shape[1]
+        for k, same in zip(widths, ordered, strict=True):
+            self.own.append(position + np.arange(k * len(same)).reshape(len(same), k))
+            position += k * len(same)
+        self.sides = [
+            _Side(columns / self.size, self.ridge, self.own, group, scatters[group.protocol])
+            for group in groups
+        ]
+        found = [[v[-1] for v in side.vectors] for side in self.sides]
+        if len(self.sides) > 1:
+            rows = sum(side.rows[-1:] for side in self.sides)
+            blocks = [sum(side.blocks[j][-1:] for side in self.sides) for j in range(len(self.own))]
+            together = beside(rows, blocks, self.ridge, self.own)[2]
+            found.append([v[0] for v in together])
+        identified = [self._identified(vectors) for vectors in found]
+        self.degrees = np.stack([degrees for degrees, _ in identified])
+        self.information = np.stack([information for _, information in identified])
 
+    def _identified(self, vectors) -> tuple[np.ndarray, np.ndarray]:
+        """Degrees of freedom of every test, and the information of its plain columns."""
+        degrees, information = [], []
+        for own, found in zip(self.own, vectors, strict=True):
+            degrees.append(np.any(found != 0, axis=1).sum(axis=1))
+            scaled = found / self.size[own][:, :, None]
+            spread = np.linalg.norm(scaled, ord=2, axis=(1, 2)) ** 2
+            whole = degrees[-1] == own.shape[1]
+            information.append(np.where(whole, 1.0 / np.where(whole, spread, 1.0), 0.0))
+        return np.concatenate(degrees), np.concatenate(information)
 
-@dataclass
-class _Protocol:
-    """One protocol: its sums at each scatter of its grid."""
+    def statistics(self, responses: list[np.ndarray]) -> np.ndarray:
+        """Ratios (rows, tests, b) of data sets, a (features, b) array a protocol."""
+        for side, response in zip(self.sides, responses, strict=True):
+            side.search(response, self.one_sided, self.own)
+        ratios = [side.ratios for side in self.sides]
+        if len(self.sides) > 1:
+            ratios.append(self._together())
+        ratios = np.stack(ratios)
+        ratios[self.degrees == 0] = 0.0
+        return np.maximum(ratios, 0.0)
 
-    group: Group
-    clusters: Clusters
-    centre: Scatter
-    grid: list[Scatter]
-    rows: np.ndarray
-    blocks: list[list[np.ndarray]]
-    constants: np.ndarray
-    beside: list[_Beside]
+    def _together(self) -> np.ndarray:
+        """All protocols: one effect, one base, each protocol at its own scatter."""
+        sides, base = self.sides, len(self.ridge)
+        every = np.arange(sides[0].bare.shape[1])
+        start = self._null_scatters()
 
+        def value(choices, own=None, blocks=None, added=False):
+            index = np.arange(base) if own is None else np.r_[np.arange(base), own]
+            gram, score, bare = 0.0, 0.0, 0.0
+            for p, (choice, side) in enumerate(zip(choices, sides, strict=True)):
+                whole = side.joined(base, own, None if own is None else blocks[p])
+                gram = gram + whole[choice]
+                score = score + side.scores[choice[:, None], index[None, :], every[:, None]]
+                bare = bare + side.bare[choice, every]
+            ridge = np.r_[self.ridge, np.zeros(len(index) - base)]
+            return bare + 0.5 * _solved(gram, score, ridge, added)
 
-@dataclass
-class _Found:
-    """One protocol's statistics: ratios and choice of scatter (tests, b), and of the bases."""
+        null = value(start)
+        result = np.zeros(sides[0].ratios.shape)
+        places = [(j, t) for j, index in enumerate(self.own) for t in range(len(index))]
+        for i, (j, t) in enumerate(places):
+            if not self.degrees[-1, i]:
+                continue
+            own, added = self.own[j][t], self.one_sided[i]
+            blocks = [side.blocks[j][:, t] for side in sides]
+            under = [side.choice[i] for side in sides]
+            best = np.maximum(value(under, own, blocks, added), value(start, own, blocks, added))
+            result[i] = 2 * (best - null)
+        return result
 
-    ratios: np.ndarray
-    choice: np.ndarray
-    null_choice: np.ndarray
-    scores: np.ndarray
-    bare: np.ndarray
+    def _null_scatters(self) -> list[np.ndarray]:
+        """Each protocol's scatter under the common base, one after the other."""
+        choices, base = [side.null_choice.copy() for side in self.sides], len(self.ridge)
+        every = np.arange(len(choices[0]))
+        grams = [side.joined(base) for side in self.sides]
+        for p, own in enumerate(self.sides):
+            gram, score = 0.0, 0.0
+            for q, other in enumerate(self.sides):
+                if q != p:
+                    gram = gram + grams[q][choices[q]]
+                    score = score + other.scores[choices[q], :base, every]
+            best = np.full(len(every), -np.inf)
+            for g in range(len(grams[p])):
+                pulled = own.scores[g][:base].T + score
+                value = own.bare[g] + 0.5 * _solved(grams[p][g] + gram, pulled, self.ridge)
+                better = value > best
+                best[better], choices[p] = value[better], np.where(better, g, choices[p])
+        return choices
 
 
 class Ratios:
@@ -106,244 +220,117 @@ class Ratios:
     ----------
     tests : alternatives, each with its columns over all features.
     base : (n, k) derivatives of the fitted model by its parameters.
-    shrunken : (n, z) columns that have a unit prior sd under every model.
     residual : (n,) measured minus fitted.
-    scatters : protocol -> scatter of the fitted model.
+    groups, scatters : the features by protocol, and their scatter under the fitted model.
+    shrunken : (n, z) columns that have a unit prior sd under every model.
     """
 
-    def __init__(
-        self,
-        tests: list[Test],
-        base: np.ndarray,
-        residual: np.ndarray,
-        groups: list[Group],
-        scatters: dict[str, Scatter],
-        shrunken: np.ndarray | None = None,
-    ):
+    def __init__(self, tests, base, residual, groups, scatters, shrunken=None):
         shrunken = np.zeros((len(residual), 0)) if shrunken is None else shrunken
-        blocks, position = [base, shrunken], base.shape[1] + shrunken.shape[1]
-        self.shrunken = np.arange(base.shape[1], position)
-        fixed, common = list(range(position)), np.arange(position)
-        bases: dict[bytes, np.ndarray] = {}
-        grouped: dict[bytes, dict[int, list[tuple[int, np.ndarray]]]] = {}
+        self.groups, self._scatters, self._shrunken = groups, scatters, shrunken
+        self.tests, self._residual = tests, residual
+        beside_nuisance: dict[bytes, list[int]] = {}
         for number, test in enumerate(tests):
-            nuisance = test.nuisance
-            key = b"" if nuisance is None else nuisance.tobytes()
-            if key not in bases:
-                bases[key] = common
-                if nuisance is not None:
-                    blocks.append(nuisance)
-                    added = np.arange(position, position + nuisance.shape[1])
-                    bases[key] = np.r_[common, np.arange(len(fixed), len(fixed) + len(added))]
-                    fixed += added.tolist()
-                    position += len(added)
-            width = test.columns.shape[1]
-            blocks.append(test.columns)
-            own = np.arange(position, position + width)
-            grouped.setdefault(key, {}).setdefault(width, []).append((number, own))
-            position += width
-        self.fixed = np.array(fixed, int)
-        self.sets = [
-            _Set(
-                bases[key],
-                [np.array([number for number, _ in same]) for same in by_width.values()],
-                [np.stack([own for _, own in same]) for same in by_width.values()],
+            key = b"" if test.nuisance is None else test.nuisance.tobytes()
+            beside_nuisance.setdefault(key, []).append(number)
+        of_zeros = base.shape[1] + np.arange(shrunken.shape[1])
+        self._banks: list[_Bank] = []
+        for numbers in beside_nuisance.values() if groups else ():
+            nuisance = tests[numbers[0]].nuisance
+            fixed = [base, shrunken] if nuisance is None else [base, shrunken, nuisance]
+            self._banks.append(
+                _Bank(numbers, tests, np.column_stack(fixed), of_zeros, groups, scatters)
             )
-            for key, by_width in grouped.items()
-        ]
-        columns = np.column_stack(blocks)
-        size = np.linalg.norm(columns, axis=0)
-        size[self.shrunken] = 1.0
-        self.size = np.where(size > 0, size, 1.0)
-        columns = columns / self.size
-        self.tests, self.residual = tests, residual
-        self.one_sided = np.array([test.one_sided for test in tests], bool)
-        self.ridge = np.zeros(position)
-        self.ridge[self.shrunken] = 1.0
-        self.protocols = [
-            self._protocol(group, columns[group.index], scatters[group.protocol])
-            for group in groups
-        ]
-        self._identified()
+        if not self._banks:
+            return
+        self.degrees = self._gathered([bank.degrees for bank in self._banks])
+        self.information = self._gathered([bank.information for bank in self._banks])
 
-    def _protocol(self, group: Group, columns: np.ndarray, centre: Scatter) -> _Protocol:
-        clusters = Clusters(group, columns)
-        grid = scatter_grid(centre, len(group.index) / len(clusters.information))
-        constants = [scatter_prior(s) - 0.5 * clusters.log_determinant(s) for s in grid]
-        rows = clusters.rows(grid, self.fixed)
-        blocks = [[clusters.blocks(grid, own) for own in each.own] for each in self.sets]
-        beside = [
-            self._beside(each, rows, own) for each, own in zip(self.sets, blocks, strict=True)
-        ]
-        return _Protocol(group, clusters, centre, grid, rows, blocks, np.array(constants), beside)
-
-    def _beside(self, each: _Set, rows: np.ndarray, blocks: list[np.ndarray]) -> _Beside:
-        """What the base of a set carries at every scatter (g, ...), and what is left."""
-        base = self.fixed[each.base]
-        gram = rows[:, each.base][:, :, base] + np.diag(self.ridge[base])
-        diagonal = np.einsum("gii->gi", gram)
-        # Columns that this protocol has not carry nothing.
-        there = diagonal > 1e-14 * diagonal.max(axis=1, initial=1e-286, keepdims=True)
-        size = np.sqrt(np.where(there, diagonal, np.inf))
-        scaled = gram / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(len(base))
-        inverse = np.linalg.inv(scaled) / size[:, :, None] / size[:, None, :]
-        pulled = rows[:, each.base]
-        carried = inverse @ pulled
-        bases = []
-        for own, block in zip(each.own, blocks, strict=True):
-            taken = np.einsum("gbtk,gbtl->gtkl", pulled[:, :, own], carried[:, :, own])
-            bases.append(_unit_vectors(block - taken, block))
-        return _Beside(inverse, carried, bases)
-
-    def _identified(self) -> None:
-        """Degrees of freedom and information of every test, in each protocol and in all."""
-        found = [[side.bases for side in p.beside] for p in self.protocols]
-        found = [[[basis[-1] for basis in bases] for bases in sides] for sides in found]
-        if len(self.protocols) > 1:
-            rows = sum(p.rows[-1:] for p in self.protocols)
-            together = []
-            for k, each in enumerate(self.sets):
-                blocks = [
-                    sum(p.blocks[k][j][-1:] for p in self.protocols) for j in range(len(each.own))
-                ]
-                together.append([basis[0] for basis in self._beside(each, rows, blocks).bases])
-            found.append(together)
-        self.degrees = np.zeros((len(found), len(self.tests)), int)
-        self.information = np.zeros((len(found), len(self.tests)))
-        for row, sides in enumerate(found):
-            for each, bases in zip(self.sets, sides, strict=True):
-                for tests, own, basis in zip(each.tests, each.own, bases, strict=True):
-                    degrees = np.any(basis != 0, axis=1).sum(axis=1)
-                    self.degrees[row, tests] = degrees
-                    scaled = basis / self.size[own][:, :, None]
-                    spread = np.linalg.norm(scaled, ord=2, axis=(1, 2)) ** 2
-                    whole = degrees == own.shape[1]
-                    self.information[row, tests] = np.where(
-                        whole, 1.0 / np.where(whole, spread, 1.0), 0.0
-                    )
+    def _gathered(self, parts: list[np.ndarray]) -> np.ndarray:
+        """The banks' (rows, tests, ...), in the order of the tests."""
+        result = np.empty((len(parts[0]), len(self.tests), *parts[0].shape[2:]), parts[0].dtype)
+        for bank, part in zip(self._banks, parts, strict=True):
+            result[:, bank.numbers] = part
+        return result
 
     def statistics(self, responses: list[np.ndarray]) -> np.ndarray:
         """Ratios of data sets: a (features, b) array a protocol -> (rows, tests, b).
 
         Rows are the protocols and then all of them together (one row where there is one only).
         """
-        found = [self._alone(p, y) for p, y in zip(self.protocols, responses, strict=True)]
-        ratios = [f.ratios for f in found]
-        if len(found) > 1:
-            ratios.append(self._together(found))
-        ratios = np.stack(ratios)
-        ratios[self.degrees == 0] = 0.0
-        return np.maximum(ratios, 0.0)
-
-    def _alone(self, protocol: _Protocol, response: np.ndarray) -> _Found:
-        """One protocol's ratios of data sets (features, b)."""
-        of, count = protocol.clusters.responses(response), response.shape[1]
-        best = np.full((len(self.tests), count), -np.inf)
-        choice = np.zeros((len(self.tests), count), int)
-        best_null = np.full((len(self.sets), count), -np.inf)
-        choice_null = np.zeros((len(self.sets), count), int)
-        scores = np.empty((len(protocol.grid), len(self.ridge), count))
-        bare = np.empty((len(protocol.grid), count))
-        for g, scatter in enumerate(protocol.grid):
-            score, squares = protocol.clusters.products(scatter, of)
-            scores[g], bare[g] = score, protocol.constants[g] - 0.5 * squares
-            for k, (each, beside) in enumerate(zip(self.sets, protocol.beside, strict=True)):
-                pulled = score[self.fixed[each.base]]
-                explained = np.einsum("kb,kb->b", pulled, beside.inverse[g] @ pulled)
-                null = bare[g] + 0.5 * explained
-                better = null > best_null[k]
-                best_null[k][better], choice_null[k][better] = null[better], g
-                left = score - beside.carried[g].T @ pulled
-                for tests, own, basis in zip(each.tests, each.own, beside.bases, strict=True):
-                    along = basis[g].transpose(0, 2, 1) @ left[own]
-                    along[self.one_sided[tests]] = np.maximum(along[self.one_sided[tests]], 0.0)
-                    value = null + 0.5 * (along**2).sum(axis=1)
-                    better = value > best[tests]
-                    best[tests] = np.where(better, value, best[tests])
-                    choice[tests] = np.where(better, g, choice[tests])
-        ratios = np.zeros((len(self.tests), count))
-        for k, each in enumerate(self.sets):
-            tests = np.concatenate(each.tests)
-            ratios[tests] = 2 * (best[tests] - best_null[k])
-        return _Found(ratios, choice, choice_null, scores, bare)
-
-    def _together(self, found: list[_Found]) -> np.ndarray:
-        """All protocols: one effect, one base, each protocol at its own scatter."""
-        count = found[0].bare.shape[1]
-        every = np.arange(count)
-        result = np.zeros((len(self.tests), count))
-        for k, each in enumerate(self.sets):
-            base = self.fixed[each.base]
-            grams = [p.rows[:, each.base] for p in self.protocols]
-            start = self._null_scatters(found, [f.null_choice[k] for f in found], base, grams)
-
-            def value(choices, own=None, blocks=None, added=False, base=base, grams=grams):
-                index = base if own is None else np.r_[base, own]
-                gram, score, bare = 0.0, 0.0, 0.0
-                for p, (choice, f) in enumerate(zip(choices, found, strict=True)):
-                    whole = np.zeros((len(grams[p]), len(index), len(index)))
-                    whole[:, : len(base)] = grams[p][:, :, index]
-                    if own is not None:
-                        whole[:, len(base) :, : len(base)] = grams[p][:, :, own].transpose(0, 2, 1)
-                        whole[:, len(base) :, len(base) :] = blocks[p]
-                    gram = gram + whole[choice]
-                    score = score + f.scores[choice[:, None], index[None, :], every[:, None]]
-                    bare = bare + f.bare[choice, every]
-                return bare + 0.5 * _solved(gram, score, self.ridge[index], added)
-
-            null = value(start)
-            for j, (tests, columns) in enumerate(zip(each.tests, each.own, strict=True)):
-                for t, (number, own) in enumerate(zip(tests, columns, strict=True)):
-                    if not self.degrees[-1, number]:
-                        continue
-                    blocks = [p.blocks[k][j][:, t] for p in self.protocols]
-                    under = [f.choice[number] for f in found]
-                    added = self.one_sided[number]
-                    best = np.maximum(
-                        value(under, own, blocks, added), value(start, own, blocks, added)
-                    )
-                    result[number] = 2 * (best - null)
-        return result
-
-    def _null_scatters(self, found, choices, base, grams) -> list[np.ndarray]:
-        """Each protocol's scatter under the common base, one after the other."""
-        choices, every = list(choices), np.arange(len(choices[0]))
-        grams = [gram[:, :, base] for gram in grams]
-        for p, own in enumerate(found):
-            gram, score = 0.0, 0.0
-            for q, other in enumerate(found):
-                if q == p:
-                    continue
-                gram = gram + grams[q][choices[q]]
-                score = score + other.scores[choices[q][:, None], base[None, :], every[:, None]]
-            best = np.full(len(every), -np.inf)
-            for g in range(len(grams[p])):
-                pulled = own.scores[g][base].T + score
-                value = own.bare[g] + 0.5 * _solved(grams[p][g] + gram, pulled, self.ridge[base])
-                better = value > best
-                best[better], choices[p] = value[better], np.where(better, g, choices[p])
-        return choices
+        return self._gathered([bank.statistics(responses) for bank in self._banks])
 
     def drawn(self, rng: np.random.Generator, count: int) -> list[np.ndarray]:
         """Data sets of the fitted model, a (features, count) array a protocol."""
-        return [
-            p.clusters.drawn(p.group, p.centre, rng, count)
-            + p.clusters.columns[:, self.shrunken] @ shared
-            for p, shared in (
-                (p, rng.standard_normal((len(self.shrunken), count))) for p in self.protocols
-            )
-        ]
+        found = []
+        for group in self.groups:
+            shared = rng.standard_normal((self._shrunken.shape[1], count))
+            scattered = group.drawn(self._scatters[group.protocol], rng, count)
+            found.append(scattered + self._shrunken[group.index] @ shared)
+        return found
 
     def observed(self) -> np.ndarray:
         """Ratios of the data themselves, (rows, tests)."""
-        return self.statistics([self.residual[p.group.index][:, None] for p in self.protocols])[
-            :, :, 0
-        ]
+        data = [self._residual[group.index][:, None] for group in self.groups]
+        return self.statistics(data)[:, :, 0]
 
     def rows(self) -> list[str | None]:
         """Protocol of every row of the statistics, None for all together."""
-        names = [p.group.protocol for p in self.protocols]
+        names = [group.protocol for group in self.groups]
         return [*names, None] if len(names) > 1 else [None]
+
+    def outcome(
+        self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
+    ) -> Outcome:
+        """Test every alternative, its error by data sets that are drawn from the fitted model.
+
+        Parameters
+        ----------
+        replicates : simulated data sets at most; they come in rounds until the family-wise p is
+            clearly on one side of all ``limits``.
+        """
+        if not self._banks:  # every reading is only a bound
+            nothing = np.zeros(len(self.tests))
+            return outcome_of(self.tests, nothing, nothing[None, :], nothing.astype(int))
+        observed = self.observed()
+        expanded = [replace(test, protocol=row) for row in self.rows() for test in self.tests]
+        simulated = np.zeros((len(expanded), 0))
+        while True:
+            # Each round is as large as all before it.
+            count = min(max(ROUND, simulated.shape[1]), replicates - simulated.shape[1])
+            for start in range(0, count, ROUND):
+                part = min(ROUND, count - start)
+                drawn = self.statistics(self.drawn(rng, part))
+                simulated = np.column_stack([simulated, drawn.reshape(len(expanded), part)])
+            found = outcome_of(expanded, observed.ravel(), simulated.T, self.degrees.ravel())
+            found.information = self.information.ravel()
+            if simulated.shape[1] >= replicates or found.is_clear(limits):
+                return found
+
+
+def beside(rows, blocks, ridge, own):
+    """What a base carries of tests' columns, from X' V^-1 X at every scatter.
+
+    Returns
+    -------
+    inverse, carried, vectors
+        (g, base, base) of the base's Gram matrix, (g, base, m) coefficients of all columns on the
+        base, and the tests' vectors of unit information.
+    """
+    base = len(ridge)
+    gram = rows[:, :, :base] + np.diag(ridge)
+    diagonal = np.einsum("gii->gi", gram)
+    # Columns that this protocol has not carry nothing.
+    there = diagonal > 1e-14 * diagonal.max(axis=1, initial=1e-286, keepdims=True)
+    size = np.sqrt(np.where(there, diagonal, np.inf))
+    scaled = gram / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(base)
+    inverse = np.linalg.inv(scaled) / size[:, :, None] / size[:, None, :]
+    carried = inverse @ rows
+    vectors = []
+    for index, block in zip(own, blocks, strict=True):
+        taken = np.einsum("gbtk,gbtl->gtkl", rows[:, :, index], carried[:, :, index])
+        vectors.append(_unit_vectors(block - taken, block))
+    return inverse, carried, vectors
 
 
 def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -379,49 +366,3 @@ def _solved(gram, score, ridge, added=False):
         without = _solved(gram[:, :-1, :-1], score[:, :-1], ridge[:-1])
         value = np.where(found[:, -1] < 0, without, value)
     return value
-
-
-def run_tests(
-    tests: list[Test],
-    base: np.ndarray,
-    residual: np.ndarray,
-    groups: list[Group],
-    scatters: dict[str, Scatter],
-    rng: np.random.Generator,
-    replicates: int = 1000,
-    limits: tuple[float, ...] = (),
-    shrunken: np.ndarray | None = None,
-) -> Outcome:
-    """Test every alternative given the base columns.
-
-    Parameters
-    ----------
-    base : (n, k) columns of the fitted model (derivatives by its parameters).
-    residual : (n,) measured minus fitted.
-    replicates : simulated data sets at most; they come in rounds until the family-wise p is
-        clearly on one side of all ``limits``.
-    """
-    if not groups or not tests:  # every reading is only a bound
-        nothing = np.zeros(len(tests))
-        return outcome_of(tests, nothing, np.zeros((1, len(tests))), nothing.astype(int))
-    ratios = Ratios(tests, base, residual, groups, scatters, shrunken)
-    observed = ratios.observed()
-    expanded = [replace(test, protocol=row) for row in ratios.rows() for test in tests]
-    simulated = np.zeros((len(expanded), 0))
-    while True:
-        # Each round is as large as all before it.
-        count = min(max(ROUND, simulated.shape[1]), replicates - simulated.shape[1])
-        for start in range(0, count, ROUND):
-            part = min(ROUND, count - start)
-            drawn = ratios.statistics(ratios.drawn(rng, part))
-            simulated = np.column_stack([simulated, drawn.reshape(len(expanded), part)])
-        outcome = outcome_of(expanded, observed.ravel(), simulated.T, ratios.degrees.ravel())
-        outcome.information = ratios.information.ravel()
-        if simulated.shape[1] >= replicates or outcome.is_clear(limits):
-            return outcome
-
-
-def data_ratios(tests, base, residual, groups, scatters, shrunken=None) -> np.ndarray:
-    """Ratios of the data without any simulation, (tests,): the largest of all rows."""
-    ratios = Ratios(tests, base, residual, groups, scatters, shrunken)
-    return ratios.observed().max(axis=0)

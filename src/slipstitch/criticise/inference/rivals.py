@@ -12,12 +12,12 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.stats import chi2 as chi_square
 
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.ratio import data_ratios
+from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 
 SURVIVES_AT = 0.01
@@ -132,10 +132,11 @@ def taken_by_rivals(
         scatters = {g.protocol: null_state.scatters[g.protocol] for g in state.groups}
         tests += [Test(columns_of, mechanism=cause) for columns_of in factors]
         tests.append(Test(columns, mechanism=cause))
-        ratios = data_ratios(
+        ratios = Ratios(
             tests, fitted.jacobian[:, others], residual, state.groups, scatters, m.zero_columns
         )
-        beside, alone, own_alone = np.split(ratios, [len(rivals), 2 * len(rivals)])
+        best = ratios.observed().max(axis=0)
+        beside, alone, own_alone = np.split(best, [len(rivals), 2 * len(rivals)])
         limit = chi_square.isf(SURVIVES_AT, len(own))
         lost = [
             rival.name

@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
+from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.fit import Fit, jacobian
-from slipstitch.criticise.inference.selection import Candidate
+from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
 from slipstitch.criticise.measurements import Measurements, measurements_of
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Protocol
+from slipstitch.criticise.verdict import Analysis
 
 TRIALS = 5
 COMMON = {

@@ -5,23 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr
 
-from slipstitch.criticise.inference.alternatives import alternatives, sensitivity_of
-from slipstitch.criticise.inference.covariance import Group, Scatter, make_groups
+from slipstitch.criticise.inference.alternatives import alternatives
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.ratio import run_tests
-from slipstitch.criticise.inference.scatter import START_SCATTER, estimate_scatter
+from slipstitch.criticise.inference.mixed_model import (
+    START_SCATTER,
+    Group,
+    Scatter,
+    estimate_scatter,
+    make_groups,
+    zeros_of,
+)
+from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
 
 REFITS = 2
 
 
-@dataclass
+@dataclass(frozen=True)
 class State:
-    """Scatter, weights and tests at one fitted model."""
+    """Scatter, weights and tests at one fitted model of the measurements."""
 
+    measurements: Measurements
+    fitted: Fit
     keep: np.ndarray
     groups: list[Group]
     scatters: dict[str, Scatter]
@@ -29,6 +36,16 @@ class State:
     sensitivity: np.ndarray
     tests: list[Test]
     untestable: dict[str, str]
+
+    def outcome(
+        self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
+    ) -> Outcome:
+        """Tests of everything beyond the fitted model."""
+        m, fitted = self.measurements, self.fitted
+        residual = m.y - fitted.prediction
+        return Ratios(
+            self.tests, fitted.jacobian, residual, self.groups, self.scatters, m.zero_columns
+        ).outcome(rng, replicates, limits)
 
 
 def state_at(
@@ -38,62 +55,33 @@ def state_at(
     start: dict[str, Scatter] | None = None,
 ) -> State:
     """Estimate the scatter at a fitted model and set up the weights and tests there."""
-    sensitivity = sensitivity_of(fitted)
-    uncensored = keep & ~measurements.lower_bound
-    groups = make_groups(measurements, sensitivity, uncensored)
+    sensitivity = fitted.sensitivity()
     found = alternatives(measurements, fitted, keep)
     residual = measurements.y - fitted.prediction
     scatters = {}
-    for group in groups:
-        guess = (start or {}).get(group.protocol, START_SCATTER)
+    for group in make_groups(measurements, sensitivity, keep & ~measurements.lower_bound):
         scatters[group.protocol], _ = estimate_scatter(
             group,
             residual[group.index],
-            level_column(group, sensitivity),
+            group.level(),
             zeros_of(measurements, group),
-            guess,
+            (start or {}).get(group.protocol, START_SCATTER),
         )
-    weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
-    return State(keep, groups, scatters, weights, sensitivity, found.tests, found.untestable)
-
-
-def zeros_of(measurements: Measurements, group: Group) -> np.ndarray:
-    """Columns of the zeros of a protocol's sensors, (features, z), each with unit prior sd."""
-    own = [k for k, (protocol, _) in enumerate(measurements.zeros) if protocol == group.protocol]
-    return measurements.zero_columns[np.ix_(group.index, own)]
-
-
-def level_column(group: Group, sensitivity: np.ndarray) -> np.ndarray:
-    """The fixed effect of the scatter's estimate, (features, 1): the level of friction."""
-    d = sensitivity[group.index]
-    size = np.linalg.norm(d)
-    return (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
-
-
-def test_at(
-    measurements: Measurements,
-    fitted: Fit,
-    state: State,
-    rng: np.random.Generator,
-    replicates: int,
-    limits: tuple[float, ...] = (),
-) -> Outcome:
-    """Tests of everything beyond the fitted model."""
-    residual = measurements.y - fitted.prediction
-    return run_tests(
-        state.tests,
-        fitted.jacobian,
-        residual,
-        state.groups,
-        state.scatters,
-        rng,
-        replicates,
-        limits,
-        measurements.zero_columns,
+    weights = Weights(measurements, sensitivity, keep, scatters)
+    return State(
+        measurements,
+        fitted,
+        keep,
+        weights.groups,
+        scatters,
+        weights,
+        sensitivity,
+        found.tests,
+        found.untestable,
     )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Refit:
     """A model fitted with the scatter that suits it, and its maximised log-likelihood."""
 
@@ -117,17 +105,11 @@ def refit(
     fitted, scatters = start, dict(scatters)
     total = -np.inf
     for _ in range(REFITS):
-        sensitivity = sensitivity_of(fitted)
-        groups = make_groups(measurements, sensitivity, keep & ~measurements.lower_bound)
-        weights = Weights.build(groups, scatters, measurements, sensitivity, keep)
-        if nuisance is not None:
-            weights = weights.with_nuisance(nuisance)
+        weights = Weights(measurements, fitted.sensitivity(), keep, scatters, nuisance)
         fitted = fit(measurements, weights, causes, fitted.as_dict())
         residual = measurements.y - fitted.prediction
-        bounds = weights.bounds
-        z = (fitted.prediction - measurements.y)[bounds] / weights.bound_sd
-        total = float(log_ndtr(z).sum())
-        for group in groups:
+        total = weights.log_probability(fitted.prediction)
+        for group in weights.groups:
             fixed = np.zeros((len(group.index), 0))
             if nuisance is not None:
                 fixed = _independent(nuisance[group.index])

@@ -11,10 +11,10 @@ import pandas as pd
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_json
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.discrepancy import predicted_with
 from slipstitch.criticise.inference.fit import jacobian, parameters_of
 from slipstitch.criticise.measurements import Measurements, assemble
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.physics.friction_law.extended_model import curve_of
 
 UNKNOWN_COEFFICIENT_LOG_SD = 1.0

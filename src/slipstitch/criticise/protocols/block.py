@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from slipstitch.criticise.mechanisms import Bench
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.protocols.trace_noise import TraceNoise
 from slipstitch.physics.friction_law import FrictionLaw
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.mechanisms import Bench
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.protocols.block import (
     Block,
     conditions_of,

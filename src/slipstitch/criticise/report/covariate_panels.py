@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import new_figure, plain_text, styled
 from slipstitch.base.page.palette import FAINT, INK
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.report.verdict_pictures import (
     NULL_COLOUR,
@@ -17,6 +16,7 @@ from slipstitch.criticise.report.verdict_pictures import (
     relative_residuals,
     series,
 )
+from slipstitch.criticise.verdict import Analysis
 
 COLUMNS = 3
 

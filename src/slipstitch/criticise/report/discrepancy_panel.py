@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import FAINT, INK, INTERVAL, SERIES
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.discrepancy import along, specimen_factors
+from slipstitch.criticise.verdict import Analysis
 
 MOST_LABELS = 6
 

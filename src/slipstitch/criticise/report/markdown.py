@@ -10,11 +10,11 @@ from scipy.stats import t as student
 
 from slipstitch.base.page.wording import counted, with_interval
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.analysis import Analysis
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.verdict_pictures import relative_residuals
-from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
+from slipstitch.criticise.statement import false_alarm_words, second_sentence, sentence
+from slipstitch.criticise.verdict import Analysis
 from slipstitch.criticise.within_runs import words
 
 MOST_TRACES = 6

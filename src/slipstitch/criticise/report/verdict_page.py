@@ -7,9 +7,8 @@ from pathlib import Path
 from slipstitch.base.page.figures import svg, svg_element
 from slipstitch.base.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.base.page.templates import render
-from slipstitch.criticise.inference.analysis import Analysis
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.report.covariate_panels import covariate_picture
 from slipstitch.criticise.report.discrepancy_panel import discrepancy_picture
 from slipstitch.criticise.report.resimulation import before_and_after
@@ -19,7 +18,8 @@ from slipstitch.criticise.report.verdict_pictures import (
     residual_picture,
 )
 from slipstitch.criticise.resimulation import Resimulation
-from slipstitch.criticise.verdict import false_alarm_words, second_sentence, sentence
+from slipstitch.criticise.statement import false_alarm_words, second_sentence, sentence
+from slipstitch.criticise.verdict import Analysis
 from slipstitch.criticise.within_runs import words
 
 _TEMPLATE = Path(__file__).with_name("verdict.html.j2")

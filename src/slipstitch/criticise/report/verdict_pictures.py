@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import BLUE, FAINT, INK, PALE, VERMILION
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.analysis import Analysis
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.mechanisms import MECHANISMS
 from slipstitch.criticise.protocols import QUANTITIES
+from slipstitch.criticise.verdict import Analysis
 
 NULL_COLOUR, EXTENDED_COLOUR = VERMILION, BLUE
 QUANTITY = "quantity"

@@ -9,15 +9,23 @@ from itertools import product
 import numpy as np
 from scipy.stats import chi2 as chi_square
 
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.alternatives import alternatives, nuisance_columns
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.ratio import data_ratios
-from slipstitch.criticise.inference.state import Refit, State, refit
+from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
+from slipstitch.criticise.inference.ratio import Ratios
+from slipstitch.criticise.inference.state import Refit, State, refit, state_at
 from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.mechanisms import MECHANISMS
 
+LEFTOVER_SIGNIFICANCE = 0.01
+# Simulated data sets at most, in units of those asked for, where a p is near its limit.
+MOST_ROUNDS = 3
+# Mechanisms whose ratio beside the null is far below the best one's are not fitted in full.
+FITTED_SINGLES, FITTED_SHARE = 8, 0.5
+# A mechanism's law is an idealisation: its effect on a feature is right to this share. What a
+# strong effect leaves within it is no further structure; less than the least is not looked at.
+LAW_ERROR, NOTICEABLE = 0.03, 4.0
 # Candidates within so many units of BIC of the best are not told apart.
 TIE_BIC = 6.0
 PAIR_SIGNIFICANCE = 0.01
@@ -30,7 +38,7 @@ STANDS_BESIDE = 60.0
 EQUAL_SHARE = 0.5
 
 
-@dataclass
+@dataclass(frozen=True)
 class Candidate:
     """A fitted set of causes with its standing: credit over the null, BIC relative to the null.
 
@@ -75,10 +83,7 @@ class Judge:
         nuisance = self._nuisance(causes)
         base = self._base(nuisance)
         known = start.as_dict() if start is not None else {}
-        groups = make_groups(m, self.sensitivity, self.keep & ~m.lower_bound)
-        weights = Weights.build(groups, self.scatters, m, self.sensitivity, self.keep)
-        if nuisance is not None:
-            weights = weights.with_nuisance(nuisance)
+        weights = Weights(m, self.sensitivity, self.keep, self.scatters, nuisance)
         best = None
         for first in _starts(causes, known):
             found = fit(m, weights, causes, self.null.as_dict() | known | first)
@@ -93,6 +98,11 @@ class Judge:
         cost = extra * np.log(max(number_of_runs(m, self.keep), 2))
         return Candidate(causes, best.fitted, credit, cost - credit, best.scatters)
 
+    def ranked(self, candidates: list[Candidate], fitted: bool = False) -> list[Candidate]:
+        """Fit candidates, by BIC; from their own fits if they are ``fitted``."""
+        found = [self.candidate(c.causes, c.fitted if fitted else None) for c in candidates]
+        return sorted(found, key=lambda c: c.bic)
+
     def credit_beside(self, chosen: Candidate, columns: np.ndarray) -> float:
         """Credit of a model over the null with columns (n, k) that are fitted freely in both."""
         m, keep = self.measurements, self.keep
@@ -100,10 +110,27 @@ class Judge:
         best = refit(m, keep, chosen.causes, chosen.fitted, chosen.scatters, columns)
         return 2 * (best.log_likelihood - base.log_likelihood)
 
-    def weights_of(self, causes: tuple[str, ...], state: State) -> Weights:
+    def weights_of(
+        self, causes: tuple[str, ...], state: State, measurements: Measurements
+    ) -> Weights:
         """Weights of a state, free levels where what drives the causes was not recorded."""
         nuisance = self._nuisance(causes)
-        return state.weights if nuisance is None else state.weights.with_nuisance(nuisance)
+        return Weights(measurements, state.sensitivity, state.keep, state.scatters, nuisance)
+
+    def tested(
+        self, chosen: Candidate, measurements: Measurements, rng, replicates: int
+    ) -> tuple[Candidate, State, Outcome]:
+        """A candidate under its restricted scatter, as it is reported, and tests of what is left.
+
+        ``measurements`` are those without the law's own error.
+        """
+        m = with_law_error(measurements, chosen.fitted)
+        state = state_at(m, chosen.fitted, self.keep, chosen.scatters)
+        weights = self.weights_of(chosen.causes, state, m)
+        fitted = fit(m, weights, chosen.causes, chosen.fitted.as_dict())
+        state = state_at(m, fitted, self.keep, state.scatters)
+        left = state.outcome(rng, MOST_ROUNDS * replicates, (LEFTOVER_SIGNIFICANCE,))
+        return replace(chosen, fitted=fitted, scatters=state.scatters), state, left
 
     def _nuisance(self, causes: tuple[str, ...]) -> np.ndarray | None:
         unrecorded = np.zeros(len(self.measurements.y), bool)
@@ -118,6 +145,36 @@ class Judge:
                 self.measurements, self.keep, self.null.causes, self.null, self.scatters, nuisance
             )
         return self.bases[key]
+
+
+def with_law_error(measurements: Measurements, fitted: Fit) -> Measurements:
+    """Uncertainties with the law's own error, where that makes a difference."""
+    plain = measurements.predict(fitted.as_dict(), ())
+    error = np.nan_to_num(LAW_ERROR * (fitted.prediction - plain))
+    if np.sum((error / measurements.u) ** 2) < NOTICEABLE:
+        return measurements
+    return replace(measurements, u=np.hypot(measurements.u, error))
+
+
+def linear_ranking(state: State, outcome: Outcome) -> list[Candidate]:
+    """Every testable mechanism by its likelihood ratio beside the null, not fitted any further."""
+    best: dict[str, float] = {}
+    for test, ratio, log_p in zip(outcome.tests, outcome.statistic, outcome.log_p, strict=True):
+        if test.mechanism is not None and np.isfinite(log_p):
+            best[test.mechanism] = max(best.get(test.mechanism, 0.0), float(ratio))
+    cost = np.log(max(number_of_runs(state.measurements, state.keep), 2))
+    found = []
+    for name, ratio in best.items():
+        bic = len(MECHANISMS[name].parameters) * cost - ratio
+        found.append(Candidate((name,), state.fitted, ratio, bic, state.scatters))
+    return sorted(found, key=lambda c: c.bic)
+
+
+def promising(ranking: list[Candidate]) -> list[Candidate]:
+    """The mechanisms that are worth a full fit."""
+    least = FITTED_SHARE * max(c.credit for c in ranking)
+    by_credit = sorted(ranking, key=lambda c: -c.credit)
+    return [c for i, c in enumerate(by_credit) if i < FITTED_SINGLES or c.credit > least]
 
 
 def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, float]]:
@@ -186,11 +243,10 @@ def tied_with(
 
 def _expected_evidence(chosen: Candidate, other: Candidate, judge: Judge, state: State) -> float:
     """By how much twice the log-likelihood of another model falls short of an exact one."""
-    exact = replace(judge.measurements, y=chosen.fitted.prediction)
-    weights = judge.weights_of(other.causes, state)
-    left = weights.residual(exact, exact.y)
+    exact = replace(state.measurements, y=chosen.fitted.prediction)
+    weights = judge.weights_of(other.causes, state, exact)
     best = fit(exact, weights, other.causes, other.fitted.as_dict())
-    return max(best.chi2 - float(left @ left), 0.0)
+    return max(best.chi2 - weights.chi2(exact.y), 0.0)
 
 
 def second_is_significant(pair: Candidate, singles: list[Candidate], left: Outcome) -> bool:
@@ -253,6 +309,5 @@ def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     tests = [test for test in found.tests if test.family == "mechanism"]
     groups = make_groups(m, found.sensitivity, judge.keep & ~m.lower_bound)
     residual = m.y - fitted.prediction
-    return tests, data_ratios(
-        tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns
-    )
+    ratios = Ratios(tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns)
+    return tests, ratios.observed().max(axis=0)

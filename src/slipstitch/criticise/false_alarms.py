@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import binomtest
 
-from slipstitch.criticise.inference.alternatives import sensitivity_of
-from slipstitch.criticise.inference.analysis import analyse
-from slipstitch.criticise.inference.clusters import Clusters
-from slipstitch.criticise.inference.covariance import Scatter, make_groups
 from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
 from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.verdict import analyse
 
 NO_ALARM = ("none", "insufficient")
 
@@ -47,13 +45,13 @@ def false_alarms(
     Instruments and scatters are normal, sensors' zeros as usual; bounds stay what they are.
     """
     rng = np.random.default_rng([seed, 23])
-    groups = make_groups(measurements, sensitivity_of(null), ~measurements.lower_bound)
+    groups = make_groups(measurements, null.sensitivity(), ~measurements.lower_bound)
     alarms = 0
     for number in range(campaigns):
         y = np.where(measurements.lower_bound, measurements.y, null.prediction)
         for group in groups:
             zeros = measurements.zero_columns[group.index]
-            drawn = Clusters(group, zeros).drawn(group, scatters[group.protocol], rng, 1)[:, 0]
+            drawn = group.drawn(scatters[group.protocol], rng, 1)[:, 0]
             y[group.index] += drawn + zeros @ rng.standard_normal(zeros.shape[1])
         drawn = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
         alarms += analyse(drawn, seed + number, replicates).verdict not in NO_ALARM

@@ -1,0 +1,190 @@
+"""What the data say of the model, each piece found once, when a rule of the verdict asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.inference.candidates import (
+    MOST_ROUNDS,
+    Candidate,
+    Judge,
+    fitted_pairs,
+    linear_ranking,
+    number_of_runs,
+    promising,
+    second_is_significant,
+    tied_with,
+    with_law_error,
+)
+from slipstitch.criticise.inference.certificate import Detectable, smallest_detectable
+from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
+from slipstitch.criticise.inference.rivals import taken_by_rivals
+from slipstitch.criticise.inference.state import State
+from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.measurements import Measurements
+
+SIGNIFICANCE = 0.04
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best explanation: one or two mechanisms, and what they leave.
+
+    Attributes
+    ----------
+    chosen, state, left : its fit, the scatter there, tests of what is left.
+    ranking : every candidate that was fitted, by BIC.
+    rivals : those that may stand in its place.
+    """
+
+    chosen: Candidate
+    state: State
+    left: Outcome
+    judge: Judge
+    ranking: list[Candidate]
+    rivals: list[Candidate]
+    excluded: list[Excluded]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of one case. The seed is that of the simulated maxima, ``replicates`` their number."""
+
+    measurements: Measurements
+    seed: int
+    replicates: int
+
+    @cached_property
+    def _rng(self) -> np.random.Generator:
+        return np.random.default_rng(self.seed)
+
+    @cached_property
+    def _null(self) -> tuple[Fit, State, list[Excluded]]:
+        return fit_without_outliers(self.measurements, (), None)
+
+    @property
+    def null(self) -> Fit:
+        """Plain friction."""
+        return self._null[0]
+
+    @property
+    def null_state(self) -> State:
+        """Scatter and tests beside plain friction."""
+        return self._null[1]
+
+    @cached_property
+    def null_outcome(self) -> Outcome:
+        """Tests of everything beyond plain friction."""
+        most = MOST_ROUNDS * self.replicates
+        return self.null_state.outcome(self._rng, most, (SIGNIFICANCE,))
+
+    @property
+    def is_significant(self) -> bool:
+        """Is anything beyond plain friction significant?"""
+        return self.null_outcome.global_p <= SIGNIFICANCE
+
+    @cached_property
+    def detectable(self) -> dict[str, Detectable]:
+        """The smallest effect of every mechanism that would have been seen."""
+        return smallest_detectable(self.null_outcome, self.null, SIGNIFICANCE)
+
+    @cached_property
+    def screened(self) -> list[Candidate]:
+        """Single mechanisms by their ratio beside the null, none fitted."""
+        return linear_ranking(self.null_state, self.null_outcome)
+
+    @property
+    def runs(self) -> int:
+        """Runs that are kept."""
+        return number_of_runs(self.measurements, self.null_state.keep)
+
+    @property
+    def specimens(self) -> int:
+        """Specimens that are kept."""
+        return len(np.unique(self.measurements.specimen[self.null_state.keep]))
+
+    @property
+    def excluded(self) -> list[Excluded]:
+        """Outliers beside the null, or beside the best explanation if that was looked for."""
+        return self.best.excluded if "best" in self.__dict__ else self._null[2]
+
+    @property
+    def ranking(self) -> list[Candidate]:
+        """Candidates by BIC: those that were fitted, or screened only."""
+        return self.best.ranking if "best" in self.__dict__ else self.screened
+
+    @cached_property
+    def best(self) -> Best:
+        """Fit what is promising, one and two at a time, and test what the best of all leaves."""
+        judge, singles, excluded = self._singles()
+        m, rng = self.measurements, self._rng
+        chosen, state, left = judge.tested(singles[0], m, rng, self.replicates)
+        pairs = fitted_pairs(judge, singles, left)
+        accepted = [p for p in pairs if second_is_significant(p, singles, left)]
+        ranking = sorted(singles + pairs, key=lambda c: c.bic)
+        if accepted and accepted[0].bic < chosen.bic:
+            chosen, state, left = judge.tested(accepted[0], m, rng, self.replicates)
+            accepted[0] = chosen
+        ranking = [chosen if c.causes == chosen.causes else c for c in ranking]
+        rivals = [chosen if c.causes == chosen.causes else c for c in singles]
+        rivals += accepted if len(chosen.causes) == 2 else []
+        return Best(chosen, state, left, judge, ranking, rivals, excluded)
+
+    def _singles(self) -> tuple[Judge, list[Candidate], list[Excluded]]:
+        """Single mechanisms fitted in full, by BIC, beside outliers and the laws' own error."""
+        m, null, state = self.measurements, self.null, self.null_state
+        keep, excluded = state.keep, self._null[2]
+        inflation = self.null_outcome.mechanism_inflation()
+        judge = Judge(m, keep, null, state.scatters, state.sensitivity, inflation)
+        ranking = judge.ranked(promising(self.screened))
+        # Outliers are judged again beside the best model: what the null could not explain, it may.
+        if ranking[0].bic < -2:
+            causes, start = ranking[0].causes, ranking[0].fitted
+            _, again, found = fit_without_outliers(m, causes, None, start)
+            if not np.array_equal(again.keep, keep):
+                keep, excluded = again.keep, found
+                weights = Weights(m, state.sensitivity, keep, state.scatters)
+                base = fit(m, weights, (), null.as_dict())
+                judge = Judge(m, keep, base, state.scatters, base.sensitivity(), inflation)
+                ranking = judge.ranked(ranking, fitted=True)
+        imprecise = with_law_error(m, ranking[0].fitted)
+        if imprecise is not m:
+            judge = replace(judge, measurements=imprecise, bases={})
+            ranking = judge.ranked(ranking, fitted=True)
+        return judge, ranking, excluded
+
+    @cached_property
+    def taken(self) -> dict[str, list[str]]:
+        """Causes of the best explanation whose evidence a rival takes, with the rivals."""
+        best = self.best
+        return taken_by_rivals(self.measurements, best.chosen.fitted, self.null_state, best.state)
+
+    @cached_property
+    def ties(self) -> list[tuple[str, ...]]:
+        """The best explanation and those that the data do not tell from it."""
+        best = self.best
+        tied = tied_with(best.chosen, best.rivals, best.judge, best.state)
+        return [best.chosen.causes, *(c.causes for c in tied)]
+
+    def unrecorded_alias(self) -> tuple[str, str] | None:
+        """A cause that another mechanism would explain, whose driver was not recorded; which."""
+        for cause in self.best.chosen.causes:
+            if alias := self.measurements.unrecorded_alias(cause):
+                return cause, alias
+        return None
+
+    def untestable(self) -> dict[str, str]:
+        """Mechanisms that these data cannot tell, and why."""
+        result, outcome = dict(self.null_state.untestable), self.null_outcome
+        for name in MECHANISMS:
+            own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
+            if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
+                result[name] = (
+                    "cannot be distinguished from the friction coefficient with these data"
+                )
+        return result

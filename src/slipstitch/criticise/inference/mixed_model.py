@@ -1,0 +1,262 @@
+"""The mixed model of features: noise of the instrument, scatter of runs within specimens.
+
+A specimen's and a run's scatter multiply the friction, so they enter a feature through its
+sensitivity d = d(feature) / d(ln mu): V = kappa^2 U + d d' (sigma_s^2 [same specimen]
++ sigma_r^2 [same run]) with U = diag(u^2). A run is one rank-one term, a specimen another, so that
+V is never built. With sums over run j, A_j = sum d^2 / (kappa u)^2, T_j = sum d x / (kappa u)^2,
+
+    f_j = 1 / (1 + sigma_r^2 A_j),  w_j = sigma_r^2 f_j,
+    z_s = sigma_s^2 / (1 + sigma_s^2 sum_{j in s} A_j f_j),
+    X' V^-1 Y = X' (kappa^2 U)^-1 Y - sum_j w_j T_j T_j' - sum_s z_s (sum_j f_j T_j)(...)',
+    log |V| = sum log kappa^2 u^2 + sum_j log(1 + sigma_r^2 A_j) + sum_s log(1 + sigma_s^2 ...)
+
+(Sherman and Morrison, once for runs and once for specimens).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from slipstitch.criticise.measurements import Measurements
+
+# Prior of the understatement of the instrument's uncertainty: 1 to 1.5, log-normal.
+KAPPA_MEDIAN, KAPPA_LOG_SD, KAPPA_LIMITS = 1.2, 0.18, (0.9, 2.5)
+KAPPA_STARTS = (1.0, 1.5)
+KAPPA_LOG_LIMITS = tuple(np.log(KAPPA_LIMITS))
+SIGMA_LIMITS = (1e-4, 0.6)
+TYPICAL_SIGMA = 0.015
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Relative scatter between specimens and between runs, and the instrument's true noise."""
+
+    specimen: float
+    run: float
+    kappa: float
+
+    def log_prior(self) -> float:
+        """Log density (no constant): keeps scatters off zero and kappa near what is usual."""
+        z = np.log(self.kappa / KAPPA_MEDIAN) / KAPPA_LOG_SD
+        return float(
+            -0.5 * z * z
+            + np.log(self.specimen / (self.specimen + TYPICAL_SIGMA))
+            + np.log(self.run / (self.run + TYPICAL_SIGMA))
+        )
+
+
+START_SCATTER = Scatter(0.05, 0.03, 1.2)
+
+
+@dataclass
+class Group:
+    """The features of one protocol, as the covariance sees them.
+
+    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu); ``specimen``
+    and ``run`` are numbers.
+    """
+
+    protocol: str
+    index: np.ndarray
+    u: np.ndarray
+    sensitivity: np.ndarray
+    specimen: np.ndarray
+    run: np.ndarray
+
+    def variance(self, scatter: Scatter) -> np.ndarray:
+        """V, (n, n)."""
+        shared = scatter.specimen**2 * (self.specimen[:, None] == self.specimen[None, :])
+        shared = shared + scatter.run**2 * (self.run[:, None] == self.run[None, :])
+        v = np.outer(self.sensitivity, self.sensitivity) * shared
+        v[np.diag_indices_from(v)] += (scatter.kappa * self.u) ** 2
+        return v
+
+    def part(self, kept: np.ndarray) -> Group:
+        """The features at some places of this group."""
+        arrays = ("index", "u", "sensitivity", "specimen", "run")
+        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+    def level(self) -> np.ndarray:
+        """The fixed effect of the scatter's estimate, (n, 1): the level of friction."""
+        d, size = self.sensitivity, np.linalg.norm(self.sensitivity)
+        return (d / size)[:, None] if size > 0 else np.zeros((len(d), 0))
+
+    def drawn(self, scatter: Scatter, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Residuals drawn from the covariance, (n, count)."""
+        noise = (scatter.kappa * self.u)[:, None] * rng.standard_normal((len(self.u), count))
+        _, run = np.unique(self.run, return_inverse=True)
+        _, specimen = np.unique(self.specimen, return_inverse=True)
+        shared = (
+            scatter.specimen * rng.standard_normal((specimen.max() + 1, count))[specimen]
+            + scatter.run * rng.standard_normal((run.max() + 1, count))[run]
+        )
+        return noise + self.sensitivity[:, None] * shared
+
+
+def make_groups(
+    measurements: Measurements, sensitivity: np.ndarray, keep: np.ndarray
+) -> list[Group]:
+    """Groups of the kept features, a group a protocol."""
+    m, groups = measurements, []
+    for name in dict.fromkeys(m.protocol.tolist()):
+        i = np.flatnonzero((m.protocol == name) & keep)
+        if len(i):
+            groups.append(Group(name, i, m.u[i], sensitivity[i], m.specimen[i], m.run[i]))
+    return groups
+
+
+def zeros_of(measurements: Measurements, group: Group) -> np.ndarray:
+    """Columns of the zeros of a protocol's sensors, (features, z), each with unit prior sd."""
+    own = [k for k, (protocol, _) in enumerate(measurements.zeros) if protocol == group.protocol]
+    return measurements.zero_columns[np.ix_(group.index, own)]
+
+
+class Clusters:
+    """Columns (n, m) of one protocol's features, reduced to sums over its runs."""
+
+    def __init__(self, group: Group, columns: np.ndarray):
+        count = len(group.u)
+        # Runs in the order of their specimens, so that specimens are stretches of runs.
+        _, run = np.unique(group.run, return_inverse=True)
+        first = np.zeros(run.max() + 1, int)
+        first[run[::-1]] = np.arange(count)[::-1]
+        by_specimen = np.argsort(group.specimen[first], kind="stable")
+        rank = np.empty_like(by_specimen)
+        rank[by_specimen] = np.arange(len(by_specimen))
+        self._run = rank[run]
+        self._order = np.argsort(self._run, kind="stable")
+        self._runs = np.flatnonzero(np.diff(self._run[self._order], prepend=-1))
+        of_run = group.specimen[first][by_specimen]
+        new = np.r_[True, of_run[1:] != of_run[:-1]]
+        self._specimens, self._specimen = np.flatnonzero(new), np.cumsum(new) - 1
+        inverse = 1.0 / group.u**2
+        self._inverse, self._pull = inverse[:, None], (group.sensitivity * inverse)[:, None]
+        self.columns = columns
+        self._information = self._over_runs(group.sensitivity**2 * inverse)
+        self._gram_of_noise = columns.T @ (columns * self._inverse)
+        self._of_runs = self._over_runs(columns * self._pull)
+        self._log_u = float(2 * np.log(group.u).sum())
+        self.readings_a_run = count / len(self._runs)
+
+    def _over_runs(self, values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values[self._order], self._runs, axis=0)
+
+    def _over_specimens(self, values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values, self._specimens, axis=0)
+
+    def _weights(self, scatter: Scatter) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """f_j of runs, z_s of specimens, and the sum that lengthens each specimen."""
+        information = self._information / scatter.kappa**2
+        free = 1.0 / (1.0 + scatter.run**2 * information)
+        told = scatter.specimen**2 * self._over_specimens(information * free)
+        return free, scatter.specimen**2 / (1.0 + told), told
+
+    def log_determinant(self, scatter: Scatter) -> float:
+        """log |V|."""
+        free, _, told = self._weights(scatter)
+        noise = self._log_u + 2 * len(self._run) * np.log(scatter.kappa)
+        return float(noise - np.log(free).sum() + np.log1p(told).sum())
+
+    def gram(self, scatter: Scatter) -> np.ndarray:
+        """X' V^-1 X, (m, m)."""
+        free, shared, _ = self._weights(scatter)
+        runs = self._of_runs / scatter.kappa**2
+        specimens = self._over_specimens(free[:, None] * runs)
+        return (
+            self._gram_of_noise / scatter.kappa**2
+            - runs.T @ ((scatter.run**2 * free)[:, None] * runs)
+            - specimens.T @ (shared[:, None] * specimens)
+        )
+
+    def responses(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums over responses (n, b) that no scatter changes, for :meth:`products`."""
+        return (
+            (self.columns * self._inverse).T @ values,
+            self._over_runs(values * self._pull),
+            (values**2 * self._inverse).sum(axis=0),
+        )
+
+    def products(self, scatter: Scatter, of) -> tuple[np.ndarray, np.ndarray]:
+        """X' V^-1 Y, (m, b), and the diagonal of Y' V^-1 Y, (b,)."""
+        with_columns, of_runs, squares = of
+        free, shared, _ = self._weights(scatter)
+        noise = 1.0 / scatter.kappa**2
+        runs, own = self._of_runs * noise, of_runs * noise
+        pulled = (scatter.run**2 * free)[:, None] * own
+        specimens = self._over_specimens(free[:, None] * runs)
+        own_specimens = self._over_specimens(free[:, None] * own)
+        carried = shared[:, None] * own_specimens
+        score = with_columns * noise - runs.T @ pulled - specimens.T @ carried
+        taken = (own * pulled).sum(axis=0) + (own_specimens * carried).sum(axis=0)
+        return score, squares * noise - taken
+
+    def solved(self, scatter: Scatter, values: np.ndarray) -> np.ndarray:
+        """V^-1 Y of values (n, k)."""
+        free, shared, _ = self._weights(scatter)
+        noise = 1.0 / scatter.kappa**2
+        runs = self._over_runs(values * self._pull) * noise
+        specimens = shared[:, None] * self._over_specimens(free[:, None] * runs)
+        taken = free[:, None] * (scatter.run**2 * runs + specimens[self._specimen])
+        return noise * (values * self._inverse - self._pull * taken[self._run])
+
+
+def log_likelihood(clusters: Clusters, scatter: Scatter, fixed: int, restricted: bool) -> float:
+    """Of the last column, the first ``fixed`` ones fitted freely, the others with unit prior sd.
+
+    ``restricted``: the free columns are integrated out (REML), not maximised over.
+    """
+    gram = clusters.gram(scatter)
+    own, score = gram[:-1, :-1], gram[:-1, -1]
+    value = clusters.log_determinant(scatter) + gram[-1, -1]
+    if len(own):
+        own = own + np.diag(np.where(np.arange(len(own)) < fixed, 0.0, 1.0))
+        own[np.diag_indices_from(own)] *= 1.0 + 1e-10
+        value -= score @ np.linalg.solve(own, score)
+        integrated = own if restricted else own[fixed:, fixed:]
+        value += np.linalg.slogdet(integrated)[1]
+    return float(-0.5 * value)
+
+
+def estimate_scatter(
+    group: Group,
+    residual: np.ndarray,
+    fixed: np.ndarray,
+    random: np.ndarray,
+    start: Scatter = START_SCATTER,
+    restricted: bool = True,
+) -> tuple[Scatter, float]:
+    """Scatter with a weak prior, by a simplex search, and its penalised log-likelihood.
+
+    Parameters
+    ----------
+    residual : (n,) of the group's features.
+    fixed, random : (n, k) and (n, q) columns fitted freely and with unit prior sd.
+    restricted : the fixed columns are integrated out (REML) or maximised over.
+    """
+    clusters = Clusters(group, np.column_stack([fixed, random, residual]))
+
+    def unpack(z):
+        s, r = np.clip(np.exp(z[:2]), *SIGMA_LIMITS)
+        return Scatter(float(s), float(r), float(np.clip(np.exp(z[2]), *KAPPA_LIMITS)))
+
+    def cost(z):
+        scatter = unpack(z)
+        value = log_likelihood(clusters, scatter, fixed.shape[1], restricted)
+        outside = np.sum(np.maximum(np.abs(z[:2] - np.log(0.03)) - 5.5, 0))
+        outside += max(z[2] - KAPPA_LOG_LIMITS[1], KAPPA_LOG_LIMITS[0] - z[2], 0.0)
+        return -value - scatter.log_prior() + 10 * outside
+
+    # Not from a limit: beyond it the likelihood is flat, and the search would stay there.
+    kappa = np.clip(start.kappa, *KAPPA_STARTS)
+    first = np.log([max(start.specimen, 0.004), max(start.run, 0.004), kappa])
+    simplex = np.vstack([first, first + np.diag([0.5, 0.5, 0.15])])
+    found = minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 0.03, "fatol": 0.01, "maxfev": 90},
+    )
+    return unpack(found.x), -float(found.fun)
