@@ -51,17 +51,17 @@ def simulate(material, friction, window_s, start_height_m=None, **settings):
 def _simulate(material, friction, window_s, start_height_m, changes):
     from slipstitch.config.simulation import SimulationSettings
     from slipstitch.design.stage_path import StagePath
-    from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
     path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)
     warm = SimulationSettings(vertices_per_side=5, frames=2, settle_s=0.0)
-    simulate_drop_and_drag(material, friction, 0, warm)
+    simulate_drop_and_drag(DropAndDrag(material, friction, 0), warm)
     settings = SimulationSettings(**changes)
     frames = min(settings.frames, math.floor(window_s * settings.frame_rate_hz) + 1)
     settings = settings.model_copy(update={"frames": frames})
     simulated_s = settings.settle_s + (frames - 1) / settings.frame_rate_hz
     began = time.process_time()
-    run, columns = simulate_drop_and_drag(material, friction, 0, settings, path)
+    run, columns = simulate_drop_and_drag(DropAndDrag(material, friction, 0), settings, path)
     cpu_s = time.process_time() - began
     solver = run.metadata["solver"]
     return {
@@ -119,17 +119,17 @@ def steady_part():
 def _steady(material, friction):
     from slipstitch.config import load_config
     from slipstitch.physics.convergence.study import compare
-    from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+    from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
     grid = load_config(ROOT / "config.yaml", ROOT / "config" / "paper.yaml").simulation
     warm = grid.model_copy(update={"vertices_per_side": 5, "frames": 2, "settle_s": 0.0})
-    simulate_drop_and_drag(material, friction, 0, warm)
+    simulate_drop_and_drag(DropAndDrag(material, friction, 0), warm)
     found = {"material": material, "friction": friction, "simulated_s": grid.recorded_s}
     runs = []
     for name, longest_s in (("before", grid.time_step_s), ("after", grid.steady_step_s)):
         settings = grid.model_copy(update={"steady_step_s": longest_s})
         began = time.process_time()
-        run, columns = simulate_drop_and_drag(material, friction, 0, settings)
+        run, columns = simulate_drop_and_drag(DropAndDrag(material, friction, 0), settings)
         solver = run.metadata["solver"]
         found[name] = {
             "cpu_s": time.process_time() - began,

@@ -9,7 +9,7 @@ from functools import cache
 from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
-from slipstitch.design.grid import batches, films, grid_rows, simulations, viewpoints
+from slipstitch.design.grid import films, grid_rows, simulations, viewpoints
 from slipstitch.design.interpolation import interpolations
 from slipstitch.design.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.base.errors import BadInput

@@ -6,63 +6,28 @@ rule simulate:
         expand("results/simulate/{simulation}.parquet", simulation=SIMULATIONS),
 
 
-if CONFIG.compute.batch == 1:
-
-    rule simulate_one:
-        input:
-            calibration="results/calibrate/calibration.json",
-            model=CONFIG.simulation.model or [],
-        output:
-            "results/simulate/{simulation}.parquet",
-        log:
-            "results/logs/simulate/{simulation}.log",
-        benchmark:
-            "results/benchmarks/simulate/{simulation}.tsv"
-        threads: 1
-        resources:
-            mem_mb=job_memory_mb("simulate"),
-            runtime=job_runtime_min("simulate", CONFIG),
-        params:
-            *settings("simulation"),
-            simulation=lambda wildcards: str(SIMULATIONS[wildcards.simulation]),
-            fabric=lambda wildcards: fabrics(SIMULATIONS[wildcards.simulation].material),
-            code=code_of("simulate"),
-            config=CONFIG_FILE,
-        message:
-            "Simulate {wildcards.simulation}"
-        shell:
-            "slipstitch simulate --config {params.config} --calibration {input.calibration}"
-            " --simulation {wildcards.simulation} --out {output} > {log} 2>&1"
-
-else:
-
-    for NUMBER, IDS in enumerate(batches(CONFIG)):
-
-        rule:
-            name:
-                f"simulate_batch_{NUMBER}"
-            input:
-                calibration="results/calibrate/calibration.json",
-                model=CONFIG.simulation.model or [],
-            output:
-                expand("results/simulate/{simulation}.parquet", simulation=IDS),
-            log:
-                f"results/logs/simulate/batch_{NUMBER}.log",
-            benchmark:
-                f"results/benchmarks/simulate/batch_{NUMBER}.tsv"
-            threads: 1
-            resources:
-                mem_mb=job_memory_mb("simulate") + 64 * len(IDS),
-                runtime=job_runtime_min("simulate", CONFIG),
-            params:
-                *settings("simulation"),
-                simulations=[str(SIMULATIONS[one]) for one in IDS],
-                fabrics=fabrics(*{SIMULATIONS[one].material: None for one in IDS}),
-                code=code_of("simulate"),
-                config=CONFIG_FILE,
-                ids=IDS,
-            message:
-                "Simulate {params.ids}"
-            shell:
-                "slipstitch simulate --config {params.config} --calibration {input.calibration}"
-                " --simulation {params.ids} --out {output} > {log} 2>&1"
+rule simulate_one:
+    input:
+        calibration="results/calibrate/calibration.json",
+        model=CONFIG.simulation.model or [],
+    output:
+        "results/simulate/{simulation}.parquet",
+    log:
+        "results/logs/simulate/{simulation}.log",
+    benchmark:
+        "results/benchmarks/simulate/{simulation}.tsv"
+    threads: 1
+    resources:
+        mem_mb=job_memory_mb("simulate"),
+        runtime=job_runtime_min("simulate", CONFIG),
+    params:
+        *settings("simulation"),
+        simulation=lambda wildcards: str(SIMULATIONS[wildcards.simulation]),
+        fabric=lambda wildcards: fabrics(SIMULATIONS[wildcards.simulation].material),
+        code=code_of("simulate"),
+        config=CONFIG_FILE,
+    message:
+        "Simulate {wildcards.simulation}"
+    shell:
+        "slipstitch simulate --config {params.config} --calibration {input.calibration}"
+        " --simulation {wildcards.simulation} --out {output} > {log} 2>&1"

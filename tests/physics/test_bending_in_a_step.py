@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
 from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric
 from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M
@@ -39,7 +39,7 @@ def fold(fabric: str, rule: str, start_m=FLAT_M, gravity_m_s2=0.0) -> ClothSolve
         friction=0.0,
         fixed=HELD,
         settings=SolverSettings(bending_stiffness_at=rule, damping_s=0.0),
-        gravity_m_s2=(0.0, 0.0, -gravity_m_s2),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, -gravity_m_s2)),
     )
     solver.start()
     return solver

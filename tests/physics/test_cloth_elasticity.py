@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -18,7 +18,7 @@ def _solver(tables, rows=5, columns=5, size_m=0.02, **options):
     fixed = np.zeros((mesh.vertex_count, 3), bool)
     solver = ClothSolver(mesh, tables, rest_m, friction=0.3, fixed=fixed, **options)
     solver.start()
-    solver._inverse_step_squared.fill_(0.0)  # forces only, no inertia
+    solver._nodes.inverse_step_squared.fill_(0.0)  # forces only, no inertia
     return solver, rest_m
 
 
@@ -93,7 +93,7 @@ def test_the_tangent_is_the_derivative_of_the_force_where_stress_is_tensile():
         settings=SolverSettings(damping_s=0.0),
     )
     solver.start()
-    solver._inverse_step_squared.fill_(0.0)
+    solver._nodes.inverse_step_squared.fill_(0.0)
     direction = np.where(inner[:, None], np.random.default_rng(2).normal(size=x.shape), 0.0)
     step = 1e-8
     ahead, behind = (solver._evaluate(x + sign * step * direction) for sign in (1, -1))
@@ -123,15 +123,14 @@ def test_on_a_cylinder_too_the_tangent_of_contact_is_the_derivative_of_its_force
         friction=0.3,
         fixed=np.zeros((25, 3), bool),
         settings=SolverSettings(damping_s=0.0),
-        nodal_force_N=1e-5,
-        ground_curvature_per_m=1 / radius_m,
+        conditions=Conditions(nodal_force_N=1e-5, ground_curvature_per_m=1 / radius_m),
     )
     stretch_N = np.random.default_rng(4).normal(size=(25, 2)) * 5e-6
     solver.start(preload_N=stretch_N)
-    solver._inverse_step_squared.fill_(0.0)
+    solver._nodes.inverse_step_squared.fill_(0.0)
     solver._evaluate(x)
     nodes, blocks = solver._contact_blocks()
-    states = solver.sheets.evaluated(0)[1]
+    states = solver.sheet.evaluated()[1]
     assert set(states) == {1, 2}  # some stick, some slip
     for axis in range(3):
         step = np.zeros(3)

@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.fabric import isotropic_tables
 
 COLUMNS, SPACING_M = 13, 0.005
@@ -32,7 +32,7 @@ def _sheet(motion, damping_s):
         rest_m,
         friction=1.0,
         fixed=~free,
-        gravity_m_s2=(0.0, 0.0, 0.0),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
         settings=SolverSettings(damping_s=damping_s, friction_tolerance=1e-8),
     )
     solver.start()
@@ -42,7 +42,7 @@ def _sheet(motion, damping_s):
 def _lowest_mode(motion):
     """Shape (on the free coordinates) and angular frequency, from differences of the forces."""
     solver, rest_m, free = _sheet(motion, 0.0)
-    solver._inverse_step_squared.fill_(0.0)
+    solver._nodes.inverse_step_squared.fill_(0.0)
     places = np.flatnonzero(free.ravel())
     stiffness = []
     for place in places:

@@ -7,11 +7,11 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.cloth import ClothSolver
 from slipstitch.physics.simulation.drop_and_drag import (
-    LANDING_S,
-    _Bench,
+    DropAndDrag,
     draw_perturbation,
     simulate_drop_and_drag,
 )
+from slipstitch.physics.simulation.landing import LANDING_S, Landing
 
 SMALL = SimulationSettings(vertices_per_side=21, frames=12)
 FRICTION = 0.3
@@ -19,7 +19,7 @@ FRICTION = 0.3
 
 @pytest.fixture(scope="module")
 def run():
-    return simulate_drop_and_drag("11oz-black-denim", FRICTION, 3, SMALL)
+    return simulate_drop_and_drag(DropAndDrag("11oz-black-denim", FRICTION, 3), SMALL)
 
 
 def test_the_stage_follows_the_protocol_of_the_paper():
@@ -86,7 +86,9 @@ def test_the_hanging_cloth_is_free_of_the_floor_and_hardly_stretched(run):
 
 def test_the_same_seed_gives_the_same_bits(run):
     trajectory, columns = run
-    again, columns_again = simulate_drop_and_drag("11oz-black-denim", FRICTION, 3, SMALL)
+    again, columns_again = simulate_drop_and_drag(
+        DropAndDrag("11oz-black-denim", FRICTION, 3), SMALL
+    )
     assert trajectory.positions_m.tobytes() == again.positions_m.tobytes()
     assert (columns["newton_iterations"] == columns_again["newton_iterations"]).all()
 
@@ -94,7 +96,7 @@ def test_the_same_seed_gives_the_same_bits(run):
 def test_replicates_differ_in_what_a_bench_cannot_hold_constant(run):
     trajectory, _ = run
     other, _ = simulate_drop_and_drag(
-        "11oz-black-denim", FRICTION, 4, SMALL.model_copy(update={"frames": 2})
+        DropAndDrag("11oz-black-denim", FRICTION, 4), SMALL.model_copy(update={"frames": 2})
     )
     assert trajectory.metadata["perturbation"] != other.metadata["perturbation"]
     assert np.abs(trajectory.positions_m[0] - other.positions_m[0]).max() > 1e-5
@@ -104,7 +106,7 @@ def test_before_the_cloth_touches_the_floor_nothing_tells_the_coefficient():
     """The same bench at every coefficient: to a hundredth of a pixel, the same images."""
     hanging = SMALL.model_copy(update={"frames": 2})
     low, high = (
-        simulate_drop_and_drag("11oz-black-denim", friction, 3, hanging)[0]
+        simulate_drop_and_drag(DropAndDrag("11oz-black-denim", friction, 3), hanging)[0]
         for friction in (0.1, 1.5)
     )
     assert low.metadata["perturbation"] == high.metadata["perturbation"]
@@ -147,7 +149,7 @@ def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch
     straight = module.BenchPerturbation(0.0, 0.0, 1.0, 1.0, 1.0, 0.5 * curl)
     monkeypatch.setattr(module, "draw_perturbation", lambda *of_a_run: straight)
     trajectory, _ = simulate_drop_and_drag(
-        "11oz-black-denim", FRICTION, 0, SMALL.model_copy(update={"frames": 8})
+        DropAndDrag("11oz-black-denim", FRICTION, 0), SMALL.model_copy(update={"frames": 8})
     )
     bulge = trajectory.positions_m[-1, :, 0]
     assert np.sign(bulge[np.abs(bulge).argmax()]) == -curl
@@ -155,57 +157,57 @@ def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch
 
 def test_a_step_to_the_other_side_is_refused_while_the_cloth_lands(monkeypatch):
     """The way that the cloth goes is confirmed; its mirror image is not."""
-    confirm = _Bench._lands_on_one_side
+    confirm = Landing.confirms
     decided = []
 
-    def both_ways(bench, x, step_s):
-        way_m = x[:, 0] - bench.solver.positions_m[:, 0]
+    def both_ways(landing, x, step_s):
+        way_m = x[:, 0] - landing._solver.positions_m[:, 0]
         other = x.copy()
         other[:, 0] -= 2 * way_m
-        answers = confirm(bench, x, step_s), confirm(bench, other, step_s)
-        if bench._probe is None:
+        answers = confirm(landing, x, step_s), confirm(landing, other, step_s)
+        if landing._finer is None:
             assert answers == (True, True)
-        elif np.sqrt(np.mean(way_m**2)) > bench.settings.step_error_m:
+        elif np.sqrt(np.mean(way_m**2)) > settings.step_error_m:
             decided.append(answers)
         return answers[0]
 
-    monkeypatch.setattr(_Bench, "_lands_on_one_side", both_ways)
+    monkeypatch.setattr(Landing, "confirms", both_ways)
     settings = SimulationSettings(
         vertices_per_side=11, frames=5, settle_s=0.5, step_error_m=3e-4, steady_step_s=0.08
     )  # so coarse that steps are accepted that could be halved
-    simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    simulate_drop_and_drag(DropAndDrag("gray-interlock", FRICTION, 0), settings)
     assert decided and set(decided) == {(True, False)}
 
 
 def test_a_step_that_is_not_confirmed_is_halved(monkeypatch):
     settings = SimulationSettings(vertices_per_side=5, frames=4, settle_s=0.0)
-    plain, _ = simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
-    monkeypatch.setattr(_Bench, "_lands_on_one_side", lambda bench, x, step_s: step_s < 0.06)
-    halved, _ = simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    plain, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", FRICTION, 0), settings)
+    monkeypatch.setattr(Landing, "confirms", lambda landing, x, step_s: step_s < 0.06)
+    halved, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", FRICTION, 0), settings)
     for count in ("steps", "refinements"):
         assert halved.metadata["solver"][count] > plain.metadata["solver"][count]
 
 
 def test_no_long_step_is_taken_while_the_cloth_lands(monkeypatch):
-    confirm = _Bench._lands_on_one_side
+    confirm = Landing.confirms
     long_ones, taken = [], []
 
-    def noted(bench, x, step_s):
+    def noted(landing, x, step_s):
         if x[:, 2].min() >= 0:
-            return confirm(bench, x, step_s)
+            return confirm(landing, x, step_s)
         # By which step the cloth first touches is decided by the last bits: a long one is offered.
         if not long_ones:
-            long_ones.append(confirm(bench, x, settings.steady_step_s))
-        landing = bench.solver.time_s <= bench._touched_s + LANDING_S
-        answer = confirm(bench, x, step_s)
-        if landing and answer:
+            long_ones.append(confirm(landing, x, settings.steady_step_s))
+        lands = landing._solver.time_s <= landing._touched_s + LANDING_S
+        answer = confirm(landing, x, step_s)
+        if lands and answer:
             taken.append(step_s)
         return answer
 
-    monkeypatch.setattr(_Bench, "_lands_on_one_side", noted)
+    monkeypatch.setattr(Landing, "confirms", noted)
     monkeypatch.setattr(ClothSolver, "foreseen_step_s", lambda solver: 10.0)
     settings = SMALL.model_copy(update={"frames": 6, "step_error_m": np.inf, "steady_step_s": 0.42})
-    simulate_drop_and_drag("gray-interlock", FRICTION, 0, settings)
+    simulate_drop_and_drag(DropAndDrag("gray-interlock", FRICTION, 0), settings)
     assert long_ones == [False]
     assert taken and max(taken) < 1.01 * settings.step_used_s
 
@@ -214,11 +216,11 @@ def test_steady_drag_takes_long_steps_and_goes_the_same_way():
     """Implicit Euler is exact for steady translation: what is longer than that costs accuracy."""
     settings = SimulationSettings(vertices_per_side=11, frames=96)
     short = settings.model_copy(update={"steady_step_s": 0.08})
-    ours, columns = simulate_drop_and_drag("gray-interlock", 0.1, 0, settings)
-    theirs, _ = simulate_drop_and_drag("gray-interlock", 0.1, 0, short)
+    ours, columns = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.1, 0), settings)
+    theirs, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.1, 0), short)
     taken = ours.metadata["solver"]["steps"]
     any_error = settings.model_copy(update={"frames": 6, "step_error_m": np.inf})
-    fixed, _ = simulate_drop_and_drag("gray-interlock", 0.1, 0, any_error)
+    fixed, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.1, 0), any_error)
     assert fixed.metadata["solver"]["steps"] == 24 + 5 * 5
     assert taken < 0.6 * theirs.metadata["solver"]["steps"]
     apart_m = np.linalg.norm(ours.positions_m - theirs.positions_m, axis=2).mean(axis=1)
@@ -230,8 +232,8 @@ def test_steady_drag_takes_long_steps_and_goes_the_same_way():
 def test_frames_within_a_long_step_lie_between_its_ends():
     coarse = SMALL.model_copy(update={"frames": 25, "frame_rate_hz": 2.4, "time_step_s": 0.084})
     fine = coarse.model_copy(update={"frames": 24 * 5 + 1, "frame_rate_hz": 12.0})
-    few, _ = simulate_drop_and_drag("gray-interlock", 0.0, 0, coarse)
-    many, columns = simulate_drop_and_drag("gray-interlock", 0.0, 0, fine)
+    few, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.0, 0), coarse)
+    many, columns = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.0, 0), fine)
     assert few.positions_m == pytest.approx(many.positions_m[::5], abs=1e-7)
     # A long step counts its iterations where it ends.
     iterations = columns["newton_iterations"][1:].reshape(-1, 5)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from slipstitch.physics.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
-from slipstitch.physics.cloth.friction import QUANTITIES, force_limit
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
+from slipstitch.physics.cloth.friction import ContactState, force_limit
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -38,7 +38,7 @@ CURVES = [
 ]
 LAWS = [*[{name: PLAIN[name]} for name in CONTACT_MECHANISMS], PLAIN]
 
-LIMIT = force_limit()
+QUANTITIES = tuple(ContactState.vars)
 
 
 @wp.kernel(enable_backward=False)
@@ -49,19 +49,16 @@ def _limits(
     limits: wp.array(dtype=wp.float64),
 ):
     i = wp.tid()
-    limits[i] = LIMIT(
-        wp.float64(0.4),
-        values,
-        at_rest,
-        states[i, 0],
-        states[i, 1],
-        states[i, 2],
-        states[i, 3],
-        states[i, 4],
-        states[i, 5],
-        states[i, 6],
-        states[i, 7],
-    )
+    state = ContactState()
+    state.normal_force_N = states[i, 0]
+    state.area_m2 = states[i, 1]
+    state.direction_rad = states[i, 2]
+    state.dwell_s = states[i, 3]
+    state.speed_m_s = states[i, 4]
+    state.repeats = states[i, 5]
+    state.relative_humidity_pct = states[i, 6]
+    state.place_m = states[i, 7]
+    limits[i] = force_limit(wp.float64(0.4), values, at_rest, state)
 
 
 @pytest.mark.parametrize("static", [True, False])
@@ -130,7 +127,7 @@ def threshold_rad(law, contact):
 
 # warp angle such that the cloth slides at 0.5 rad from the warp: -v is at -pi/2 from u.
 SLIDING_RAD = 0.5
-CONDITIONS = ContactConditions(
+CONDITIONS = Conditions(
     warp_angle_rad=-math.pi / 2 - SLIDING_RAD, relative_humidity_pct=62.0, repeats=3.0
 )
 AT_REST = Contact(
@@ -206,7 +203,7 @@ def test_a_curve_over_the_place_stops_a_slide_where_friction_has_grown():
 def test_rest_and_slides_are_counted():
     law = FrictionLaw(MU, {"wear": PLAIN["wear"]})
     solver = slope_solver(law, 0.0, speed_m_s=0.2)
-    state = solver.floor
+    state = solver.floor.state
     travelled(solver, STEP_S)
     assert (state.sliding.numpy() == 1).all() and (state.dwell_s.numpy() == 0).all()
     travelled(solver, 0.2)  # mu g = 4 m/s2 stops it after 0.05 s and 5 mm

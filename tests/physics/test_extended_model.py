@@ -9,7 +9,7 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.gravity import GRAVITY_M_S2
-from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 MODEL = {
     "causes": ["adhesion", "tilt"],
@@ -78,7 +78,9 @@ def test_drop_and_drag_runs_with_the_model(tmp_path):
     runs = {}
     for name, path in (("plain", None), ("extended", str(written(tmp_path)))):
         settings = SimulationSettings(**coarse, model=path)
-        runs[name], columns = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        runs[name], columns = simulate_drop_and_drag(
+            DropAndDrag("11oz-black-denim", 0.3, 0), settings
+        )
         assert columns["residual"].max() <= settings.friction_tolerance
     assert runs["plain"].metadata["extended_model"] is None
     assert runs["extended"].metadata["extended_model"]["mass_error"] == 0.1
@@ -95,7 +97,7 @@ def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
     tail_m = {}
     for warp in ("u", "v"):
         settings = SimulationSettings(**coarse, model=model, warp=warp)
-        run, _ = simulate_drop_and_drag("11oz-black-denim", 0.3, 0, settings)
+        run, _ = simulate_drop_and_drag(DropAndDrag("11oz-black-denim", 0.3, 0), settings)
         tail_m[warp] = run.positions_m[-1, -9:, 0].mean()
     assert tail_m["v"] < tail_m["u"] - 0.002
 
@@ -133,7 +135,7 @@ def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
     ):
         model = table and str(written(tmp_path, friction_law=plain, bench={}, **table))
         settings = SimulationSettings(**coarse, model=model)
-        run, _ = simulate_drop_and_drag("11oz-black-denim", friction, 0, settings)
+        run, _ = simulate_drop_and_drag(DropAndDrag("11oz-black-denim", friction, 0), settings)
         tails[name] = run.positions_m
     assert np.array_equal(tails["coulomb"], tails["plain"])  # bit by bit
     np.testing.assert_allclose(tails["even"], tails["plain"], atol=2e-5)

@@ -14,7 +14,7 @@ import scipy.interpolate
 import scipy.optimize
 
 from slipstitch.config.catalogue import FABRICS_FILE
-from slipstitch.physics.cloth import ClothSolver, SolverSettings, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.fabric import ElasticTables, load_fabric
 
 FABRICS = json.loads(FABRICS_FILE.read_text())["fabrics"]
@@ -124,7 +124,7 @@ def _patch(name, angle_deg, positions=None, **settings):
         x,
         friction=1.0,
         fixed=fixed,
-        gravity_m_s2=(0.0, 0.0, 0.0),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
         settings=SolverSettings(**settings),
     )
     solver.start()
@@ -146,7 +146,7 @@ def test_uniaxial_stress_is_that_of_the_reference(name):
             solver, xy = _patch(name, angle_deg)
             solver.positions_m[:, :2] = xy @ state.F.T
             assert _pull(solver, xy) == pytest.approx(state.stress_N_m, rel=DEMAND)
-            solver._inverse_step_squared.fill_(0.0)
+            solver._nodes.inverse_step_squared.fill_(0.0)
             side = solver._evaluate(solver.positions_m)[:, :2]
             assert np.abs(side).max() < 1e-3 * DEMAND * state.stress_N_m * WIDTH_M
 
@@ -212,10 +212,10 @@ def _two_faces(name, fold_deg):
         x,
         friction=1.0,
         fixed=np.zeros((4, 3), bool),
-        gravity_m_s2=(0.0, 0.0, 0.0),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
     )
     solver.start()
-    solver._inverse_step_squared.fill_(0.0)
+    solver._nodes.inverse_step_squared.fill_(0.0)
     return solver, x, mesh.hinges[0]
 
 
@@ -264,10 +264,10 @@ def test_forces_of_a_crumpled_patch_are_those_of_the_reference(name):
         x,
         friction=1.0,
         fixed=np.zeros(x.shape, bool),
-        gravity_m_s2=(0.0, 0.0, 0.0),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
     )
     solver.start()
-    solver._inverse_step_squared.fill_(0.0)
+    solver._nodes.inverse_step_squared.fill_(0.0)
     stretching_N, bending_N = np.zeros_like(x), np.zeros_like(x)
     for face in mesh.faces:
         rest = (uv[face[1:]] - uv[face[0]]).T

@@ -14,7 +14,7 @@ from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings, pro
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.gravity import GRAVITY_M_S2
-from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 THICKNESS_M = 1e-3
 
@@ -170,7 +170,6 @@ def _layer_on_incline(friction, multiple, step_s):
         friction=friction,
         fixed=fixed,
         settings=SolverSettings(friction_tolerance=1e-6, self_contact=True, damping_s=0.0),
-        gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2),
     )
     solver.start()
     held = x.copy()
@@ -247,7 +246,7 @@ def test_cloth_lowered_into_a_heap_lies_on_itself(self_contact):
         vertices_per_side=13, frames=22, frame_rate_hz=4, self_contact=self_contact
     )
     path = StagePath(drop_m=0.18, speed_m_s=0.04, acceleration_m_s2=0.04, strokes=0)
-    trajectory, _ = simulate_drop_and_drag("gray-interlock", 0.5, 1, settings, path)
+    trajectory, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.5, 1), settings, path)
     # Without it the layers do cross: the heap is a test.
     assert (_frames_with_crossings(trajectory) == 0) == self_contact
 
@@ -257,5 +256,5 @@ def test_cloth_lowered_into_a_heap_lies_on_itself(self_contact):
 @pytest.mark.parametrize("material", ["gray-interlock", "camel-ponte-roma", "navy-sparkle-sweat"])
 def test_no_triangles_of_the_softest_fabrics_cross_in_the_whole_protocol(material, friction):
     settings = SimulationSettings(frames=315)  # 131 s
-    trajectory, _ = simulate_drop_and_drag(material, friction, 1, settings)
+    trajectory, _ = simulate_drop_and_drag(DropAndDrag(material, friction, 1), settings)
     assert _frames_with_crossings(trajectory) == 0

@@ -110,7 +110,6 @@ def _write_simulate(config: Config, results: Path) -> None:
             "extended_model": asdict(read_extended_model(model)) if model else None,
             "step_s": step_s,
             "device": "cpu",
-            "simulated_at_once": 1,
             "convergence": measured_convergence(one.material, one.friction, config.simulation),
         }
         motion["pinned"] = np.array([0, 10])  # 11 vertices 2 cm apart, held by tabs of 1 cm

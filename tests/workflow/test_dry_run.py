@@ -89,16 +89,6 @@ def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
     assert job_counts(answer.stdout)["instrument_ensemble"] == 2
 
 
-def test_simulations_in_batches_are_a_job_a_batch(workflow):
-    overrides = ("--config", "compute={batch: 10}")
-    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "simulate")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
-    batches = {name: count for name, count in counts.items() if name.startswith("simulate_batch")}
-    assert batches == {"simulate_batch_0": 1, "simulate_batch_1": 1, "simulate_batch_2": 1}
-    assert "simulate_one" not in counts
-
-
 def test_a_release_needs_no_network(workflow):
     answer = workflow.plan("-n", "--quiet", "rules", "--", "release")
     assert answer.returncode == 0, answer.stderr

@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--simulation",
         nargs="+",
         metavar="ID",
-        help="id in the configured grid, e.g. m05_f0300_r00; several are simulated as one batch",
+        help="id in the configured grid, e.g. m05_f0300_r00; several are simulated in turn",
     )
     parser.add_argument(
         "--device",
@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write; print one line per result."""
-    from slipstitch.base.errors import BadInput
+    from slipstitch.base.errors import BadInput, NotConverged
     from slipstitch.config.section import FRICTION_MAX
 
     by_hand = arguments.material is not None and arguments.friction is not None
@@ -72,30 +72,36 @@ def run(arguments: argparse.Namespace) -> None:
     config = _configuration(arguments, by_hand)
 
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag
-    from slipstitch.physics.simulation.simulation_files import runs_of_the_grid, simulate_to_files
+    from slipstitch.physics.simulation.simulation_files import run_of_the_grid, simulate_to_file
 
     if by_hand:
         runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
     else:
-        runs = runs_of_the_grid(config, arguments.simulation)
+        runs = [run_of_the_grid(config, name) for name in arguments.simulation]
     if len(runs) != len(arguments.out):
         raise BadInput(
             f"{len(arguments.out)} files in --out for {len(runs)} simulations: must be one each"
         )
     if len(set(arguments.out)) < len(arguments.out):
         raise BadInput("--out: names a file twice")
-    count = len(runs)
-    for simulated in simulate_to_files(
-        config, runs, arguments.out, device=arguments.device, calibration=arguments.calibration
-    ):
-        run, solver = simulated.run, simulated.trajectory.metadata["solver"]
+    failed = []
+    options = {name: getattr(arguments, name) for name in ("device", "calibration")}
+    for (run, ids), path in zip(runs, arguments.out, strict=True):
+        try:
+            trajectory, cpu_s = simulate_to_file(config, run, ids, path, **options)
+        except NotConverged as error:  # the others are simulated all the same
+            failed.append(str(error))
+            continue
+        solver = trajectory.metadata["solver"]
         print(
-            f"{simulated.path}: {run.material}, friction {run.friction:g}, "
-            f"{len(simulated.trajectory.frame)} frames, "
+            f"{path}: {run.material}, friction {run.friction:g}, "
+            f"{len(trajectory.frame)} frames, "
             f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
             f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
-            f"{simulated.cpu_s:.1f} CPU s" + (f" for all {count}" if count > 1 else "")
+            f"{cpu_s:.1f} CPU s"
         )
+    if failed:
+        raise NotConverged("; ".join(failed))
 
 
 def _configuration(arguments: argparse.Namespace, by_hand: bool):

@@ -11,7 +11,7 @@ from slipstitch.base.page.wording import aligned, size
 from slipstitch.config.calibrate import KEYS
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.model import Config
-from slipstitch.design.grid import batches, films, simulations
+from slipstitch.design.grid import films, simulations
 
 
 @dataclass(frozen=True)
@@ -269,9 +269,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     return [
         # Jobs: one per swept setting, the configured ones, the choice with checks, the pictures.
         StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
-        StageEstimate(
-            "simulate", len(batches(config)), runs * _simulation_cpu_s(config), runs * trajectory
-        ),
+        StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
         StageEstimate(
             "render",
             shards + _drawn_shards(config) + 2 * runs + 1,

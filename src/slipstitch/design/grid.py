@@ -130,13 +130,6 @@ def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
     ]
 
 
-def batches(config: Config) -> list[list[str]]:
-    """Ids of the simulations that one job simulates at once, job by job."""
-    ids = [simulation.id for simulation in simulations(config)]
-    size = config.compute.batch
-    return [ids[first : first + size] for first in range(0, len(ids), size)]
-
-
 def find_simulation(config: Config, name: str) -> Simulation:
     """The simulation with id `name`; BadInput if the grid does not have it."""
     grid = simulations(config)

@@ -361,7 +361,7 @@ def _costs(results: Results) -> Iterator[dict[str, Any]]:
 
 
 def _simulations(results: Results) -> Iterator[dict[str, Any]]:
-    """What each simulation cost and how well it is solved; a batch's cost is not split."""
+    """What each simulation cost and how well it is solved."""
     for one in results.simulated():
         run = read_trajectory(results.simulation_path(one))
         job = results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv"

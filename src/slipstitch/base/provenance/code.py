@@ -24,6 +24,7 @@ STAGES: dict[str, tuple[str, ...]] = {
     "convergence": ("physics.convergence",),
     "convergence.case_run": ("physics.convergence.case_run",),
     "simulate": ("physics.simulation",),
+    "protocol": ("physics.experiments",),
     "render": ("images",),
     "render.packing": ("images.packing",),
     "sample": ("dataset.dataset", "dataset.probes"),

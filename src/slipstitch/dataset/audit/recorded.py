@@ -288,9 +288,8 @@ def _simulated(artefact: Artefact, contents: Contents, known: _Known) -> Iterato
         _plain(asdict(read_extended_model(contents.folder / carried_file(law)))) if law else None
     )
     solver = metadata.pop("solver", {})
-    device, at_once = metadata.pop("device", None), metadata.pop("simulated_at_once", 0)
-    if not isinstance(device, str) or not 1 <= at_once <= len(known.grid):
-        yield "does not state its device and batch size"
+    if not isinstance(metadata.pop("device", None), str):
+        yield "does not state its device"
     yield from _differing(metadata, expected)
     parts = settings.settle_steps, settings.recorded_steps
     least = sum(ceil(steps / settings.steps_at_once) for steps in parts)

@@ -22,7 +22,7 @@ from slipstitch.images.composition import compose_light, join
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.shots import Shot
 from slipstitch.images.surroundings import generator
-from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 # The cloth hangs still for this long; the stage's start is filmed at the full rate for that long.
@@ -57,7 +57,9 @@ def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter)
     """
     started = start_clock()
     settings = surrogate_simulation(config)
-    trajectory, _ = simulate_drop_and_drag(film.pair.material, film.friction, film.seed, settings)
+    trajectory, _ = simulate_drop_and_drag(
+        DropAndDrag(film.pair.material, film.friction, film.seed), settings
+    )
     images = _lens_images(config, film, trajectory, progress)
     with atomic_path(out) as temporary:
         count = _write(config, film, images, temporary)

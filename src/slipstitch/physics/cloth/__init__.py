@@ -7,19 +7,17 @@ from slipstitch.base.warp_start import start_warp
 
 start_warp()
 
-from slipstitch.physics.cloth.floor_friction import ContactConditions  # noqa: E402
+from slipstitch.physics.cloth.floor_friction import Conditions  # noqa: E402
 from slipstitch.physics.cloth.mesh import ClothMesh, rectangle  # noqa: E402
-from slipstitch.physics.cloth.sheets import Sheets, check_device, run_together  # noqa: E402
+from slipstitch.physics.cloth.sheet import check_device  # noqa: E402
 from slipstitch.physics.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
 
 __all__ = [
     "ClothMesh",
     "ClothSolver",
-    "ContactConditions",
-    "Sheets",
+    "Conditions",
     "SolverSettings",
     "StepRecord",
     "check_device",
     "rectangle",
-    "run_together",
 ]

@@ -4,9 +4,6 @@ Energy of a hinge: ke l^2 / (8 (a0 + a1)) (theta - theta0)^2, with l the edge's 
 a1 the areas of its faces at rest, theta the dihedral angle. ke depends on the fold's direction
 in the cloth and on the curvature parameter |theta| l / (2 (a0 + a1)), and is frozen in the
 force (Wang, O'Brien and Ramamoorthi 2011; Bridson, Marino and Fedkiw 2003; ARCSim).
-
-The kernels run over the hinges of all sheets, as those of :mod:`cloth.elasticity` over
-their faces.
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ import warp as wp
 
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
-from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES
+from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, ElasticTables
 
 wp.set_module_options({"enable_backward": False})
 
@@ -77,9 +74,8 @@ def hinge_stiffness(mesh: ClothMesh, bending_N_m: np.ndarray) -> np.ndarray:
 
 @wp.struct
 class Hinges:
-    """The hinges of all sheets, and the bending law of each sheet."""
+    """The hinges of the sheet and their bending law."""
 
-    members: wp.array(dtype=wp.int32)  # the sheet of each hinge
     nodes: wp.array(dtype=wp.int32, ndim=2)
     per_angle: wp.array(dtype=wp.float64)  # curvature parameter over angle, in 1/m
     shape: wp.array(dtype=wp.float64)  # moment per angle over ke: l^2 / (4 (a0 + a1))
@@ -87,8 +83,29 @@ class Hinges:
     angle_before: wp.array(dtype=wp.float64)  # at the beginning of the step
     stiffness_before: wp.array(dtype=wp.float64)  # ke there, in N m
     table: wp.array(dtype=wp.float64, ndim=2)  # ke (N m) at the curvatures of the table
-    stiffness_rule: wp.array(dtype=wp.int32)  # by sheet: which curvature in a step ke follows
-    damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
+    stiffness_rule: int  # which curvature in a step ke follows
+    damping_ratio: wp.array(dtype=wp.float64)  # one number: damping time over step
+
+
+def hinges_of(
+    mesh: ClothMesh, tables: ElasticTables, damping_ratio: wp.array, device: str
+) -> Hinges:
+    """Put the hinges of a sheet on a device."""
+
+    def numbers(values):
+        return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
+
+    length_m, area_m2, _ = hinge_geometry(mesh)
+    stiffness_N_m = hinge_stiffness(mesh, tables.bending_N_m)
+    hinges = Hinges()
+    hinges.nodes = wp.array(mesh.hinges, dtype=wp.int32, device=device)
+    hinges.per_angle = numbers(length_m / (2 * area_m2))
+    hinges.shape = numbers(length_m**2 / (4 * area_m2))
+    hinges.rest_angle = numbers(rest_angles(mesh, tables.rest_curvature_per_m))
+    hinges.angle_before = numbers(np.zeros(len(length_m)))
+    hinges.table, hinges.stiffness_before = numbers(stiffness_N_m), numbers(stiffness_N_m[:, 0])
+    hinges.damping_ratio = damping_ratio
+    return hinges
 
 
 @wp.func
@@ -133,7 +150,7 @@ def stiffness_in_step(
     third rule is that of the end as long as the moment grows with curvature, and holds the moment
     where it would fall.
     """
-    rule = hinges.stiffness_rule[hinges.members[h]]
+    rule = hinges.stiffness_rule
     if rule == OF_END:
         return stiffness_at(hinges, h, curvature)
     start = hinges.stiffness_before[h]
@@ -173,11 +190,9 @@ def corners_of(x: wp.array(dtype=wp.vec3d), hinges: Hinges, h: int) -> mat43d:
 
 
 @wp.kernel
-def dihedral_angles(active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), hinges: Hinges):
+def dihedral_angles(x: wp.array(dtype=wp.vec3d), hinges: Hinges):
     """Note the dihedral angle of each hinge, in radians, and the stiffness there."""
     h = wp.tid()
-    if active[hinges.members[h]] == 0:
-        return
     p = corners_of(x, hinges, h)
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
     hinges.angle_before[h] = theta
@@ -203,23 +218,17 @@ def angle_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d) -> ma
 
 @wp.kernel
 def bending_force(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    hinges: Hinges,
-    minus_force: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d), hinges: Hinges, minus_force: wp.array(dtype=wp.vec3d)
 ):
     """Add minus the elastic and viscous nodal forces of each hinge."""
     h = wp.tid()
-    member = hinges.members[h]
-    if active[member] == 0:
-        return
     p = corners_of(x, hinges, h)
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
     before = hinges.angle_before[h]
     per_angle = hinges.per_angle[h]
     ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
     c = ke[0] * hinges.shape[h]
-    viscous = hinges.damping_ratio[member] * (theta - before)
+    viscous = hinges.damping_ratio[0] * (theta - before)
     moment = c * (theta - hinges.rest_angle[h] + viscous)
     d = angle_gradient(p[0], p[1], p[2], p[3])
     for a in range(4):
@@ -227,21 +236,16 @@ def bending_force(
 
 
 @wp.kernel
-def bending_stiffness(
-    active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), hinges: Hinges, entries: Entries
-):
+def bending_stiffness(x: wp.array(dtype=wp.vec3d), hinges: Hinges, entries: Entries):
     """Add each hinge's stiffness, without the curvature of theta, to the lower triangle."""
     h = wp.tid()
-    member = hinges.members[h]
-    if active[member] == 0:
-        return
     p = corners_of(x, hinges, h)
     per_angle = hinges.per_angle[h]
     theta = dihedral_angle(p[0], p[1], p[2], p[3])
     before = hinges.angle_before[h]
     ke = stiffness_in_step(hinges, h, wp.abs(before) * per_angle, wp.abs(theta) * per_angle)
-    viscous = ONE + hinges.damping_ratio[member]
-    angle = theta - hinges.rest_angle[h] + hinges.damping_ratio[member] * (theta - before)
+    viscous = ONE + hinges.damping_ratio[0]
+    angle = theta - hinges.rest_angle[h] + hinges.damping_ratio[0] * (theta - before)
     tangent = ke[0] * viscous + ke[1] * per_angle * wp.sign(theta) * angle
     tangent = wp.max(tangent, wp.float64(0.1) * ke[0] * viscous)
     c = tangent * hinges.shape[h]
@@ -251,4 +255,4 @@ def bending_stiffness(
             for q in range(3):
                 for r in range(3):
                     k = (a * 3 + q) * 12 + b * 3 + r
-                    add_entry(entries, member, h, k, c * d[a, q] * d[b, r])
+                    add_entry(entries, h, k, c * d[a, q] * d[b, r])

@@ -10,20 +10,15 @@ hangs on an anchor; while |Q| is below the friction law's limit the anchor does 
 microslip of about a micrometre that is elastic and returns). Both springs are as stiff as a node's
 area is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
 
-The limit is mu P (Amontons and Coulomb) or that of an extended law; the kernels are made once for
-each (:func:`contact_kernels`). They run over the nodes of all sheets, as those of
-:mod:`slipstitch.physics.cloth.elasticity` over their faces.
+The limit is mu P (Amontons and Coulomb) or that of an extended law.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from typing import NamedTuple
-
 import numpy as np
 import warp as wp
 
-from slipstitch.physics.cloth import friction
+from slipstitch.physics.cloth.friction import ContactState, force_limit
 from slipstitch.physics.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 
@@ -101,14 +96,15 @@ def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.
 
 @wp.struct
 class FrictionState:
-    """Quantities of a node available to the friction law; Coulomb's law uses only the coefficient.
+    """The friction law, and what it may ask of a node; Coulomb's law uses only the coefficient.
 
     The direction is that of the anchor's pull and the speed that of the step being solved for:
     both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
     """
 
+    extended: bool  # whether the limit is other than Coulomb's
     coefficient: wp.array(dtype=wp.float64)
-    values: wp.array(dtype=wp.float64, ndim=2)  # of the mechanisms' parameters, by sheet
+    values: wp.array(dtype=wp.float64)  # of the mechanisms' parameters
     area_m2: wp.array(dtype=wp.float64)
     warp: wp.array(dtype=wp.vec2d)  # the warp's direction on the floor
     start: wp.array(dtype=wp.vec3d)  # place at the beginning of the step
@@ -116,29 +112,22 @@ class FrictionState:
     dwell_s: wp.array(dtype=wp.float64)
     slid_m: wp.array(dtype=wp.float64)  # path since the last rest
     repeats: wp.array(dtype=wp.float64)
-    relative_humidity_pct: wp.array(dtype=wp.float64)  # by sheet
-    full_touch_N: wp.array(dtype=wp.float64)  # by sheet: load that makes a node's whole area touch
+    relative_humidity_pct: wp.float64
+    full_touch_N: wp.float64  # load that makes a node's whole area touch
 
 
 @wp.struct
 class Nodes:
-    """The nodes of all sheets: their inertia, and what of them is solved for."""
+    """Inertia of the nodes, what of them is solved for, and the ground below them."""
 
-    members: wp.array(dtype=wp.int32)  # the sheet of each node
     mass_kg: wp.array(dtype=wp.float64)
     target: wp.array(dtype=wp.vec3d)  # where they would go by inertia alone
     free: wp.array(dtype=wp.vec3d)  # 1 where a coordinate is solved for, 0 where prescribed
     anchor: wp.array(dtype=wp.vec2d)  # on the ground, what friction remembers
-    gravity_m_s2: wp.array(dtype=wp.vec3d)  # by sheet
-    inverse_step_squared: wp.array(dtype=wp.float64)  # by sheet, in 1/s^2
-
-
-@wp.struct
-class Ground:
-    """What each sheet lies on."""
-
-    curvature: wp.array(dtype=wp.float64)  # in 1/m
-    bedding: wp.array(dtype=wp.float64)  # stiffness per area, along and across, in N/m^3
+    gravity_m_s2: wp.array(dtype=wp.vec3d)  # one vector
+    inverse_step_squared: wp.array(dtype=wp.float64)  # one number, in 1/s^2
+    curvature: wp.float64  # of the ground, in 1/m
+    bedding: wp.float64  # the ground's stiffness per area, along and across, in N/m^3
 
 
 @wp.struct
@@ -153,234 +142,164 @@ class Touch:
 
 
 @wp.func
-def coulomb_limit(
-    node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
-) -> wp.float64:
-    """Largest tangential force that contact can bear: Coulomb's mu P."""
-    return law.coefficient[node] * touch.normal_force
+def limit_of(node: int, touch: Touch, nodes: Nodes, law: FrictionState) -> wp.float64:
+    """Largest tangential force that a contact can bear: Coulomb's mu P, or an extended law's."""
+    if not law.extended:
+        return law.coefficient[node] * touch.normal_force
+    start = ground_point(law.start[node], nodes.curvature)
+    moved = wp.length(touch.point.place - start.place)
+    warp = law.warp[node]
+    pull = touch.pull
+    state = ContactState()
+    state.normal_force_N = touch.normal_force
+    # A force that the area bears would jump where a node just touches, and leave the step
+    # without a solution: the area comes to bear with the first part of the load.
+    state.area_m2 = law.area_m2[node] * wp.min(ONE, touch.normal_force / law.full_touch_N)
+    state.direction_rad = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
+    state.dwell_s = law.dwell_s[node]
+    state.speed_m_s = moved * wp.sqrt(nodes.inverse_step_squared[0])
+    state.repeats = law.repeats[node]
+    state.relative_humidity_pct = law.relative_humidity_pct
+    state.place_m = touch.point.place[0]
+    return force_limit(law.coefficient[node], law.values, law.sliding[node] == 0, state)
 
 
-@cache
-def _law_limit() -> wp.Function:
-    force_limit = friction.force_limit()
-
-    @wp.func
-    def law_limit(
-        node: int, touch: Touch, nodes: Nodes, ground: Ground, law: FrictionState
-    ) -> wp.float64:
-        """Largest tangential force under an extended law."""
-        member = nodes.members[node]
-        start = ground_point(law.start[node], ground.curvature[member])
-        moved = wp.length(touch.point.place - start.place)
-        warp = law.warp[node]
-        pull = touch.pull
-        direction = wp.atan2(warp[0] * pull[1] - warp[1] * pull[0], wp.dot(warp, pull))
-        # A force that the area bears would jump where a node just touches, and leave the step
-        # without a solution: the area comes to bear with the first part of the load.
-        touched = law.area_m2[node] * wp.min(ONE, touch.normal_force / law.full_touch_N[member])
-        return force_limit(
-            law.coefficient[node],
-            law.values[member],
-            law.sliding[node] == 0,
-            touch.normal_force,
-            touched,
-            direction,
-            law.dwell_s[node],
-            moved * wp.sqrt(nodes.inverse_step_squared[member]),
-            law.repeats[node],
-            law.relative_humidity_pct[member],
-            touch.point.place[0],
-        )
-
-    return law_limit
+@wp.func
+def touched(node: int, point: GroundPoint, nodes: Nodes, law: FrictionState) -> Touch:
+    """What a node bears at a point below the ground's surface."""
+    touch = Touch()
+    touch.point = point
+    touch.stiffness = nodes.bedding * law.area_m2[node]
+    touch.normal_force = -touch.stiffness * point.gap
+    touch.pull = point.place - nodes.anchor[node]
+    touch.limit = limit_of(node, touch, nodes, law)
+    return touch
 
 
-class ContactKernels(NamedTuple):
-    """The kernels of one friction law."""
-
-    residual: wp.Kernel
-    stiffness: wp.Kernel
-    move_anchors: wp.Kernel
-    tangent: wp.Kernel
-
-
-@cache
-def contact_kernels(extended: bool) -> ContactKernels:
-    """Kernels under Coulomb's law, or under a law with mechanisms."""
-    limit_of = _law_limit() if extended else coulomb_limit
-    module = __name__ + ("_extended" if extended else "_coulomb")
-
-    @wp.func
-    def touched(
-        node: int, point: GroundPoint, nodes: Nodes, ground: Ground, law: FrictionState
-    ) -> Touch:
-        """What a node bears at a point below the ground's surface."""
-        touch = Touch()
-        touch.point = point
-        touch.stiffness = ground.bedding[nodes.members[node]] * law.area_m2[node]
-        touch.normal_force = -touch.stiffness * point.gap
-        touch.pull = point.place - nodes.anchor[node]
-        touch.limit = limit_of(node, touch, nodes, ground, law)
-        return touch
-
-    @wp.func
-    def ground_force(touch: Touch) -> wp.vec3d:
-        """Force of a node in contact on the ground."""
-        point = touch.point
-        q = returned_force(touch.pull * touch.stiffness, touch.limit)
-        return point.along * q[0] - point.normal * touch.normal_force + wp.vec3d(ZERO, q[1], ZERO)
-
-    @wp.kernel(module=module, enable_backward=False)
-    def node_residual(
-        active: wp.array(dtype=wp.int32),
-        x: wp.array(dtype=wp.vec3d),
-        nodes: Nodes,
-        ground: Ground,
-        law: FrictionState,
-        minus_force: wp.array(dtype=wp.vec3d),
-        residual: wp.array(dtype=wp.vec3d),
-        state: wp.array(dtype=wp.int32),
-    ):
-        """Out-of-balance force of each node; reads and clears ``minus_force``."""
-        i = wp.tid()
-        member = nodes.members[i]
-        if active[member] == 0:
-            return
-        p = x[i]
-        r = minus_force[i] + nodes.mass_kg[i] * (
-            (p - nodes.target[i]) * nodes.inverse_step_squared[member] - nodes.gravity_m_s2[member]
-        )
-        minus_force[i] = wp.vec3d()
-        s = OPEN
-        point = ground_point(p, ground.curvature[member])
-        if point.gap < ZERO:
-            touch = touched(i, point, nodes, ground, law)
-            s = STICK
-            if wp.length(touch.pull * touch.stiffness) > touch.limit:
-                s = SLIP
-            r += ground_force(touch)
-        state[i] = s
-        residual[i] = wp.cw_mul(r, nodes.free[i])
-
-    @wp.func
-    def symmetric_block(
-        node: int, p: wp.vec3d, nodes: Nodes, ground: Ground, law: FrictionState
-    ) -> wp.mat33d:
-        """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
-        block = wp.mat33d()
-        point = ground_point(p, ground.curvature[nodes.members[node]])
-        if point.gap < ZERO:
-            touch = touched(node, point, nodes, ground, law)
-            across = wp.vec3d(ZERO, ONE, ZERO)
-            surface = wp.outer(point.along, point.along) + wp.outer(across, across)
-            pull = wp.length(touch.pull)
-            sideways = (across * touch.pull[0] - point.along * touch.pull[1]) / pull
-            block = returned_stiffness(
-                pull, surface, wp.outer(sideways, sideways), touch.stiffness, touch.limit
-            )
-            block += wp.outer(point.normal, point.normal) * touch.stiffness
-        return block
-
-    @wp.kernel(module=module, enable_backward=False)
-    def node_stiffness(
-        active: wp.array(dtype=wp.int32),
-        x: wp.array(dtype=wp.vec3d),
-        nodes: Nodes,
-        ground: Ground,
-        law: FrictionState,
-        entries: Entries,
-    ):
-        """Add inertia and the symmetric part of contact to the diagonal blocks.
-
-        An element's entries are (xx, yx, yy, zx, zy, zz) of a node's own block.
-        """
-        i = wp.tid()
-        member = nodes.members[i]
-        if active[member] == 0:
-            return
-        inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[member]
-        block = wp.identity(n=3, dtype=wp.float64) * inertia
-        block += symmetric_block(i, x[i], nodes, ground, law)
-        for row in range(3):
-            for column in range(row + 1):
-                place = row * (row + 1) // 2 + column
-                add_entry(entries, member, i, place, block[row, column])
-
-    @wp.kernel(module=module, enable_backward=False)
-    def move_anchors(
-        active: wp.array(dtype=wp.int32),
-        x: wp.array(dtype=wp.vec3d),
-        nodes: Nodes,
-        ground: Ground,
-        law: FrictionState,
-    ):
-        """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
-        i = wp.tid()
-        member = nodes.members[i]
-        if active[member] == 0:
-            return
-        point = ground_point(x[i], ground.curvature[member])
-        if point.gap < ZERO:
-            touch = touched(i, point, nodes, ground, law)
-            kept = kept_pull(wp.length(touch.pull), touch.stiffness, touch.limit)
-            if kept < ONE:
-                nodes.anchor[i] = point.place - touch.pull * kept
-        else:
-            nodes.anchor[i] = point.place
-
-    @wp.kernel(module=module, enable_backward=False)
-    def tangent(
-        x: wp.array(dtype=wp.vec3d),
-        nodes: Nodes,
-        ground: Ground,
-        law: FrictionState,
-        numbers: wp.array(dtype=wp.int32),
-        symmetric: bool,
-        blocks: wp.array(dtype=wp.mat33d),
-    ):
-        """Tangents of the ground's force on some nodes, 3 x 3: exact by central differences.
-
-        ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
-        """
-        k = wp.tid()
-        i = numbers[k]
-        if symmetric:
-            blocks[k] = symmetric_block(i, x[i], nodes, ground, law)
-        else:
-            curvature = ground.curvature[nodes.members[i]]
-            for c in range(3):
-                shift = wp.vec3d()
-                shift[c] = HALF_DIFFERENCE
-                ahead = touched(i, ground_point(x[i] + shift, curvature), nodes, ground, law)
-                behind = touched(i, ground_point(x[i] - shift, curvature), nodes, ground, law)
-                change = ground_force(ahead) - ground_force(behind)
-                change = change / (HALF_DIFFERENCE + HALF_DIFFERENCE)
-                for r in range(3):
-                    blocks[k][r, c] = change[r]
-
-    return ContactKernels(node_residual, node_stiffness, move_anchors, tangent)
+@wp.func
+def ground_force(touch: Touch) -> wp.vec3d:
+    """Force of a node in contact on the ground."""
+    point = touch.point
+    q = returned_force(touch.pull * touch.stiffness, touch.limit)
+    return point.along * q[0] - point.normal * touch.normal_force + wp.vec3d(ZERO, q[1], ZERO)
 
 
-@wp.kernel(enable_backward=False)
-def advance_friction_state(
-    active: wp.array(dtype=wp.int32),
+@wp.kernel
+def node_residual(
     x: wp.array(dtype=wp.vec3d),
     nodes: Nodes,
-    ground: Ground,
     law: FrictionState,
+    minus_force: wp.array(dtype=wp.vec3d),
+    residual: wp.array(dtype=wp.vec3d),
     state: wp.array(dtype=wp.int32),
+):
+    """Out-of-balance force of each node; reads and clears ``minus_force``."""
+    i = wp.tid()
+    p = x[i]
+    r = minus_force[i] + nodes.mass_kg[i] * (
+        (p - nodes.target[i]) * nodes.inverse_step_squared[0] - nodes.gravity_m_s2[0]
+    )
+    minus_force[i] = wp.vec3d()
+    s = OPEN
+    point = ground_point(p, nodes.curvature)
+    if point.gap < ZERO:
+        touch = touched(i, point, nodes, law)
+        s = STICK
+        if wp.length(touch.pull * touch.stiffness) > touch.limit:
+            s = SLIP
+        r += ground_force(touch)
+    state[i] = s
+    residual[i] = wp.cw_mul(r, nodes.free[i])
+
+
+@wp.func
+def symmetric_block(node: int, p: wp.vec3d, nodes: Nodes, law: FrictionState) -> wp.mat33d:
+    """Positive part of the tangent: how the limit changes, and the normal turns, left out."""
+    block = wp.mat33d()
+    point = ground_point(p, nodes.curvature)
+    if point.gap < ZERO:
+        touch = touched(node, point, nodes, law)
+        across = wp.vec3d(ZERO, ONE, ZERO)
+        surface = wp.outer(point.along, point.along) + wp.outer(across, across)
+        pull = wp.length(touch.pull)
+        sideways = (across * touch.pull[0] - point.along * touch.pull[1]) / pull
+        block = returned_stiffness(
+            pull, surface, wp.outer(sideways, sideways), touch.stiffness, touch.limit
+        )
+        block += wp.outer(point.normal, point.normal) * touch.stiffness
+    return block
+
+
+@wp.kernel
+def node_stiffness(x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState, entries: Entries):
+    """Add inertia and the symmetric part of contact to the diagonal blocks.
+
+    An element's entries are (xx, yx, yy, zx, zy, zz) of a node's own block.
+    """
+    i = wp.tid()
+    inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[0]
+    block = wp.identity(n=3, dtype=wp.float64) * inertia
+    block += symmetric_block(i, x[i], nodes, law)
+    for row in range(3):
+        for column in range(row + 1):
+            place = row * (row + 1) // 2 + column
+            add_entry(entries, i, place, block[row, column])
+
+
+@wp.kernel
+def move_anchors(x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState):
+    """After an accepted step: anchors of slipping nodes follow, those of open nodes reset."""
+    i = wp.tid()
+    point = ground_point(x[i], nodes.curvature)
+    if point.gap < ZERO:
+        touch = touched(i, point, nodes, law)
+        kept = kept_pull(wp.length(touch.pull), touch.stiffness, touch.limit)
+        if kept < ONE:
+            nodes.anchor[i] = point.place - touch.pull * kept
+    else:
+        nodes.anchor[i] = point.place
+
+
+@wp.kernel
+def contact_tangent(
+    x: wp.array(dtype=wp.vec3d),
+    nodes: Nodes,
+    law: FrictionState,
+    numbers: wp.array(dtype=wp.int32),
+    symmetric: bool,
+    blocks: wp.array(dtype=wp.mat33d),
+):
+    """Tangents of the ground's force on some nodes, 3 x 3: exact by central differences.
+
+    ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
+    """
+    k = wp.tid()
+    i = numbers[k]
+    if symmetric:
+        blocks[k] = symmetric_block(i, x[i], nodes, law)
+    else:
+        for c in range(3):
+            shift = wp.vec3d()
+            shift[c] = HALF_DIFFERENCE
+            ahead = touched(i, ground_point(x[i] + shift, nodes.curvature), nodes, law)
+            behind = touched(i, ground_point(x[i] - shift, nodes.curvature), nodes, law)
+            change = ground_force(ahead) - ground_force(behind)
+            change = change / (HALF_DIFFERENCE + HALF_DIFFERENCE)
+            for r in range(3):
+                blocks[k][r, c] = change[r]
+
+
+@wp.kernel
+def advance_friction_state(
+    x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState, state: wp.array(dtype=wp.int32)
 ):
     """After an accepted step: who rests and who slides, for how long, how often.
 
     A slide ends when the node comes to rest or leaves the floor.
     """
     i = wp.tid()
-    member = nodes.members[i]
-    if active[member] == 0:
-        return
-    curvature = ground.curvature[member]
-    here = ground_point(x[i], curvature)
-    before = ground_point(law.start[i], curvature)
+    here = ground_point(x[i], nodes.curvature)
+    before = ground_point(law.start[i], nodes.curvature)
     law.start[i] = x[i]
     if state[i] == SLIP:
         law.sliding[i] = 1
@@ -392,6 +311,6 @@ def advance_friction_state(
         law.slid_m[i] = ZERO
         law.sliding[i] = 0
         if state[i] == STICK:
-            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(nodes.inverse_step_squared[member])
+            law.dwell_s[i] = law.dwell_s[i] + ONE / wp.sqrt(nodes.inverse_step_squared[0])
         else:
             law.dwell_s[i] = ZERO

@@ -5,9 +5,6 @@ read by ARCSim): Green strain G, stress S00 = k0 G00 + k1 G11, S11 = k2 G11 + k1
 S01 = k3 G01; nodal force -A F S grad N. The strain dependence of k is left out of the force,
 as in the original. Damping is Kelvin-Voigt: the stress of the strain's change over the step,
 times damping time over step.
-
-The kernels run over the faces of all sheets that are evaluated together, one sheet's after
-another's; those of sheets that are not asked for (``active``) are passed over.
 """
 
 from __future__ import annotations
@@ -17,7 +14,12 @@ import warp as wp
 
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
-from slipstitch.physics.fabric.law import NORMAL_STRAIN_MIN, STRAIN_NODES, STRAIN_SPACING
+from slipstitch.physics.fabric.law import (
+    NORMAL_STRAIN_MIN,
+    STRAIN_NODES,
+    STRAIN_SPACING,
+    ElasticTables,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,26 +41,33 @@ def shape_gradients(mesh: ClothMesh) -> np.ndarray:
 
 @wp.struct
 class Faces:
-    """The faces of all sheets, and the stretching law of each sheet."""
+    """The faces of the sheet and their stretching law."""
 
-    members: wp.array(dtype=wp.int32)  # the sheet of each face
     nodes: wp.array(dtype=wp.int32, ndim=2)
     gradients: wp.array(dtype=wp.vec2d, ndim=2)  # of the shape functions, in 1/m
     area_m2: wp.array(dtype=wp.float64)
     strain_before: wp.array(dtype=wp.vec3d)  # (G00, G11, G01) at the beginning of the step
-    table: wp.array(dtype=wp.vec4d, ndim=3)  # k0...k3 (N/m), one sheet's rows after another's
-    damping_ratio: wp.array(dtype=wp.float64)  # by sheet: damping time over step
+    table: wp.array(dtype=wp.vec4d, ndim=3)  # k0...k3 in N/m
+    damping_ratio: wp.array(dtype=wp.float64)  # one number: damping time over step
+
+
+def faces_of(mesh: ClothMesh, tables: ElasticTables, damping_ratio: wp.array, device: str) -> Faces:
+    """Put the faces of a sheet on a device."""
+    faces = Faces()
+    faces.nodes = wp.array(mesh.faces, dtype=wp.int32, device=device)
+    faces.gradients = wp.array(shape_gradients(mesh), dtype=wp.vec2d, device=device)
+    faces.area_m2 = wp.array(mesh.face_areas_m2(), dtype=wp.float64, device=device)
+    faces.strain_before = wp.zeros(len(mesh.faces), dtype=wp.vec3d, device=device)
+    faces.table = wp.array(tables.stretching_N_m, dtype=wp.vec4d, device=device)
+    faces.damping_ratio = damping_ratio
+    return faces
 
 
 @wp.func
 def stiffness_at(
-    table: wp.array(dtype=wp.vec4d, ndim=3),
-    first: int,
-    G00: wp.float64,
-    G11: wp.float64,
-    G01: wp.float64,
+    table: wp.array(dtype=wp.vec4d, ndim=3), G00: wp.float64, G11: wp.float64, G01: wp.float64
 ) -> wp.vec4d:
-    """Interpolate k0...k3 trilinearly, clamped to the table that starts at row ``first``."""
+    """Interpolate k0...k3 trilinearly, clamped to the table."""
     x = wp.clamp((G00 - ORIGIN) * PER_SPACING, ZERO, LAST_NODE)
     y = wp.clamp((G11 - ORIGIN) * PER_SPACING, ZERO, LAST_NODE)
     z = wp.clamp(wp.abs(G01) * PER_SPACING, ZERO, LAST_NODE)
@@ -66,7 +75,6 @@ def stiffness_at(
     j = wp.min(int(y), int(LAST_NODE) - 1)
     k = wp.min(int(z), int(LAST_NODE) - 1)
     fx = x - wp.float64(i)
-    i += first
     fy = y - wp.float64(j)
     fz = z - wp.float64(k)
     c00 = table[i, j, k] * (ONE - fx) + table[i + 1, j, k] * fx
@@ -104,29 +112,21 @@ def deformation(x: wp.array(dtype=wp.vec3d), faces: Faces, t: int) -> Deformatio
 
 
 @wp.kernel
-def green_strains(active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), faces: Faces):
+def green_strains(x: wp.array(dtype=wp.vec3d), faces: Faces):
     """Note the Green strain (G00, G11, G01) of each face."""
     t = wp.tid()
-    if active[faces.members[t]] == 0:
-        return
     faces.strain_before[t] = deformation(x, faces, t).G
 
 
 @wp.kernel
 def stretching_force(
-    active: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec3d),
-    faces: Faces,
-    minus_force: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d), faces: Faces, minus_force: wp.array(dtype=wp.vec3d)
 ):
     """Add minus the elastic and viscous nodal forces of each face."""
     t = wp.tid()
-    member = faces.members[t]
-    if active[member] == 0:
-        return
     face = deformation(x, faces, t)
-    k = stiffness_at(faces.table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
-    d = faces.damping_ratio[member]
+    k = stiffness_at(faces.table, face.G[0], face.G[1], face.G[2])
+    d = faces.damping_ratio[0]
     area = faces.area_m2[t]
     E = face.G + (face.G - faces.strain_before[t]) * d
     S00 = area * (k[0] * E[0] + k[1] * E[1])
@@ -142,20 +142,15 @@ def stretching_force(
 
 
 @wp.kernel
-def stretching_stiffness(
-    active: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec3d), faces: Faces, entries: Entries
-):
+def stretching_stiffness(x: wp.array(dtype=wp.vec3d), faces: Faces, entries: Entries):
     """Add each face's stiffness to the lower triangle of the matrix, kept positive definite.
 
     The geometric term enters with the tensile part of the stress only.
     """
     t = wp.tid()
-    member = faces.members[t]
-    if active[member] == 0:
-        return
     face = deformation(x, faces, t)
-    k = stiffness_at(faces.table, STRAIN_NODES * member, face.G[0], face.G[1], face.G[2])
-    d = faces.damping_ratio[member]
+    k = stiffness_at(faces.table, face.G[0], face.G[1], face.G[2])
+    d = faces.damping_ratio[0]
     area = faces.area_m2[t]
     E = face.G + (face.G - faces.strain_before[t]) * d
     S00 = k[0] * E[0] + k[1] * E[1]
@@ -207,4 +202,4 @@ def stretching_stiffness(
             )
             for p in range(3):
                 for q in range(3):
-                    add_entry(entries, member, t, (a * 3 + p) * 9 + b * 3 + q, block[p, q])
+                    add_entry(entries, t, (a * 3 + p) * 9 + b * 3 + q, block[p, q])

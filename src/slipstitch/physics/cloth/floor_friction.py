@@ -8,18 +8,26 @@ from math import cos, sin
 import numpy as np
 import warp as wp
 
-from slipstitch.physics.cloth import contact
+from slipstitch.physics.cloth.contact import FrictionState
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.contact import REFERENCE_HUMIDITY_PCT
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 
 @dataclass(frozen=True)
-class ContactConditions:
-    """The quantities required by an extended law in addition to the motion.
+class Conditions:
+    """What acts on the cloth beside its clamps, and what an extended friction law may ask for.
 
     Attributes
     ----------
+    gravity_m_s2 : tuple of 3 floats
+        Tilted for an inclined plane.
+    ground_curvature_per_m : float
+        0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
+    nodal_force_N : float or None
+        What a node of the cloth typically bears, which penetration and tolerance refer to; None:
+        the median nodal weight. The share of the load where something else presses.
     warp_angle_rad : float
         From the cloth's u axis to its warp, towards v.
     relative_humidity_pct : float
@@ -27,46 +35,26 @@ class ContactConditions:
         Slides that the cloth has made before.
     """
 
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)
+    ground_curvature_per_m: float = 0.0
+    nodal_force_N: float | None = None
     warp_angle_rad: float = 0.0
     relative_humidity_pct: float = REFERENCE_HUMIDITY_PCT
     repeats: float = 0.0
 
 
-def friction_states(mesh: ClothMesh, count: int, device: str) -> contact.FrictionState:
-    """Room for the law and the contact history of every node of ``count`` sheets."""
-    V = mesh.vertex_count
-
-    def array(*shape, dtype=wp.float64):
-        return wp.zeros(shape, dtype=dtype, device=device)
-
-    state = contact.FrictionState()
-    state.coefficient = array(count * V)
-    state.values = array(count, len(FrictionLaw(0.0).parameter_values()))
-    areas_m2 = np.tile(mesh.vertex_areas_m2(), count)
-    state.area_m2 = wp.array(areas_m2, dtype=wp.float64, device=device)
-    state.warp = array(count * V, dtype=wp.vec2d)
-    state.start = array(count * V, dtype=wp.vec3d)
-    state.sliding = array(count * V, dtype=wp.int32)
-    state.dwell_s, state.slid_m, state.repeats = (array(count * V) for _ in range(3))
-    state.relative_humidity_pct, state.full_touch_N = array(count), array(count)
-    return state
-
-
 class FloorFriction:
-    """Law and contact history of the nodes of one sheet, as the kernels read them.
+    """Law and contact history of the nodes, as the kernels read them.
 
     Parameters
     ----------
     mesh : ClothMesh
     friction : float, ndarray of shape (V,), or FrictionLaw
         Coulomb's coefficient, for all nodes or node by node, or a law.
-    conditions : ContactConditions
+    conditions : Conditions
     full_touch_N : float
         Load from which a node touches with its whole area.
-    states : FrictionState
-        Of all sheets that are evaluated together.
-    member : int
-        Which of them.
+    device : str
 
     Attributes
     ----------
@@ -78,28 +66,38 @@ class FloorFriction:
         self,
         mesh: ClothMesh,
         friction: float | np.ndarray | FrictionLaw,
-        conditions: ContactConditions,
+        conditions: Conditions,
         full_touch_N: float,
-        states: contact.FrictionState,
-        member: int,
+        device: str,
     ):
         law = friction if isinstance(friction, FrictionLaw) else None
         coefficient = law.coefficient if law else np.asarray(friction, float)
         self.coefficient = np.broadcast_to(coefficient, mesh.vertex_count).copy()
         self.extended = bool(law and (law.mechanisms or law.curve))
-        self._mesh, self._conditions = mesh, conditions
+        self._mesh, self._warp_angle_rad = mesh, conditions.warp_angle_rad
         V = mesh.vertex_count
-        own = slice(member * V, (member + 1) * V)
-        self.start, self._warp = states.start[own], states.warp[own]
-        self.sliding, self.dwell_s = states.sliding[own], states.dwell_s[own]
-        self.repeats = states.repeats[own]
-        states.coefficient[own].assign(self.coefficient)
-        if law:
-            states.values[member].assign(law.parameter_values())
-        one = slice(member, member + 1)
-        states.relative_humidity_pct[one].fill_(conditions.relative_humidity_pct)
-        states.full_touch_N[one].fill_(full_touch_N)
-        self.repeats.fill_(conditions.repeats)
+
+        def numbers(values):
+            return wp.array(values, dtype=wp.float64, device=device)
+
+        state = self.state = FrictionState()
+        state.extended = self.extended
+        state.coefficient = numbers(self.coefficient)
+        state.values = numbers((law or FrictionLaw(0.0)).parameter_values())
+        state.area_m2 = numbers(mesh.vertex_areas_m2())
+        state.warp = wp.zeros(V, dtype=wp.vec2d, device=device)
+        state.start = wp.zeros(V, dtype=wp.vec3d, device=device)
+        state.sliding = wp.zeros(V, dtype=wp.int32, device=device)
+        state.dwell_s, state.slid_m = numbers(np.zeros(V)), numbers(np.zeros(V))
+        state.repeats = numbers(np.full(V, conditions.repeats))
+        state.relative_humidity_pct = conditions.relative_humidity_pct
+        state.full_touch_N = full_touch_N
+
+    def begin(self, positions_m: np.ndarray, place_m: np.ndarray) -> None:
+        """Take positions (V, 3) as the beginning of a step; ``place_m`` as `set_directions`."""
+        if self.extended:
+            self.state.start.assign(positions_m)
+            self.set_directions(place_m)
 
     def set_directions(self, place_m: np.ndarray) -> None:
         """Take the warp's direction on the ground from the present shape.
@@ -113,21 +111,17 @@ class FloorFriction:
         rest = self._mesh.rest_uv_m.reshape(*self._mesh.shape, 2)
         along_u = np.gradient(grid[..., :2], rest[0, :, 0], axis=1)
         along_v = np.gradient(grid[..., :2], rest[:, 0, 1], axis=0)
-        angle = self._conditions.warp_angle_rad
+        angle = self._warp_angle_rad
         warp = cos(angle) * along_u + sin(angle) * along_v
-        self._warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
+        self.state.warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
 
     def go_on_from(self, other: FloorFriction) -> None:
         """Take the contact history of another one of the same cloth."""
-        for own, its in [
-            (self.sliding, other.sliding),
-            (self.dwell_s, other.dwell_s),
-            (self.repeats, other.repeats),
-        ]:
-            own.assign(its)
+        for name in ("sliding", "dwell_s", "repeats"):
+            getattr(self.state, name).assign(getattr(other.state, name))
 
     def rest(self, duration_s: float) -> None:
         """Let every resting node grow older without anything moving."""
         if self.extended:
-            resting = self.sliding.numpy() == 0
-            self.dwell_s.assign(self.dwell_s.numpy() + duration_s * resting)
+            resting = self.state.sliding.numpy() == 0
+            self.state.dwell_s.assign(self.state.dwell_s.numpy() + duration_s * resting)

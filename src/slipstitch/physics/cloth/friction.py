@@ -1,163 +1,111 @@
-"""The friction law in Warp: the formulas of :mod:`slipstitch.physics.friction_law`, translated.
+"""The friction law of :mod:`slipstitch.physics.friction_law` as Warp functions.
 
-There is one source of each mechanism: a plain function that NumPy evaluates. Its syntax tree,
-with NumPy's functions replaced by Warp's of the same meaning and every number made a float64, is
-the Warp function that the contact of the cloth evaluates.
+The same formulas in the same order as in :meth:`FrictionLaw.force_limit`, at the parameters of
+every mechanism in the order of :meth:`FrictionLaw.parameter_values`. A test holds both against each
+other, mechanism by mechanism.
 """
 
 from __future__ import annotations
 
-import ast
-import inspect
-import linecache
-import textwrap
-from functools import cache
-
 import warp as wp
 
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS
-from slipstitch.physics.friction_law.contact import REFERENCE_PRESSURE_PA
+from slipstitch.physics.friction_law.contact import (
+    REFERENCE_DWELL_S,
+    REFERENCE_HUMIDITY_PCT,
+    REFERENCE_PRESSURE_PA,
+    REFERENCE_SPEED_M_S,
+)
 from slipstitch.physics.friction_law.curve import CURVE_QUANTITIES, MOST_KNOTS
-from slipstitch.physics.friction_law.mechanism import Formula, arguments_of
 from slipstitch.physics.friction_law.mechanisms import LEAST_RATIO, SLOWEST_M_S
 
-WARP_NAMES = {"maximum": "max", "minimum": "min"}  # the others are called the same
-QUANTITIES = (
-    "normal_force_N",
-    "area_m2",
-    "direction_rad",
-    "dwell_s",
-    "speed_m_s",
-    "repeats",
-    "relative_humidity_pct",
-    "place_m",
-)
+wp.set_module_options({"enable_backward": False})
 
-
-class _Translation(ast.NodeTransformer):
-    """One formula's source, from NumPy's names to Warp's."""
-
-    def __init__(self, constants: dict):
-        self.constants = constants
-
-    def visit_Constant(self, node):
-        return _number(node.value)
-
-    def visit_Name(self, node):
-        value = self.constants.get(node.id)
-        return _number(value) if isinstance(value, int | float) else node
-
-    def visit_Attribute(self, node):
-        name = WARP_NAMES.get(node.attr, node.attr)
-        return ast.parse(f"wp.{name}", mode="eval").body
-
-
-def _number(value: float) -> ast.expr:
-    return ast.parse(f"wp.float64({float(value)!r})", mode="eval").body
-
-
-def translated(formula: Formula, name: str) -> str:
-    """Source of the Warp function ``name`` that computes what a formula computes."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(formula)))
-    result = next(line for line in tree.body[0].body if isinstance(line, ast.Return))
-    value = ast.unparse(_Translation(formula.__globals__).visit(result.value))
-    arguments = ", ".join(f"{one}: wp.float64" for one in arguments_of(formula))
-    return f"def {name}({arguments}) -> wp.float64:\n    return {value}\n"
-
-
-def _law_source() -> tuple[dict[str, str], str]:
-    """Sources of the formulas by name, and of the law that calls them in turn.
-
-    The same order as in :meth:`slipstitch.physics.friction_law.FrictionLaw.force_limit`.
-    """
-    formulas: dict[str, str] = {}
-    place = {}
-    for mechanism in CONTACT_MECHANISMS.values():
-        for parameter in mechanism.parameters:
-            place[parameter.name] = f"values[{len(place)}]"
-
-    def call(mechanism, kind) -> str:
-        formula = getattr(mechanism, kind)
-        name = f"{mechanism.identifier}_{kind}"
-        formulas[name] = translated(formula, name)
-        return f"{name}({', '.join(place.get(one, one) for one in arguments_of(formula))})"
-
-    body = []
-    for mechanism in CONTACT_MECHANISMS.values():
-        if mechanism.factor:
-            body.append(f"    force = force * {call(mechanism, 'factor')}")
-        for kind, condition in (("static_factor", "at_rest"), ("kinetic_factor", "not at_rest")):
-            if getattr(mechanism, kind):
-                body += [f"    if {condition}:", f"        force = force * {call(mechanism, kind)}"]
-        if mechanism.added_force:
-            body.append(f"    added = added + {call(mechanism, 'added_force')}")
-    body.append(
-        f"    force = force * curve_factor(values, {len(place)}, at_rest, speed_m_s, load_ratio,"
-        " place_m)"
+# Places of the parameters among the law's values; the curve's begin after the last one.
+_NAMES = [one.name for each in CONTACT_MECHANISMS.values() for one in each.parameters]
+LOAD_POWER, ADHESION, STATIC_KINETIC, AGEING, RATE, ANISOTROPY, NAP, WEAR, WEAR_R0, HUMIDITY = (
+    wp.constant(_NAMES.index(name))
+    for name in (
+        *("load_power", "adhesion", "static_kinetic", "ageing", "rate"),
+        *("anisotropy", "nap", "wear", "wear_r0", "humidity"),
     )
-    arguments = ", ".join(f"{one}: wp.float64" for one in QUANTITIES)
-    head = [
-        "def force_limit(coefficient: wp.float64, values: wp.array(dtype=wp.float64),"
-        f" at_rest: bool, {arguments}) -> wp.float64:",
-        f"    load_ratio = normal_force_N / area_m2 / wp.float64({REFERENCE_PRESSURE_PA!r})",
-        "    force = coefficient * normal_force_N",
-        "    added = wp.float64(0.0)",
-    ]
-    tail = ["    return wp.max(force + added, wp.float64(0.0))", ""]
-    return formulas, "\n".join(head + body + tail)
-
-
-SPEED, LOAD, _ = (wp.constant(k + 1) for k in range(len(CURVE_QUANTITIES)))
+)
+CURVE = wp.constant(len(_NAMES))
+CURVE_SPEED, CURVE_LOAD, _ = (wp.constant(k + 1) for k in range(len(CURVE_QUANTITIES)))
 KNOTS = wp.constant(MOST_KNOTS)
+ZERO, ONE = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(1.0))
+TWO, TEN = wp.constant(wp.float64(2.0)), wp.constant(wp.float64(10.0))
 SLOWEST, LEAST = wp.constant(wp.float64(SLOWEST_M_S)), wp.constant(wp.float64(LEAST_RATIO))
+PRESSURE_PA = wp.constant(wp.float64(REFERENCE_PRESSURE_PA))
+DWELL_S = wp.constant(wp.float64(REFERENCE_DWELL_S))
+SPEED_M_S = wp.constant(wp.float64(REFERENCE_SPEED_M_S))
+HUMIDITY_PCT = wp.constant(wp.float64(REFERENCE_HUMIDITY_PCT))
+
+
+@wp.struct
+class ContactState:
+    """State of one contact, see :class:`slipstitch.physics.friction_law.Contact`."""
+
+    normal_force_N: wp.float64
+    area_m2: wp.float64
+    direction_rad: wp.float64
+    dwell_s: wp.float64
+    speed_m_s: wp.float64
+    repeats: wp.float64
+    relative_humidity_pct: wp.float64
+    place_m: wp.float64
 
 
 @wp.func
 def curve_factor(
     values: wp.array(dtype=wp.float64),  # type: ignore[valid-type]
-    first: int,
     at_rest: bool,
-    speed_m_s: wp.float64,
     load_ratio: wp.float64,
-    place_m: wp.float64,
+    contact: ContactState,
 ) -> wp.float64:
-    """:meth:`slipstitch.physics.friction_law.Curve.factor`; its values stand from ``first``."""
-    quantity = int(values[first])
-    if quantity == 0 or (quantity == SPEED and at_rest):
-        return wp.float64(1.0)
-    x = place_m
-    if quantity == SPEED:
-        x = wp.log(wp.max(speed_m_s, SLOWEST))
-    if quantity == LOAD:
+    """:meth:`slipstitch.physics.friction_law.Curve.factor`."""
+    quantity = int(values[CURVE])
+    if quantity == 0 or (quantity == CURVE_SPEED and at_rest):
+        return ONE
+    x = contact.place_m
+    if quantity == CURVE_SPEED:
+        x = wp.log(wp.max(contact.speed_m_s, SLOWEST))
+    if quantity == CURVE_LOAD:
         x = wp.log(wp.max(load_ratio, LEAST))
-    logs = first + 1 + KNOTS
+    knots = CURVE + 1
+    logs = knots + KNOTS
     result = values[logs]
     for k in range(KNOTS - 1):
-        low = values[first + 1 + k]
-        width = values[first + 2 + k] - low
-        if width > wp.float64(0.0) and x > low:
-            share = wp.min((x - low) / width, wp.float64(1.0))
+        low = values[knots + k]
+        width = values[knots + 1 + k] - low
+        if width > ZERO and x > low:
+            share = wp.min((x - low) / width, ONE)
             result = values[logs + k] + share * (values[logs + k + 1] - values[logs + k])
     return wp.exp(result)
 
 
-def _compiled(name: str, source: str, namespace: dict) -> wp.Function:
-    """Make a Warp function of a source text (Warp reads it back through ``linecache``)."""
-    file = f"<friction law: {name}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(True), file)
-    exec(compile(source, file, "exec"), namespace)  # our own text, made above
-    return wp.func(namespace[name])
-
-
-@cache
-def force_limit() -> wp.Function:
-    """The whole law as one Warp function.
-
-    Its arguments are the coefficient, the parameters of every mechanism
-    (:meth:`FrictionLaw.parameter_values`), whether the contact is at rest, then ``QUANTITIES``.
-    """
-    formulas, law = _law_source()
-    namespace = {"wp": wp, "__name__": __name__, "curve_factor": curve_factor}
-    for name, source in formulas.items():
-        namespace[name] = _compiled(name, source, namespace)
-    return _compiled("force_limit", law, namespace)
+@wp.func
+def force_limit(
+    coefficient: wp.float64,
+    values: wp.array(dtype=wp.float64),  # type: ignore[valid-type]
+    at_rest: bool,
+    contact: ContactState,
+) -> wp.float64:
+    """Friction force (N) at which a contact at rest slips, or with which another one slides."""
+    load_ratio = contact.normal_force_N / contact.area_m2 / PRESSURE_PA
+    force = coefficient * contact.normal_force_N
+    force = force * wp.max(load_ratio, LEAST) ** values[LOAD_POWER]
+    added = values[ADHESION] * contact.area_m2
+    if at_rest:
+        force = force * (ONE + values[STATIC_KINETIC])
+        force = force * (ONE + values[AGEING] * wp.log10(ONE + contact.dwell_s / DWELL_S))
+    if not at_rest:
+        speed_ratio = wp.max(contact.speed_m_s, SLOWEST) / SPEED_M_S
+        force = force * (ONE + values[RATE] * wp.log10(speed_ratio))
+    force = force * (ONE + values[ANISOTROPY] * wp.cos(TWO * contact.direction_rad))
+    force = force * (ONE + values[NAP] * wp.cos(contact.direction_rad))
+    force = force * (ONE + values[WEAR] * (ONE - wp.exp(-contact.repeats / values[WEAR_R0])))
+    humid = contact.relative_humidity_pct - HUMIDITY_PCT
+    force = force * (ONE + values[HUMIDITY] * humid / TEN)
+    force = force * curve_factor(values, at_rest, load_ratio, contact)
+    return wp.max(force + added, ZERO)

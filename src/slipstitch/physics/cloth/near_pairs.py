@@ -21,6 +21,23 @@ wp.set_module_options({"enable_backward": False})
 PAIRS_MAX = 2_000_000  # nearer than asked for: more is an error
 
 
+@wp.struct
+class Motion:
+    """Straight ways of the nodes, and how near to each other parts have to come to be listed."""
+
+    x: wp.array(dtype=wp.vec3d)
+    move: wp.array(dtype=wp.vec3d)
+    reach: wp.float64
+
+
+@wp.struct
+class Found:
+    """Pairs that were found, and how many there are, which may be more than have room."""
+
+    pairs: wp.array(dtype=wp.vec2i)
+    count: wp.array(dtype=wp.int32)
+
+
 @wp.kernel
 def swept_boxes(
     x: wp.array(dtype=wp.vec3d),
@@ -55,19 +72,16 @@ def shares_node(n: wp.vec4i, kind: int) -> bool:
 def near_pairs(
     bvh: wp.uint64,
     kind: int,
-    x: wp.array(dtype=wp.vec3d),
-    move: wp.array(dtype=wp.vec3d),
+    motion: Motion,
     first: wp.array(dtype=wp.int32, ndim=2),
     second: wp.array(dtype=wp.int32, ndim=2),
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
-    reach: wp.float64,
-    count: wp.array(dtype=wp.int32),
-    found: wp.array(dtype=wp.vec2i),
+    found: Found,
 ):
     """List the pairs that come nearer than reach anywhere on their way.
 
-    Counts past the end of ``found`` without writing there.
+    Counts past the end of ``found.pairs`` without writing there.
     """
     i = wp.tid()
     query = wp.bvh_query_aabb(bvh, lower[i], upper[i])
@@ -81,11 +95,11 @@ def near_pairs(
             n = wp.vec4i(first[i, 0], first[i, 1], second[j, 0], second[j, 1])
             apart = j > i
         if apart and not shares_node(n, kind):
-            bound = reach + largest_approach(kind, corners_of(move, n))
-            if distance(kind, corners_of(x, n)) < bound:
-                at = wp.atomic_add(count, 0, 1)
-                if at < found.shape[0]:
-                    found[at] = wp.vec2i(i, j)
+            bound = motion.reach + largest_approach(kind, corners_of(motion.move, n))
+            if distance(kind, corners_of(motion.x, n)) < bound:
+                at = wp.atomic_add(found.count, 0, 1)
+                if at < found.pairs.shape[0]:
+                    found.pairs[at] = wp.vec2i(i, j)
 
 
 class NearPairs:
@@ -113,8 +127,9 @@ class NearPairs:
         self._vertex_boxes = boxes(np.arange(vertex_count)[:, None])
         self._face_boxes = boxes(faces)
         self._edge_boxes, self._edge_ways = boxes(self.edges), boxes(self.edges)
-        self._found = wp.zeros(4096, dtype=wp.vec2i, device=device)
-        self._count = wp.zeros(1, dtype=wp.int32, device=device)
+        self._found = Found()
+        self._found.pairs = wp.zeros(4096, dtype=wp.vec2i, device=device)
+        self._found.count = wp.zeros(1, dtype=wp.int32, device=device)
 
     def search(self, x: wp.array, move: wp.array, reach_m: float) -> np.ndarray:
         """Keys, increasing, of the pairs that come nearer than reach on a straight motion.
@@ -132,37 +147,37 @@ class NearPairs:
             (VERTEX_TRIANGLE, self._vertex_boxes, self._face_boxes),
             (EDGE_EDGE, self._edge_ways, self._edge_boxes),
         ]
-        vertices, edges = (
-            self._search(kind, first, second, x, move, reach_m) for kind, first, second in among
-        )
+        motion = Motion()
+        motion.x, motion.move, motion.reach = x, move, reach_m
+        vertices, edges = (self._search(*kind_and_parts, motion) for kind_and_parts in among)
         keys = np.concatenate([vertices, edges + self._boundary])
         keys.sort()
         return keys
 
-    def _search(self, kind, first, second, x, move, reach_m) -> np.ndarray:
+    def _search(self, kind, first, second, motion: Motion) -> np.ndarray:
         while True:
-            self._count.zero_()
+            self._found.count.zero_()
             wp.launch(
                 near_pairs,
                 dim=first.elements.shape[0],
                 inputs=[
                     second.tree(),
                     kind,
-                    *[x, move, first.elements, second.elements],
-                    *[first.lower, first.upper, reach_m, self._count, self._found],
+                    *[motion, first.elements, second.elements],
+                    *[first.lower, first.upper, self._found],
                 ],
                 device=self.device,
             )
-            count = int(self._count.numpy()[0])
+            count = int(self._found.count.numpy()[0])
             if count > PAIRS_MAX:
                 raise NotConverged(
-                    f"self-contact: {count} pairs closer than {1e3 * reach_m:g} mm; at most "
+                    f"self-contact: {count} pairs closer than {1e3 * motion.reach:g} mm; at most "
                     f"{PAIRS_MAX}"
                 )
-            if count <= self._found.shape[0]:
-                pairs = self._found.numpy()[:count].astype(np.int64)
+            if count <= self._found.pairs.shape[0]:
+                pairs = self._found.pairs.numpy()[:count].astype(np.int64)
                 return pairs[:, 0] * second.elements.shape[0] + pairs[:, 1]
-            self._found = wp.zeros(2 * count, dtype=wp.vec2i, device=self.device)
+            self._found.pairs = wp.zeros(2 * count, dtype=wp.vec2i, device=self.device)
 
     def nodes_and_kinds(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes, shape (P, 4), and kinds of the pairs of given keys."""

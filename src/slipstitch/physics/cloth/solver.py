@@ -17,15 +17,15 @@ from math import isfinite, sqrt
 from typing import Literal
 
 import numpy as np
+import warp as wp
 
 from slipstitch.base.errors import NotConverged
 from slipstitch.physics.cloth import bending, contact
-from slipstitch.physics.cloth.batch import Work
-from slipstitch.physics.cloth.floor_friction import ContactConditions, FloorFriction
+from slipstitch.physics.cloth.floor_friction import Conditions, FloorFriction
 from slipstitch.physics.cloth.krylov import flexible_gmres
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
-from slipstitch.physics.cloth.sheets import Sheets
+from slipstitch.physics.cloth.sheet import Sheet, check_device
 from slipstitch.physics.cloth.tangent import Tangent
 from slipstitch.physics.fabric.law import ElasticTables
 from slipstitch.physics.friction_law import FrictionLaw
@@ -81,6 +81,8 @@ class SolverSettings:
         Likewise for one pair of touching parts of the cloth.
     layer_friction : float or None
         Friction coefficient between layers; None takes that of the floor.
+    device : str
+        Warp device on which forces and stiffness are evaluated.
     """
 
     friction_tolerance: float = 1.0e-4
@@ -95,6 +97,7 @@ class SolverSettings:
     thickness_m: float = 1.0e-3
     layer_penetration_m: float = 5.0e-6
     layer_friction: float | None = None
+    device: str = "cpu"
 
     @classmethod
     def of(cls, settings: object) -> SolverSettings:
@@ -154,24 +157,13 @@ class ClothSolver:
     fixed : ndarray of bool, shape (V, 3)
         Coordinates that are prescribed rather than solved for.
     settings : SolverSettings
-    gravity_m_s2 : sequence of 3 floats
-        Tilted for an inclined plane.
-    rest_curvature_per_m : float
-        Natural curl of the cloth about the u axis; positive curls towards the face's normal.
-    nodal_force_N : float, optional
-        What a node of the cloth typically bears, which penetration and tolerance refer to: the
-        median nodal weight if not given, the share of the load where something else presses.
-    ground_curvature_per_m : float
-        0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
-    conditions : ContactConditions
-        What an extended friction law needs to know beside the motion.
-    device : str
-        Warp device on which forces and stiffness are evaluated.
-    sheets : Sheets, optional
-        Sheets of the same mesh and held coordinates to be evaluated together, this one among
-        them; it has its own device. Without it the sheet is alone.
-    member : int
-        Which of them this one is.
+    conditions : Conditions
+        Gravity, ground, load, and what an extended friction law needs to know beside the motion.
+
+    Raises
+    ------
+    BadInput
+        The device is not on this machine.
     """
 
     def __init__(
@@ -183,22 +175,13 @@ class ClothSolver:
         friction: float | np.ndarray | FrictionLaw,
         fixed: np.ndarray,
         settings: SolverSettings | None = None,
-        gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2),
-        rest_curvature_per_m: float = 0.0,
-        nodal_force_N: float | None = None,
-        ground_curvature_per_m: float = 0.0,
-        conditions: ContactConditions | None = None,
-        device: str = "cpu",
-        sheets: Sheets | None = None,
-        member: int = 0,
+        conditions: Conditions | None = None,
     ):
         self.mesh = mesh
         self.settings = settings = settings or SolverSettings()
+        conditions = conditions or Conditions()
+        check_device(settings.device)
         self.fixed = np.array(fixed, dtype=bool)
-        self.sheets = sheets = sheets or Sheets(mesh, self.fixed, device=device)
-        if sheets.mesh is not mesh or not np.array_equal(sheets.fixed, self.fixed):
-            raise ValueError("sheets in a batch must share mesh and clamped coordinates")
-        self.member, self.device = member, sheets.device
         self.mass_kg = tables.areal_density_kg_m2 * mesh.vertex_areas_m2()
         self.positions_m = np.array(positions_m, dtype=float)
         self.velocities_m_s = np.zeros_like(self.positions_m)
@@ -211,17 +194,11 @@ class ClothSolver:
         self._last_error_m = np.inf
         self._acceleration_m_s2 = np.zeros_like(self.positions_m)
 
-        self.ground_curvature_per_m = ground_curvature_per_m
-        self.nodal_force_N = nodal_force_N or GRAVITY_M_S2 * float(np.median(self.mass_kg))
-        self.floor = FloorFriction(
-            mesh,
-            friction,
-            conditions or ContactConditions(),
-            FULL_TOUCH * self.nodal_force_N,
-            sheets.friction,
-            member,
-        )
-        sheets.extended[member] = self.floor.extended
+        self.ground_curvature_per_m = conditions.ground_curvature_per_m
+        median_kg = float(np.median(self.mass_kg))
+        self.nodal_force_N = conditions.nodal_force_N or GRAVITY_M_S2 * median_kg
+        full_touch_N = FULL_TOUCH * self.nodal_force_N
+        self.floor = FloorFriction(mesh, friction, conditions, full_touch_N, settings.device)
         self.friction = self.floor.coefficient
         areas_m2 = mesh.vertex_areas_m2()
         bedding_N_m3 = self.nodal_force_N / settings.penetration_m / float(np.median(areas_m2))
@@ -229,63 +206,35 @@ class ClothSolver:
         self.force_scale_N = (
             max(float(self.friction.max()), settings.friction_floor) * self.nodal_force_N
         )
-        sheets.ground.bedding[member : member + 1].fill_(bedding_N_m3)
-        self._upload(tables, gravity_m_s2, rest_curvature_per_m)
+        nodes = self._nodes = contact.Nodes()
+        nodes.mass_kg = wp.array(self.mass_kg, dtype=wp.float64, device=settings.device)
+        nodes.curvature, nodes.bedding = self.ground_curvature_per_m, bedding_N_m3
+        rule = bending.STIFFNESS_RULES[settings.bending_stiffness_at]
+        self.sheet = Sheet(mesh, tables, self.fixed, self.floor, nodes, rule, settings.device)
+        nodes.target.assign(self.positions_m)
+        nodes.anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
+        self.set_gravity(conditions.gravity_m_s2)
         self._tangent = Tangent(
-            sheets.assembly, mesh.elimination_order, sheets.tangent_values(member)
+            self.sheet.assembly, mesh.elimination_order, self.sheet.tangent_values
         )
-        self._layers = None
-        if settings.self_contact:
-            self._layers = sheets.layers[member] = SelfContact(
-                mesh,
-                thickness_m=settings.thickness_m,
-                stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
-                friction=float(self.friction.max())
-                if settings.layer_friction is None
-                else settings.layer_friction,
-                device=self.device,
-            )
-            self._coupled = -1  # generation of the pairs that the tangent has room for
+        self._layers = self.sheet.layers = self._self_contact() if settings.self_contact else None
+        self._coupled = -1  # generation of the pairs that the tangent has room for
 
-    # -- set-up ---------------------------------------------------------------------------
-
-    def _upload(self, tables, gravity, rest_curvature) -> None:
-        """Fill in this sheet's part of the device's arrays."""
-        sheets, member = self.sheets, self.member
-        nodes, own = sheets.nodes_of(member), slice(member, member + 1)
-        all_nodes = sheets.nodes
-        self._target, self._anchor = all_nodes.target[nodes], all_nodes.anchor[nodes]
-        self._free, self._gravity = all_nodes.free[nodes], all_nodes.gravity_m_s2[own]
-        self._inverse_step_squared = all_nodes.inverse_step_squared[own]
-        self._damping_ratio = sheets.damping_ratio[own]
-        sheets.place(member, self.positions_m)
-        self._target.assign(self.positions_m)
-        self._anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
-        all_nodes.mass_kg[nodes].assign(self.mass_kg)
-        self._free.assign((~self.fixed).astype(float))
-        self.set_gravity(gravity)
-        self._inverse_step_squared.fill_(1.0)
-        rule = bending.STIFFNESS_RULES[self.settings.bending_stiffness_at]
-        sheets.hinges.stiffness_rule[own].fill_(rule)
-        sheets.ground.curvature[own].fill_(self.ground_curvature_per_m)
-        hinge_stiffness = bending.hinge_stiffness(self.mesh, tables.bending_N_m)
-        for whole, table in [
-            (sheets.faces.table, tables.stretching_N_m),
-            (sheets.hinges.table, hinge_stiffness),
-            (sheets.hinges.stiffness_before, np.ascontiguousarray(hinge_stiffness[:, 0])),
-        ]:
-            whole[member * len(table) : (member + 1) * len(table)].assign(table)
-        rest_angles = bending.rest_angles(self.mesh, rest_curvature)
-        first = member * len(rest_angles)
-        sheets.hinges.rest_angle[first : first + len(rest_angles)].assign(rest_angles)
+    def _self_contact(self) -> SelfContact:
+        settings, friction = self.settings, self.settings.layer_friction
+        return SelfContact(
+            self.mesh,
+            thickness_m=settings.thickness_m,
+            stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
+            friction=float(self.friction.max()) if friction is None else friction,
+            device=settings.device,
+        )
 
     # -- pieces of a step -----------------------------------------------------------------
 
     def _evaluate(self, x: np.ndarray) -> np.ndarray:
         """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
-        self.sheets.place(self.member, x)
-        self.sheets.ask(Work.FORCES, self.member)
-        return self.sheets.forces(self.member)
+        return self.sheet.forces(x)
 
     def _factorise(self) -> None:
         """Assemble and factor the tangent at the positions last evaluated."""
@@ -297,11 +246,10 @@ class ClothSolver:
             else:
                 tangent.uncouple()
             self._coupled = layers.generation
-        self.sheets.ask(Work.STIFFNESS, self.member)
+        self.sheet.assemble()
         values = tangent.contact_values()
         if layers is not None and len(layers):
-            place = self.sheets.positions(self.member)
-            layers.add_stiffness(place, self._free, *self._room, values)
+            layers.add_stiffness(self.sheet.x, self._nodes.free, *self._room, values)
         try:
             tangent.factorise()
         except ArithmeticError as error:
@@ -323,14 +271,14 @@ class ClothSolver:
         Not symmetric where a node slips: its friction follows its normal force. ``symmetric``
         leaves that part out.
         """
-        place, state = self.sheets.evaluated(self.member)
+        place, state = self.sheet.evaluated()
         nodes = np.flatnonzero(state)
         free = ~self.fixed[nodes]
         free = free[:, :, None] & free[:, None, :]
         if self.floor.extended:
-            return nodes, self.sheets.contact_tangents(self.member, nodes, symmetric) * free
+            return nodes, self.sheet.contact_tangents(nodes, symmetric) * free
         x, frames = contact.ground_coordinates(place[nodes], self.ground_curvature_per_m)
-        offset = x[:, :2] - self._anchor.numpy()[nodes]
+        offset = x[:, :2] - self._nodes.anchor.numpy()[nodes]
         distance = np.linalg.norm(offset, axis=1)
         stiffness = self.contact_stiffness_N_m[nodes]
         growth = self.friction[nodes] * stiffness  # of the limit with depth
@@ -442,9 +390,9 @@ class ClothSolver:
         """Solve one implicit step; on success the state moves on."""
         end_s = self.time_s + step_s
         target = self.positions_m + step_s * self.velocities_m_s
-        self._target.assign(target)
-        self._inverse_step_squared.fill_(1.0 / step_s**2)
-        self._damping_ratio.fill_(self.settings.damping_s / step_s)
+        self._nodes.target.assign(target)
+        self._nodes.inverse_step_squared.fill_(1.0 / step_s**2)
+        self.sheet.damping_ratio.fill_(self.settings.damping_s / step_s)
         guess = self._guess(target, step_s)
         if prescribed is not None:
             guess[self.fixed] = prescribed(end_s)[self.fixed]
@@ -505,9 +453,9 @@ class ClothSolver:
         self._last_step_s = step_s
         self.velocities_m_s = velocities_m_s
         self.positions_m = x
-        self.sheets.ask(Work.ACCEPT, self.member)
+        self.sheet.accept()
         if self._layers is not None:
-            touching = self._layers.move_anchors(self.sheets.positions(self.member))
+            touching = self._layers.move_anchors(self.sheet.x)
             self.record.touching_pairs = max(self.record.touching_pairs, touching)
         if self.floor.extended:
             place, _ = contact.ground_coordinates(x, self.ground_curvature_per_m)
@@ -588,14 +536,11 @@ class ClothSolver:
             Tangential force that the floor's friction bears at the beginning, as the force of
             the cloth on the floor: what it bears after a slow tilt, say.
         """
-        self.sheets.place(self.member, self.positions_m)
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         anchor = place[:, :2] - preload_N / self.contact_stiffness_N_m[:, None]
-        self._anchor.assign(np.ascontiguousarray(anchor))
-        if self.floor.extended:
-            self.floor.start.assign(self.positions_m)
-            self.floor.set_directions(place)
-        self.sheets.ask(Work.STRAINS, self.member)
+        self._nodes.anchor.assign(np.ascontiguousarray(anchor))
+        self.floor.begin(self.positions_m, place)
+        self.sheet.begin_step(self.positions_m)
 
     def go_on_from(self, other: ClothSolver) -> None:
         """Take the state of another solver of the same cloth; layers forget their friction."""
@@ -603,7 +548,7 @@ class ClothSolver:
         self._acceleration_m_s2, self._last_step_s = other._acceleration_m_s2, other._last_step_s
         self.time_s, self._accurate_step_s = other.time_s, np.inf
         self.start()
-        self._anchor.assign(other._anchor)
+        self._nodes.anchor.assign(other._nodes.anchor)
         self.floor.go_on_from(other.floor)
 
     def advance(
@@ -644,9 +589,9 @@ class ClothSolver:
                     "time_s": self.time_s,
                     "positions_m": self.positions_m,
                     "velocities_m_s": self.velocities_m_s,
-                    "anchors_m": self._anchor.numpy().copy(),
-                    "last_residual_N": self.sheets.forces(self.member),
-                    "last_positions_m": self.sheets.evaluated(self.member)[0].copy(),
+                    "anchors_m": self._nodes.anchor.numpy().copy(),
+                    "last_residual_N": self.sheet.last_forces(),
+                    "last_positions_m": self.sheet.evaluated()[0].copy(),
                     "faces": self.mesh.faces,
                 },
             )
@@ -695,7 +640,7 @@ class ClothSolver:
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Change gravity (a plane that is tilted)."""
-        self._gravity.assign(np.array([gravity_m_s2], dtype=float))
+        self._nodes.gravity_m_s2.assign(np.array([gravity_m_s2], dtype=float))
 
     # -- observables ----------------------------------------------------------------------
 
@@ -706,23 +651,23 @@ class ClothSolver:
         that the holder exerts on the cloth. Inertia is left out: read it at rest or
         in steady motion.
         """
-        self._target.assign(self.positions_m)
-        self._damping_ratio.fill_(0.0)
-        free = self._free.numpy().copy()
-        self._free.fill_(1.0)
+        self._nodes.target.assign(self.positions_m)
+        self.sheet.damping_ratio.fill_(0.0)
+        free = self._nodes.free.numpy().copy()
+        self._nodes.free.fill_(1.0)
         force = self._evaluate(self.positions_m)
-        self._free.assign(free)
+        self._nodes.free.assign(free)
         return np.where(self.fixed, force, 0.0)
 
     def sticks(self) -> np.ndarray:
         """Which vertices the ground held in the last step, shape (V,)."""
-        return self.sheets.evaluated(self.member)[1] == contact.STICK
+        return self.sheet.evaluated()[1] == contact.STICK
 
     def floor_forces(self) -> np.ndarray:
         """Force of the ground on each vertex, shape (V, 3)."""
         x, frames = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         stiffness = self.contact_stiffness_N_m
         normal = np.maximum(-stiffness * x[:, 2], 0.0)
-        tangential = -stiffness[:, None] * (x[:, :2] - self._anchor.numpy())
+        tangential = -stiffness[:, None] * (x[:, :2] - self._nodes.anchor.numpy())
         local = np.column_stack([np.where(normal[:, None] > 0, tangential, 0.0), normal])
         return np.einsum("nij,ni->nj", frames, local)

@@ -13,19 +13,18 @@ cholmod.options["supernodal"] = 2
 
 @wp.struct
 class Entries:
-    """Where the elements of one kind add to the matrices of all sheets."""
+    """Where the elements of one kind add to the matrix."""
 
-    place: wp.array(dtype=wp.int32, ndim=2)  # of one sheet's elements; -1: left out
+    place: wp.array(dtype=wp.int32, ndim=2)  # of each element's entries; -1: left out
     values: wp.array(dtype=wp.float64)
-    per_sheet: int
 
 
 @wp.func
-def add_entry(entries: Entries, member: int, element: int, column: int, value: wp.float64):
-    """Add to one entry; ``element`` counts over all sheets, ``column`` of its row of places."""
-    place = entries.place[element - member * entries.place.shape[0], column]
+def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
+    """Add to an element's entry number ``column``."""
+    place = entries.place[element, column]
     if place >= 0:
-        wp.atomic_add(entries.values, member * entries.per_sheet + place, value)
+        wp.atomic_add(entries.values, place, value)
 
 
 class _Pattern:

@@ -8,7 +8,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import provenance_record, start_clock
 from slipstitch.config import Config
 from slipstitch.physics.convergence.cases import case_settings, cases
-from slipstitch.physics.simulation.drop_and_drag import simulate_drop_and_drag
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 
@@ -40,7 +40,7 @@ def simulate_case(
         raise BadInput(f"the study has no case {name!r}; its ids look like {cases(config)[0].id}")
     settings = case_settings(case, config, config.simulation)
     trajectory, columns = simulate_drop_and_drag(
-        case.material, case.friction, config.convergence.seed, settings
+        DropAndDrag(case.material, case.friction, config.convergence.seed), settings
     )
     trajectory.metadata["case"] = case.id
     record = provenance_record(

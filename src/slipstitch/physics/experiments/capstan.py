@@ -13,7 +13,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import cylindrical_strip_tables, solver_settings
 
 RADIUS_M = 0.020
@@ -129,9 +129,11 @@ def _wrapped(
         friction=friction,
         fixed=fixed,
         settings=solver_settings(settings),
-        gravity_m_s2=(0.0, 0.0, 0.0),
-        nodal_force_N=tension_N * turn / 2,
-        ground_curvature_per_m=1 / RADIUS_M,
+        conditions=Conditions(
+            gravity_m_s2=(0.0, 0.0, 0.0),
+            nodal_force_N=tension_N * turn / 2,
+            ground_curvature_per_m=1 / RADIUS_M,
+        ),
     )
     solver.start()
     return solver, start_m

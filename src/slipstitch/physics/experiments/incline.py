@@ -9,7 +9,7 @@ import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     HINGE_STIFFNESS_N_M,
@@ -43,7 +43,9 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
         friction=friction,
         fixed=np.zeros((mesh.vertex_count, 3), bool),
         settings=solver_settings(settings),
-        gravity_m_s2=(GRAVITY_M_S2 * sin(slope), 0.0, -GRAVITY_M_S2 * cos(slope)),
+        conditions=Conditions(
+            gravity_m_s2=(GRAVITY_M_S2 * sin(slope), 0.0, -GRAVITY_M_S2 * cos(slope))
+        ),
     )
     # Resting on the floor, not dropped on it.
     solver.positions_m[:, 2] = (

@@ -5,6 +5,7 @@ The side to which it buckles is set by a slight natural curl.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     cylindrical_strip_tables,
@@ -123,15 +124,15 @@ def _hanging(settings, friction, gravity_length_m, vertices) -> tuple[ClothSolve
     rigidity_Nm = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m**3
     # What the foot bears is the weight of about one and a half gravity lengths.
     foot_N = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m * spacing_m
+    tables = cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
     solver = ClothSolver(
         mesh,
-        cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm),
+        replace(tables, rest_curvature_per_m=CURL_PER_M),
         start_m,
         friction=friction,
         fixed=fixed,
         settings=solver_settings(settings),
-        rest_curvature_per_m=CURL_PER_M,
-        nodal_force_N=foot_N,
+        conditions=Conditions(nodal_force_N=foot_N),
     )
     solver.start()
     return solver, start_m

@@ -15,7 +15,7 @@ import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.rest import bring_to_rest
 from slipstitch.physics.experiments.specimen import AREAL_DENSITY_KG_M2, solver_settings
 from slipstitch.physics.fabric import isotropic_tables
@@ -98,7 +98,7 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
         fixed=fixed,
         # Out of balance by no more than 0.1 % of the sideways weight.
         settings=solver_settings(settings, friction_floor=10 * SIDE_PUSH),
-        gravity_m_s2=(0.0, 0.0, 0.0),
+        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
     )
     solver.start()
     return solver

@@ -16,7 +16,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     cylindrical_strip_tables,
@@ -229,8 +229,9 @@ def _buckled_strip(
         friction=friction,
         fixed=fixed,
         settings=solver_settings(settings),
-        gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0),
-        nodal_force_N=push_N / 2,
+        conditions=Conditions(
+            gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0), nodal_force_N=push_N / 2
+        ),
     )
     solver.start()
     return solver, start_m

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil, pi, sin, sqrt, tan
-from typing import Any
 
 import numpy as np
 
-from slipstitch.physics.cloth import ClothSolver, ContactConditions, SolverSettings, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.experiments.specimen import cylindrical_strip_tables, hanging_with_tail
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.contact import REFERENCE_HUMIDITY_PCT
@@ -105,10 +104,6 @@ def drag_tracked(
     fixed[:, 1] = True
     fixed[down == 0] = True
     along = sin(run.tilt_downhill_rad)
-    common: dict[str, Any] = {
-        "fixed": fixed,
-        "gravity_m_s2": (GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
-    }
     # Without friction, on level ground: the tail comes to lie without tension.
     level = ClothSolver(
         mesh,
@@ -129,14 +124,15 @@ def drag_tracked(
         tables,
         start_m,
         friction=law,
+        fixed=fixed,
         settings=settings,
-        conditions=ContactConditions(
+        conditions=Conditions(
+            gravity_m_s2=(GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
             # The first stroke slides along -v, which is at -pi/2 from u.
             warp_angle_rad=-pi / 2 - run.orientation_rad,
             relative_humidity_pct=run.relative_humidity_pct,
             repeats=run.repeats,
         ),
-        **common,
     )
     solver.start()
     solver.floor.rest(run.dwell_s)

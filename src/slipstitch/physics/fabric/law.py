@@ -32,11 +32,14 @@ class ElasticTables:
     bending_N_m : ndarray, shape (3, 5)
         Hinge stiffness over fold direction (0, 45, 90 degrees from u) and curvature
         (0, 5, 10, 15, 20 1/m).
+    rest_curvature_per_m : float
+        Natural curl about the u axis; positive curls towards the face's normal.
     """
 
     areal_density_kg_m2: float
     stretching_N_m: np.ndarray
     bending_N_m: np.ndarray
+    rest_curvature_per_m: float = 0.0
 
     @classmethod
     def of_fabric(cls, fabric: Fabric) -> ElasticTables:

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import ceil, cos, pi, radians, sin
 
 import numpy as np
 
-from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import progress
 from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.physics.cloth import (
+    ClothMesh,
     ClothSolver,
-    ContactConditions,
-    Sheets,
+    Conditions,
     SolverSettings,
     StepRecord,
     rectangle,
-    run_together,
 )
 from slipstitch.physics.fabric import ElasticTables, fabric_digest, load_fabric
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.extended_model import ExtendedModel, read_extended_model
 from slipstitch.physics.gravity import GRAVITY_M_S2
 from slipstitch.physics.simulation.convergence import measured_convergence
+from slipstitch.physics.simulation.landing import Landing
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 
@@ -102,15 +102,11 @@ class DropAndDrag:
         return {"fabrics": {self.material: fabric_digest(self.material)}}
 
 
-LANDING_S = 0.1  # after the first touch, in which the cloth buckles to one side
-
 Recorded = tuple[Trajectory, dict[str, np.ndarray]]
 
 
 def simulate_drop_and_drag(
-    material: str,
-    friction: float,
-    seed: int,
+    run: DropAndDrag,
     settings: SimulationSettings,
     path: StagePath | None = None,
     device: str = "cpu",
@@ -119,8 +115,7 @@ def simulate_drop_and_drag(
 
     Parameters
     ----------
-    material, friction, seed
-        See :class:`DropAndDrag`.
+    run : DropAndDrag
     settings : SimulationSettings
     path : StagePath, optional
         Motion of the clamps; that of the settings by default.
@@ -142,65 +137,40 @@ def simulate_drop_and_drag(
     NotConverged
         A step could not be solved.
     """
-    (outcome,) = simulate_batch([DropAndDrag(material, friction, seed)], settings, path, device)
-    if isinstance(outcome, NotConverged):
-        raise outcome
-    return outcome
-
-
-def simulate_batch(
-    runs: Sequence[DropAndDrag],
-    settings: SimulationSettings,
-    path: StagePath | None = None,
-    device: str = "cpu",
-) -> list[Recorded | NotConverged]:
-    """Simulate several runs at once, forces and stiffness of all in one go.
-
-    Parameters
-    ----------
-    runs : sequence of DropAndDrag
-    settings, path, device
-        As for :func:`simulate_drop_and_drag`.
-
-    Returns
-    -------
-    list
-        For each run what :func:`simulate_drop_and_drag` returns, to the bit on the CPU; or the
-        error of a run that could not be solved, which leaves the others alone.
-
-    Raises
-    ------
-    BadInput
-        As there, for any of the runs.
-    """
     path = path or StagePath(**dict(settings.stage))
-    n = settings.vertices_per_side
-    mesh = rectangle(n, n, SIDE_M, SIDE_M)
+    with progress(unit="frame", total=settings.frames) as bar:
+        return _Bench(run, settings, path, device).record(bar.update)
+
+
+def cloth_mesh(settings: SimulationSettings) -> tuple[ClothMesh, np.ndarray]:
+    """Mesh of the cloth, and the numbers of the vertices that the clamps hold."""
+    mesh = rectangle(settings.vertices_per_side, settings.vertices_per_side, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T
     inner = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
-    pinned = (down == 0) & ((across <= inner) | (across >= SIDE_M - inner))
-    sheets = Sheets(mesh, np.repeat(pinned[:, None], 3, axis=1), len(runs), device)
-    benches = [_Bench(run, settings, path, sheets, k) for k, run in enumerate(runs)]
-    frames = len(runs) * settings.frames
-    with progress(unit="frame", total=frames) as bar:
-        return run_together(sheets, [partial(bench.record, bar.update) for bench in benches])
+    return mesh, np.flatnonzero((down == 0) & ((across <= inner) | (across >= SIDE_M - inner)))
+
+
+def described_mesh(mesh: ClothMesh, pinned: np.ndarray) -> dict[str, np.ndarray]:
+    """A mesh as a trajectory describes it."""
+    across, down = mesh.rest_uv_m.T
+    return {
+        "rest_positions_m": np.column_stack([np.zeros(len(down)), across - SIDE_M / 2, -down]),
+        "uv": mesh.rest_uv_m / SIDE_M,
+        "faces": mesh.faces,
+        "pinned": pinned,
+    }
 
 
 class _Bench:
     """A cloth hung up for one run."""
 
     def __init__(
-        self,
-        run: DropAndDrag,
-        settings: SimulationSettings,
-        path: StagePath,
-        sheets: Sheets,
-        member: int,
+        self, run: DropAndDrag, settings: SimulationSettings, path: StagePath, device: str
     ):
         if not 0 <= run.friction <= FRICTION_MAX:  # nor where it is not a number
             raise BadInput(f"friction {run.friction:g}: must lie between 0 and {FRICTION_MAX:g}")
         self.run, self.settings, self.path = run, settings, path
-        self.mesh = mesh = sheets.mesh
+        self.mesh, self.pinned = mesh, pinned = cloth_mesh(settings)
         self.model = model = (
             read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))
         )
@@ -210,69 +180,36 @@ class _Bench:
             perturbation.stretching_factor,
             perturbation.bending_factor * (1 + model.bending_error),
         )
+        tables = ElasticTables.of_fabric(fabric)
         across, down = mesh.rest_uv_m.T
+        fixed = np.zeros((mesh.vertex_count, 3), dtype=bool)
+        fixed[pinned] = True
         yaw = radians(perturbation.yaw_deg)
         lateral = across - SIDE_M / 2
         self.hung_m = hung_m = np.column_stack(
             [-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down]
         )
         hung_m[:, 2] += perturbation.height_m
-        self._new_solver = partial(
+        new_solver = partial(
             ClothSolver,
             mesh,
-            ElasticTables.of_fabric(fabric),
+            replace(tables, rest_curvature_per_m=perturbation.natural_curl_per_m),
             hung_m,
             friction=model.law_at(run.friction),
-            fixed=sheets.fixed,
-            settings=SolverSettings.of(settings.of_fabric(run.material)),
-            gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
-            conditions=ContactConditions(warp_angle_rad=0.0 if settings.warp == "u" else pi / 2),
-            rest_curvature_per_m=perturbation.natural_curl_per_m,
+            fixed=fixed,
+            settings=replace(SolverSettings.of(settings.of_fabric(run.material)), device=device),
+            conditions=Conditions(
+                gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
+                warp_angle_rad=0.0 if settings.warp == "u" else pi / 2,
+            ),
         )
-        self.solver = self._new_solver(sheets=sheets, member=member)
-        self.solver.confirm = self._lands_on_one_side
-        self._touched_s = np.inf
-        self._probe: ClothSolver | None = None
+        self.solver = new_solver()
+        self.solver.confirm = Landing(self.solver, new_solver, self.clamps, settings).confirms
 
     def clamps(self, time_s: float) -> np.ndarray:
         """Positions (V, 3) of which those of the held vertices count, in m."""
         x, z = self.path.position_m(max(time_s, 0.0))
         return self.hung_m + np.array([x, 0.0, z - self.path.start_height_m])
-
-    def _lands_on_one_side(self, x: np.ndarray, step_s: float) -> bool:
-        """Whether steps half as long go the same way as a step to x, while the cloth lands.
-
-        Cloth that touches down buckles, to one side or the other, and a step may have a solution on
-        either: one that is nearly too long takes the wrong one without its error telling. The ways
-        of all vertices along x are compared, as vectors: over the landing those of the paper's
-        settings and of steps a quarter as long have cosines from 0.68 up in all fabrics at three
-        coefficients. So less than 0, opposite ways, is another side, unless both ways agree within
-        the error that a step may have. No long step is taken then.
-        """
-        solver = self.solver
-        is_long = step_s > 1.01 * self.settings.step_used_s
-        if x[:, 2].min() < 0:
-            if solver.time_s <= self._touched_s + LANDING_S and is_long:
-                return False
-            self._touched_s = min(self._touched_s, solver.time_s)
-        if solver.time_s > self._touched_s + LANDING_S:
-            solver.confirm = self._probe = None
-        if not self._touched_s <= solver.time_s <= self._touched_s + LANDING_S:
-            return True
-        if self._probe is None:
-            self._probe = self._new_solver(
-                sheets=Sheets(self.mesh, solver.fixed, device=solver.device), member=0
-            )
-        self._probe.go_on_from(solver)
-        try:
-            for _ in range(2):
-                self._probe.advance(step_s / 2, self.clamps, halvings=2)
-        except NotConverged:
-            return True
-        start_m = solver.positions_m[:, 0]
-        way_m, finer_m = x[:, 0] - start_m, self._probe.positions_m[:, 0] - start_m
-        apart_m = float(np.sqrt(np.mean((way_m - finer_m) ** 2)))
-        return np.vdot(way_m, finer_m) >= 0 or apart_m <= self.settings.step_error_m
 
     def record(self, frame_done) -> Recorded:
         """Let the cloth settle, then go through the protocol."""
@@ -330,14 +267,10 @@ class _Bench:
         solver.time_s = last * step_s
 
     def _trajectory(self, times_s, positions_m, totals: StepRecord) -> Trajectory:
-        run, settings, mesh = self.run, self.settings, self.mesh
-        across, down = mesh.rest_uv_m.T
+        run, settings = self.run, self.settings
         stage_x_m, stage_z_m = self.path.position_m(times_s)
         return Trajectory(
-            rest_positions_m=np.column_stack([np.zeros(len(down)), across - SIDE_M / 2, -down]),
-            uv=mesh.rest_uv_m / SIDE_M,
-            faces=mesh.faces,
-            pinned=np.flatnonzero(self.solver.fixed[:, 0]),
+            **described_mesh(self.mesh, self.pinned),
             frame=np.arange(settings.frames),
             time_s=times_s,
             stage_x_m=stage_x_m,
@@ -353,7 +286,7 @@ class _Bench:
                 "extended_model": asdict(self.model) if settings.model else None,
                 "step_s": settings.step_used_s,
                 "solver": asdict(totals),
-                "device": self.solver.device,
+                "device": self.solver.settings.device,
                 "convergence": measured_convergence(run.material, run.friction, settings),
             },
         )
