@@ -1,6 +1,7 @@
 """``slipstitch render``: shards, previews, and what it says to bad input."""
 
 import json
+from dataclasses import replace
 
 import av
 import cv2
@@ -237,8 +238,8 @@ def _cut(source, path):
 
 def _not_finite(source, path):
     trajectory = read_trajectory(source)
-    trajectory.positions_m[1, 5, 2] = np.nan
-    write_trajectory(path, trajectory)
+    height_m = np.where(trajectory.frame == 1, np.nan, trajectory.stage_z_m)
+    write_trajectory(path, replace(trajectory, stage_z_m=height_m))
 
 
 def _texture_coordinates_in_metres(source, path):
@@ -265,9 +266,9 @@ def _missing(source, path):
         (_missing, "no such file"),
         (_cut, "damaged or not a Parquet file"),
         (_another_parquet, "no column 'frame'"),
-        (_without("positions_m"), "no column 'positions_m'"),
-        (_bare_mesh, "no 'rest_positions_m' in its metadata"),
-        (_not_finite, "positions_m contains non-finite numbers"),
+        (_without("differences_um"), "no column 'differences_um'"),
+        (_bare_mesh, "no 'mesh' in its metadata"),
+        (_not_finite, "stage_z_m contains non-finite numbers"),
         (_texture_coordinates_in_metres, "texture coordinates are outside 0 ... 1"),
     ],
 )

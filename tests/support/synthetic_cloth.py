@@ -4,6 +4,8 @@ The profile is a vertical drop, a quarter circle and a flat tail, with wrinkles 
 the tail trails behind the stage's motion. Nothing here obeys any mechanics.
 """
 
+import json
+
 import numpy as np
 
 SIDE_M = 0.2
@@ -65,3 +67,9 @@ def motion(frames: int, n: int = 21, frame_rate_hz: float = 2.4) -> dict:
         "stage_z_m": z,
         "positions_m": positions,
     }
+
+
+def mesh_text(trajectory) -> str:
+    """The mesh of a trajectory as a file ``mesh.json``, which stands beside many."""
+    names = ("rest_positions_m", "uv", "faces", "pinned")
+    return json.dumps({name: getattr(trajectory, name).tolist() for name in names})

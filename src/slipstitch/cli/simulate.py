@@ -30,6 +30,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ... (default: "
         "compute.device of the configuration)",
     )
+    parser.add_argument(
+        "--handed-out",
+        metavar="DIR",
+        help="folder of simulations, or a release: a simulation that is there is not computed "
+        "(default: compute.handed_out of the configuration)",
+    )
     parser.add_argument("--material", help="a fabric of the catalogue")
     parser.add_argument(
         "--friction", type=float, help="friction coefficient between cloth and floor"
@@ -85,20 +91,20 @@ def run(arguments: argparse.Namespace) -> None:
     if len(set(arguments.out)) < len(arguments.out):
         raise BadInput("--out: names a file twice")
     failed = []
-    options = {name: getattr(arguments, name) for name in ("device", "calibration")}
+    options = {name: getattr(arguments, name) for name in ("device", "calibration", "handed_out")}
     for (run, ids), path in zip(runs, arguments.out, strict=True):
         try:
-            trajectory, cpu_s = simulate_to_file(config, run, ids, path, **options)
+            trajectory, record = simulate_to_file(config, run, ids, path, **options)
         except NotConverged as error:  # the others are simulated all the same
             failed.append(str(error))
             continue
-        solver = trajectory.metadata["solver"]
+        solver, origin = trajectory.metadata["solver"], record.get("handed_out")
         print(
             f"{path}: {run.material}, friction {run.friction:g}, "
             f"{len(trajectory.frame)} frames, "
             f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
             f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
-            f"{cpu_s:.1f} CPU s"
+            + (f"handed out as {origin['file']}" if origin else f"{record['cpu_s']:.1f} CPU s")
         )
     if failed:
         raise NotConverged("; ".join(failed))

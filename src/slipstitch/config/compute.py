@@ -14,3 +14,8 @@ class ComputeSettings(Section):
         description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; linear "
         "systems are always solved on the CPU",
     )
+    handed_out: str | None = Field(
+        None,
+        description="folder of simulations, or a release: what is there with the same fabric, "
+        "coefficient, seed and settings is taken instead of being simulated; null: none",
+    )

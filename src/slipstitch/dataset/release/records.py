@@ -24,7 +24,7 @@ CROISSANT = "croissant.json"
 CRATE = "ro-crate-metadata.json"
 RECORD_SUFFIX = ".record.json"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
-NOT_RECORDED = ("provenance", "rest_positions_m", "uv", "faces")
+NOT_RECORDED = ("provenance", "mesh")
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from slipstitch.physics.fabric import ElasticTables, fabric_digest, load_fabric
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.extended_model import ExtendedModel, read_extended_model
 from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.simulation.compact import rounded
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.landing import Landing
 from slipstitch.physics.simulation.trajectory import Trajectory
@@ -125,7 +126,7 @@ def simulate_drop_and_drag(
     Returns
     -------
     trajectory : Trajectory
-        World positions at the recorded frames.
+        World positions at the recorded frames, rounded to a micrometre as files hold them.
     columns : dict
         ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
         the largest relative out-of-balance force of an accepted step.
@@ -238,7 +239,7 @@ class _Bench:
                 if part <= 1:  # within a long step, which is steady, on a straight line
                     positions[frame] = start_m + part * (solver.positions_m - start_m)
                     frame_done()
-        trajectory = self._trajectory(times_s, positions, totals)
+        trajectory = self._trajectory(times_s, rounded(positions), totals)
         return trajectory, {"newton_iterations": iterations, "residual": residuals}
 
     def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:

@@ -10,6 +10,7 @@ from slipstitch.base.provenance import atomic_path, provenance_record, start_clo
 from slipstitch.config import Config
 from slipstitch.design.grid import find_simulation
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
+from slipstitch.physics.simulation.handed_out import take_handed_out
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
 
@@ -39,8 +40,11 @@ def simulate_to_file(
     *,
     device: str | None = None,
     calibration: str | os.PathLike | None = None,
-) -> tuple[Trajectory, float]:
-    """Simulate a run and write it, or the state that could not be solved.
+    handed_out: str | os.PathLike | None = None,
+) -> tuple[Trajectory, dict]:
+    """Simulate a run, or take it from those handed out; write it.
+
+    Of a run that cannot be solved the state is written.
 
     Parameters
     ----------
@@ -54,28 +58,37 @@ def simulate_to_file(
         Instead of the configured one.
     calibration : path, optional
         The file that settings were taken from, for the record.
+    handed_out : path, optional
+        Folder or release to take the run from if it is there; the configured one by default.
 
     Returns
     -------
     trajectory : Trajectory
-    cpu_s : float
+    record : dict
+        Its provenance; under ``handed_out`` where it was taken from, if it was.
 
     Raises
     ------
     BadInput
-        See `slipstitch.physics.simulation.drop_and_drag.simulate_drop_and_drag`.
+        See `slipstitch.physics.simulation.drop_and_drag.simulate_drop_and_drag` and
+        `slipstitch.physics.simulation.handed_out.take_handed_out`.
     NotConverged
         A step could not be solved.
     """
     started = start_clock()
     settings = config.simulation
-    try:
-        trajectory, columns = simulate_drop_and_drag(
-            run, settings, device=device or config.compute.device
-        )
-    except NotConverged as error:
-        raise _with_state_saved(error, path) from None
-    trajectory.metadata.update(ids)
+    folder = handed_out or config.compute.handed_out
+    taken = take_handed_out(folder, run, ids, settings) if folder else None
+    if taken:
+        trajectory, columns, origin = taken
+    else:
+        try:
+            trajectory, columns = simulate_drop_and_drag(
+                run, settings, device=device or config.compute.device
+            )
+        except NotConverged as error:
+            raise _with_state_saved(error, path) from None
+        trajectory.metadata.update(ids)
     record = provenance_record(
         "simulate",
         inputs=[file for file in (calibration, settings.model) if file],
@@ -83,8 +96,10 @@ def simulate_to_file(
         seed=run.seed,
         started=started,
     )
+    if taken:
+        record["handed_out"] = origin
     write_trajectory(path, trajectory, record, **columns)
-    return trajectory, record["cpu_s"]
+    return trajectory, record
 
 
 def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverged:

@@ -1,14 +1,17 @@
 """A simulated run as a file: one row per frame, mesh and provenance in the metadata."""
 
+import base64
 import math
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import open_parquet, read_metadata, write_parquet
+from slipstitch.base.errors import BadInput, first_line
+from slipstitch.base.provenance import open_parquet, read_json, read_metadata, write_parquet
+from slipstitch.physics.simulation.compact import decode, encode
 
 _SCALARS = {
     "frame": pa.int32(),
@@ -16,7 +19,12 @@ _SCALARS = {
     "stage_x_m": pa.float64(),
     "stage_z_m": pa.float64(),
 }
-_MESH = ("rest_positions_m", "uv", "faces", "pinned")
+DIFFERENCES = (
+    "differences_um"  # column of the positions, see `slipstitch.physics.simulation.compact`
+)
+COMPRESSION_LEVEL = 19
+_MESH_TYPES = {"rest_positions_m": np.float64, "uv": np.float64, "faces": np.int32}
+FACES_A_VERTEX_MAX = 3  # of a triangle mesh; a file that claims more holds none
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,7 @@ def write_trajectory(
     record: dict | None = None,
     **columns: np.ndarray,
 ) -> None:
-    """Write a trajectory as Parquet, atomically.
+    """Write a trajectory as Parquet, atomically; positions are rounded to a micrometre.
 
     Parameters
     ----------
@@ -68,48 +76,110 @@ def write_trajectory(
         Provenance, see `slipstitch.base.provenance.provenance_record`.
     **columns : ndarray (T,)
         Further columns, such as ``newton_iterations`` and ``residual``.
+
+    Raises
+    ------
+    ValueError
+        If a position is not finite or out of range.
     """
-    count = len(trajectory.frame)
-    flat = np.ascontiguousarray(trajectory.positions_m, dtype=np.float32).reshape(count, -1)
     arrays = {name: pa.array(getattr(trajectory, name), kind) for name, kind in _SCALARS.items()}
-    arrays["positions_m"] = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
     arrays |= {name: pa.array(values) for name, values in columns.items()}
-    mesh = {name: np.asarray(getattr(trajectory, name)).tolist() for name in _MESH}
-    write_parquet(pa.table(arrays), path, {**trajectory.metadata, **mesh}, record)
+    differences = encode(trajectory.positions_m)
+    arrays[DIFFERENCES] = pa.FixedSizeListArray.from_arrays(
+        pa.array(differences.ravel()), differences.shape[1]
+    )
+    mesh = {"pinned": np.asarray(trajectory.pinned).tolist(), "mesh": _packed_mesh(trajectory)}
+    write_parquet(
+        pa.table(arrays),
+        path,
+        {**trajectory.metadata, **mesh},
+        record,
+        compression_level=COMPRESSION_LEVEL,
+        use_dictionary=False,
+        use_byte_stream_split=[f"{DIFFERENCES}.list.element"],
+        write_statistics=False,
+        data_page_size=2**28,
+    )
+
+
+def _packed_mesh(trajectory: Trajectory) -> dict:
+    """Rest positions, texture coordinates and faces as text: some 15 kB for 41 x 41 vertices."""
+    arrays = (
+        np.asarray(getattr(trajectory, name), dtype=kind) for name, kind in _MESH_TYPES.items()
+    )
+    data = pa.Codec("zstd", 19).compress(b"".join(one.tobytes() for one in arrays), asbytes=True)
+    return {"faces": len(trajectory.faces), "zstd_base64": base64.b64encode(data).decode()}
+
+
+def _unpacked_mesh(packed: dict, vertices: int) -> dict:
+    shapes = ((vertices, 3), (vertices, 2), (int(packed["faces"]), 3))
+    sizes = [8 * math.prod(shapes[0]), 8 * math.prod(shapes[1]), 4 * math.prod(shapes[2])]
+    if not 0 < shapes[2][0] <= FACES_A_VERTEX_MAX * vertices:
+        raise ValueError(f"{shapes[2][0]} faces of {vertices} vertices")
+    data = pa.Codec("zstd").decompress(
+        base64.b64decode(packed["zstd_base64"], validate=True), sum(sizes), asbytes=True
+    )
+    mesh, begin = {}, 0
+    for (name, kind), shape, size in zip(_MESH_TYPES.items(), shapes, sizes, strict=True):
+        mesh[name] = np.frombuffer(data[begin : begin + size], dtype=kind).reshape(shape).copy()
+        begin += size
+    return mesh
 
 
 def read_trajectory(path: str | os.PathLike) -> Trajectory:
-    """Read what `write_trajectory` wrote.
+    """Read what `write_trajectory` wrote; or without a mesh, which stands in ``mesh.json`` beside.
 
     Raises
     ------
     BadInput
         If the file is missing, damaged, or not a trajectory; or contains non-finite numbers.
     """
+    return read_with_columns(path)[0]
+
+
+def read_with_columns(path: str | os.PathLike) -> tuple[Trajectory, dict[str, np.ndarray]]:
+    """A trajectory, and the further columns of its file; see `read_trajectory`."""
     with open_parquet(path) as file:
         table = file.read()
         metadata = read_metadata(table)
-    for name in (*_SCALARS, "positions_m"):
+    for name in (*_SCALARS, DIFFERENCES):
         if name not in table.column_names:
             raise BadInput(f"{path}: not a trajectory: no column {name!r}")
-    for name in _MESH:
-        if name not in metadata:
-            raise BadInput(f"{path}: not a trajectory: no {name!r} in its metadata")
     try:
-        values = {name: table[name].to_numpy() for name in _SCALARS}
-        mesh = {
-            "rest_positions_m": np.array(metadata.pop("rest_positions_m"), dtype=np.float64),
-            "uv": np.array(metadata.pop("uv"), dtype=np.float64),
-            "faces": np.array(metadata.pop("faces"), dtype=np.int64),
-            "pinned": np.array(metadata.pop("pinned"), dtype=np.int64),
+        columns = {
+            name: table[name].to_numpy() for name in table.column_names if name != DIFFERENCES
         }
-        vertices = len(mesh["rest_positions_m"])
-        flat = table["positions_m"].combine_chunks().flatten().to_numpy()
-        positions = flat.reshape(table.num_rows, vertices, 3).astype(np.float32)
-    except (ValueError, TypeError, AttributeError, pa.ArrowException) as error:
-        raise BadInput(f"{path}: not a trajectory: {str(error).splitlines()[0]}") from None
+        values = {name: columns.pop(name) for name in _SCALARS}
+        flat = table[DIFFERENCES].combine_chunks().flatten().to_numpy()
+        if flat.dtype != np.int32 or not len(flat):
+            raise ValueError(f"{DIFFERENCES} must be integers of 32 bits")
+        positions = decode(flat.reshape(table.num_rows, -1))
+        vertices = positions.shape[1]
+        mesh = _mesh_of(path, metadata, vertices)
+        mesh["faces"] = mesh["faces"].astype(np.int64)
+        mesh["pinned"] = np.array(metadata.pop("pinned", mesh.get("pinned")), dtype=np.int64)
+    except (ValueError, TypeError, KeyError, AttributeError, OSError) as error:
+        raise BadInput(f"{path}: not a trajectory: {first_line(error)}") from None
     _check(path, mesh, vertices, positions, values)
-    return Trajectory(**mesh, **values, positions_m=positions, metadata=metadata)
+    return Trajectory(**mesh, **values, positions_m=positions, metadata=metadata), columns
+
+
+def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
+    """The mesh in the metadata, or of ``mesh.json`` beside the file."""
+    packed = metadata.pop("mesh", None)
+    if packed is not None:
+        return _unpacked_mesh(packed, vertices)
+    beside = Path(path).with_name("mesh.json")
+    if not beside.is_file():
+        raise BadInput(f"{path}: not a trajectory: no 'mesh' in its metadata, no mesh.json beside")
+    content = read_json(beside)
+    mesh = {name: np.array(content[name], dtype=kind) for name, kind in _MESH_TYPES.items()}
+    if len(mesh["rest_positions_m"]) != vertices:
+        raise BadInput(
+            f"{path}: {vertices} vertices, but {beside.name} beside has another mesh, of "
+            f"{len(mesh['rest_positions_m'])}"
+        )
+    return mesh | {"pinned": content["pinned"]}
 
 
 def _check(path, mesh: dict, vertices: int, positions: np.ndarray, values: dict) -> None:

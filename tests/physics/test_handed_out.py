@@ -1,0 +1,215 @@
+"""Simulations that are handed out are taken instead of computed, or refused in one line."""
+
+import hashlib
+import json
+import shutil
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from support import synthetic_cloth
+
+from slipstitch.base.provenance import read_provenance
+from slipstitch.cli.main import main
+from slipstitch.physics.simulation import simulation_files
+from slipstitch.physics.simulation.trajectory import read_trajectory, write_trajectory
+
+FIRST, SECOND = "m05_f0300_r00", "m05_f0700_r00"
+GRID = {
+    "grid": {"materials": ["gray-interlock"], "frictions": [0.3, 0.7]},
+    "simulation": {"vertices_per_side": 7, "frames": 3, "settle_s": 0.2},
+    "sample": {"frames": 2},
+}
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Two simulations of a small grid, and its configuration."""
+    folder = tmp_path_factory.mktemp("simulated")
+    (folder / "grid.yaml").write_text(yaml.safe_dump(GRID))
+    words = ["--config", folder / "grid.yaml", "--simulation", FIRST, SECOND]
+    out = [folder / f"{name}.parquet" for name in (FIRST, SECOND)]
+    assert main([str(word) for word in ("simulate", *words, "--out", *out)]) == 0
+    return folder
+
+
+@pytest.fixture
+def folder(simulated, tmp_path):
+    """A copy of the simulations, to be handed out."""
+    there = tmp_path / "handed out"
+    there.mkdir()
+    for name in (FIRST, SECOND):
+        shutil.copy2(simulated / f"{name}.parquet", there)
+    return there
+
+
+def take(folder, simulated, *words, simulation=FIRST):
+    """Exit code, and where the simulation was to go."""
+    out = folder.parent / "out" / "x.parquet"
+    words = words or ("--config", simulated / "grid.yaml", "--simulation", simulation)
+    words = ("simulate", *words, "--handed-out", folder, "--out", out)
+    return main([str(word) for word in words]), out
+
+
+@pytest.fixture
+def no_solver(monkeypatch):
+    def simulate(*of_a_run, **options):
+        raise AssertionError("simulated")
+
+    monkeypatch.setattr(simulation_files, "simulate_drop_and_drag", simulate)
+
+
+def apart(folder):
+    """Make the files those of a hand-out of another kind: the mesh and the checksums beside."""
+    first = read_trajectory(folder / f"{FIRST}.parquet")
+    (folder / "mesh.json").write_text(synthetic_cloth.mesh_text(first))
+    lines = []
+    for path in sorted(folder.glob("*.parquet")):
+        table = pq.read_table(path)
+        metadata = json.loads(table.schema.metadata[b"slipstitch"])
+        metadata = {key: metadata[key] for key in metadata if key not in ("mesh", "pinned")}
+        table = table.replace_schema_metadata({"slipstitch": json.dumps(metadata)})
+        pq.write_table(table, path, compression="zstd")
+        lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  ./{path.name}\n")
+    (folder / "SHA256SUMS").write_text("".join(lines))
+
+
+@pytest.mark.parametrize("arrange", [lambda folder: None, apart], ids=["own", "mesh beside"])
+def test_a_simulation_that_is_there_is_taken_and_the_record_says_so(
+    folder, simulated, no_solver, capfd, arrange
+):
+    arrange(folder)
+    code, out = take(folder, simulated)
+    assert code == 0
+    assert f"handed out as {FIRST}.parquet" in capfd.readouterr().out
+    own, taken = (read_trajectory(path) for path in (simulated / f"{FIRST}.parquet", out))
+    np.testing.assert_array_equal(own.positions_m, taken.positions_m)
+    np.testing.assert_array_equal(own.faces, taken.faces)
+    names = ("newton_iterations", "residual")
+    one, other = pq.read_table(simulated / f"{FIRST}.parquet"), pq.read_table(out)
+    assert all(one[name].equals(other[name]) for name in names)
+    record, origin = (read_provenance(path) for path in (out, simulated / f"{FIRST}.parquet"))
+    assert record["handed_out"]["file"] == f"{FIRST}.parquet"
+    assert record["handed_out"]["provenance"] == origin
+    assert len(record["handed_out"]["sha256"]) == 64 and record["config"] == origin["config"]
+    for each in (own, taken):
+        each.metadata.pop("provenance")
+    assert own.metadata == taken.metadata
+
+
+def test_a_release_is_taken_from_and_a_run_by_hand_is_found(folder, simulated, no_solver):
+    (folder / "simulations").mkdir()
+    for path in folder.glob("*.parquet"):
+        path.rename(folder / "simulations" / path.name)
+    assert take(folder, simulated)[0] == 0
+    seed = read_trajectory(simulated / f"{FIRST}.parquet").metadata["seed"]
+    words = ["--material", "gray-interlock", "--friction", 0.3, "--seed", seed]
+    for key, value in GRID["simulation"].items():
+        words += ["--set", f"{key}={value}"]
+    code, out = take(folder, simulated, *words)
+    assert code == 0 and "handed_out" in read_provenance(out)
+
+
+def test_the_configuration_names_the_folder_and_what_is_missing_is_simulated(
+    folder, simulated, capfd
+):
+    (folder / f"{SECOND}.parquet").unlink()
+    config = folder.parent / "grid.yaml"
+    config.write_text(yaml.safe_dump(GRID | {"compute": {"handed_out": str(folder)}}))
+    out = [folder.parent / f"{name}.parquet" for name in (FIRST, SECOND)]
+    words = ["--config", config, "--simulation", FIRST, SECOND, "--out", *out]
+    assert main([str(word) for word in ("simulate", *words)]) == 0
+    first, second = capfd.readouterr().out.splitlines()
+    assert "handed out" in first and "CPU s" in second
+    assert "handed_out" not in read_provenance(out[1])
+    for name, path in zip((FIRST, SECOND), out, strict=True):
+        expected = read_trajectory(simulated / f"{name}.parquet").positions_m
+        np.testing.assert_array_equal(read_trajectory(path).positions_m, expected)
+
+
+def _one_byte(folder):
+    path = folder / f"{FIRST}.parquet"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 10] ^= 1
+    path.write_bytes(data)
+
+
+def _one_byte_of_a_listed_file(folder):
+    apart(folder)
+    _one_byte(folder)
+
+
+def _no_list(folder):
+    apart(folder)
+    (folder / "SHA256SUMS").unlink()
+
+
+def _mesh_beside_of_others(folder):
+    apart(folder)
+    other = synthetic_cloth.mesh_text(read_trajectory(folder / f"{FIRST}.parquet"))
+    (folder / "mesh.json").write_text(other.replace("0.1]", "0.11]"))
+
+
+def _another_size_of_mesh_beside(folder):
+    apart(folder)
+    first = json.loads((folder / "mesh.json").read_text())
+    first["rest_positions_m"].pop()
+    (folder / "mesh.json").write_text(json.dumps(first))
+
+
+def _twice(folder):
+    shutil.copy2(folder / f"{FIRST}.parquet", folder / "n.parquet")
+
+
+def _states(**changes):
+    def change(folder):
+        path = folder / f"{FIRST}.parquet"
+        trajectory = read_trajectory(path)
+        record = trajectory.metadata.pop("provenance")
+        for key, value in changes.items():
+            if isinstance(trajectory.metadata.get(key), dict):
+                trajectory.metadata[key] |= value
+            else:
+                trajectory.metadata[key] = value
+        if "catalogue" in changes:
+            record["config"]["catalogue"] = trajectory.metadata.pop("catalogue")
+        write_trajectory(path, trajectory, record)
+
+    return change
+
+
+def _empty(folder):
+    for path in folder.iterdir():
+        path.unlink()
+
+
+REFUSED = {
+    _one_byte: "damaged",
+    _one_byte_of_a_listed_file: "damaged",
+    _no_list: "cannot be checked: no SHA256SUMS beside lists it",
+    _mesh_beside_of_others: "another mesh",
+    _another_size_of_mesh_beside: "49 vertices, but mesh.json beside has another mesh, of 48",
+    _twice: f"claims to be {FIRST}, and so does n.parquet",
+    _states(seed=7): "seed 7, not ",
+    _states(friction=0.4): "friction 0.4, not 0.3",
+    _states(material="royal-target"): "material royal-target, not gray-interlock",
+    _states(settings={"damping_s": 0.1}): "damping_s 0.1, not 0.002",
+    _states(settings={"frames": 4}): "frames 4, not 3",
+    _states(settings={"new": 1}): "new 1, not stated",
+    _states(perturbation={"yaw_deg": 9.0}): "another perturbation of the bench",
+    _states(extended_model={"law": 1}): "another extended model",
+    _states(catalogue="other"): "another fabric data",
+    _empty: "has no simulations",
+    shutil.rmtree: "no such folder",
+}
+
+
+@pytest.mark.parametrize("change", REFUSED, ids=REFUSED.values())
+def test_what_is_not_the_run_is_refused_in_one_line(folder, simulated, no_solver, capfd, change):
+    change(folder)
+    code, out = take(folder, simulated)
+    said = capfd.readouterr().err
+    assert code == 2 and said.count("\n") == 1
+    assert REFUSED[change] in said and str(folder) in said
+    assert not out.exists()
