@@ -24,7 +24,7 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import losses, training_views
-from slipstitch.learning.network import LRCN, build_network, cross_entropy
+from slipstitch.learning.lrcn import LRCN
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 
 FRAMES = 30
@@ -66,7 +66,7 @@ def lrcn_step(network: LRCN, frames: torch.Tensor, bfloat16: bool) -> Callable[[
 
     def step():
         optimizer.zero_grad()
-        cross_entropy(network(frames, None, bfloat16), truth).backward()
+        torch.nn.functional.cross_entropy(network(frames, None, bfloat16), truth).backward()
         optimizer.step()
 
     return step
@@ -75,7 +75,7 @@ def lrcn_step(network: LRCN, frames: torch.Tensor, bfloat16: bool) -> Callable[[
 def lrcn_of(frames: torch.Tensor, **changes) -> LRCN:
     """The paper's network at a quarter width, ready for these frames."""
     torch.manual_seed(0)
-    network = build_network(TrainSettings(**changes), CLASSES, frames.shape[2])
+    network = LRCN(TrainSettings(**changes), CLASSES, frames.shape[2])
     network.mean.fill_(frames.float().mean())
     network.deviation.fill_(frames.float().std())
     return network
@@ -86,7 +86,7 @@ def cosine(network: LRCN, frames: torch.Tensor) -> float:
     truth, gradients = torch.arange(len(frames)) % CLASSES, []
     for bfloat16 in (False, True):
         network.zero_grad()
-        cross_entropy(network(frames, None, bfloat16), truth).backward()
+        torch.nn.functional.cross_entropy(network(frames, None, bfloat16), truth).backward()
         gradients.append(torch.cat([weight.grad.flatten() for weight in network.parameters()]))
     return torch.nn.functional.cosine_similarity(*gradients, dim=0).item()
 

@@ -34,7 +34,7 @@ from slipstitch.base.provenance import (
 from slipstitch.cli.main import main
 from slipstitch.film.camera.views import _frames
 from slipstitch.film.recording import Recording
-from slipstitch.learning.model_file import load_model
+from slipstitch.learning.lrcn_model import load_model
 
 SOURCES = sorted((Path(__file__).parents[2] / "src").rglob("*.py"))
 # Modules and functions that run what they read.

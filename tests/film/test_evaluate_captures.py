@@ -23,8 +23,8 @@ from slipstitch.film.captures.scores import Predictions, capture_scores, distanc
 from slipstitch.images.camera import pose
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.instrument.measuring import save_instrument
-from slipstitch.learning.model_file import load_model
-from slipstitch.learning.training import train_network
+from slipstitch.learning.lrcn_model import load_model, train_network
+from slipstitch.learning.trainer import Run
 
 KNOWN = [
     {
@@ -135,12 +135,9 @@ def bench(tmp_path_factory):
         material = networks / "material_baseline" / "seed0"
         train_network(
             config.train,
-            folder / "sample",
+            Run(folder / "sample", "by_video", 0, networks / network / "seed0"),
             network,
-            "by_video",
-            0,
-            networks / network / "seed0",
-            view_order=config.render.viewpoints,
+            config.render.viewpoints,
             material_model=material if network == "friction_conditional" else None,
         )
     instrument = untrained_instrument(

@@ -12,8 +12,8 @@ from slipstitch.config import write_config
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.learning.ablation import answering
 from slipstitch.learning.ablation.answering import answer, lrcn_settings, phases
-from slipstitch.learning.loop import DivergedError
-from slipstitch.learning.model_file import load_model
+from slipstitch.learning.lrcn_model import LrcnModel, load_model
+from slipstitch.learning.trainer import DivergedError
 
 GRID = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.6]}
 
@@ -91,12 +91,12 @@ def test_conditions_are_none_predicted_and_true(dataset, tmp_path):
 def test_the_true_material_is_what_the_test_videos_are_made_of(dataset, tmp_path, monkeypatch):
     told = []
 
-    def watched(network, pixels, condition, **options):
+    def watched(model, videos, condition=None, batch_size=8):
         told.append(condition)
-        return original(network, pixels, condition, **options)
+        return original(model, videos, condition, batch_size)
 
-    original = answering.predict
-    monkeypatch.setattr(answering, "predict", watched)
+    original = LrcnModel.probabilities
+    monkeypatch.setattr(LrcnModel, "probabilities", watched)
     config = configuration(networks=["lrcn"])
     found = answer(config, dataset, "conditioning", 0, tmp_path)
     videos = sorted({one["video"] for one in found["predictions"]})

@@ -24,7 +24,8 @@ from slipstitch.learning.evaluation.probes import PREFIX
 from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.training import train_network
+from slipstitch.learning.lrcn_model import train_network
+from slipstitch.learning.trainer import Run
 
 CONFIG = synthetic_videos.config(
     grid={"test_frictions": [0.35], "test_materials": ["royal-target"]},
@@ -50,24 +51,17 @@ def chain(tmp_path_factory):
             material = folder / "train" / split / "material_baseline" / "seed0"
             train_network(
                 CONFIG.train,
-                folder / "sample",
+                Run(folder / "sample", split, 0, folder / "train" / split / network / "seed0"),
                 network,
-                split,
-                0,
-                folder / "train" / split / network / "seed0",
-                view_order=CONFIG.render.viewpoints,
+                CONFIG.render.viewpoints,
                 material_model=material if network == "friction_conditional" else None,
             )
         if split == REFLECTIVE:
             continue
         train_instrument(
             CONFIG.instrument,
-            folder / "sample",
-            split,
-            0,
-            folder / "instrument" / split / "seed0",
-            viewpoints=["calibrated"],
-            frames=6,
+            Run(folder / "sample", split, 0, folder / "instrument" / split / "seed0", 6),
+            ["calibrated"],
         )
     return folder
 
@@ -317,12 +311,14 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     for seed in (0, 1):
         train_instrument(
             config.instrument,
-            tmp_path / "sample",
-            "by_simulation",
-            seed,
-            tmp_path / f"instrument/by_simulation/seed{seed}",
-            viewpoints=["calibrated", "bench_1"],
-            frames=6,
+            Run(
+                tmp_path / "sample",
+                "by_simulation",
+                seed,
+                tmp_path / f"instrument/by_simulation/seed{seed}",
+                6,
+            ),
+            ["calibrated", "bench_1"],
         )
     left_over = tmp_path / "instrument/by_simulation/seed7" / trained.name
     left_over.parent.mkdir()

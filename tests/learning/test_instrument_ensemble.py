@@ -27,6 +27,7 @@ from slipstitch.learning.instrument.distribution import quantiles, spread
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, stretch_scores
 from slipstitch.learning.instrument.training import train_instrument
+from slipstitch.learning.trainer import Run
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
@@ -59,9 +60,7 @@ def dataset(tmp_path_factory):
 def train(dataset, folder, seed, **changes):
     settings = InstrumentSettings(**{**CONFIG.instrument.model_dump(), **changes})
     out = folder / "by_simulation" / f"seed{seed}"
-    train_instrument(
-        settings, dataset, "by_simulation", seed, out, viewpoints=["calibrated"], frames=6
-    )
+    train_instrument(settings, Run(dataset, "by_simulation", seed, out, 6), ["calibrated"])
     return out
 
 

@@ -34,7 +34,7 @@ from slipstitch.learning.instrument.training import (
     train_instrument,
     training_views,
 )
-from slipstitch.learning.loop import DivergedError, PlateauError
+from slipstitch.learning.trainer import DivergedError, PlateauError, Run
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
@@ -64,16 +64,8 @@ def dataset(tmp_path_factory):
 
 def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None, **changes):
     settings = SETTINGS.model_copy(update=changes)
-    return train_instrument(
-        settings,
-        dataset,
-        split,
-        seed,
-        out,
-        viewpoints=["calibrated"],
-        frames=frames,
-        after_step=after_step,
-    )
+    run = Run(dataset, split, seed, out, frames, after_step=after_step)
+    return train_instrument(settings, run, ["calibrated"])
 
 
 @pytest.fixture(scope="module")

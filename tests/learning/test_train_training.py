@@ -19,9 +19,14 @@ from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
-from slipstitch.learning.loop import DivergedError, Phase, PlateauError
-from slipstitch.learning.model_file import load_model
-from slipstitch.learning.training import learning_rate, progressive_schedule, train_network
+from slipstitch.learning.lrcn_model import (
+    TRUE,
+    learning_rate,
+    load_model,
+    progressive_schedule,
+    train_network,
+)
+from slipstitch.learning.trainer import DivergedError, Phase, PlateauError, Run
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]
@@ -39,9 +44,11 @@ def train(dataset, out, network="friction_baseline", split="by_simulation", seed
     changes = options.pop("changes", {})
     settings = TrainSettings(**{**CONFIG.train.model_dump(), **changes})
     view_order = options.pop("view_order", VIEWS)
-    return train_network(
-        settings, dataset, network, split, seed, out, view_order=view_order, **options
-    )
+    of_run = {
+        name: options.pop(name) for name in ("uses", "threads", "after_step") if name in options
+    }
+    run = Run(dataset, split, seed, out, **of_run)
+    return train_network(settings, run, network, view_order, **options)
 
 
 def kill(progress):
@@ -122,7 +129,7 @@ def test_the_conditional_network_listens_to_the_material_network(dataset, materi
 
 def test_a_network_may_be_told_the_true_materials(dataset, tmp_path):
     few = {"epochs_per_cycle": 1, "plateau_margin": None}
-    card = train(dataset, tmp_path, "friction_conditional", true_materials=True, changes=few)
+    card = train(dataset, tmp_path, "friction_conditional", material_model=TRUE, changes=few)
     assert card["true_materials"] and card["condition_sha256"] is None
     assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
 

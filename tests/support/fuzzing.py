@@ -50,8 +50,8 @@ from slipstitch.images.textures import _read as read_texture
 from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.evaluation.evaluation import find_models
 from slipstitch.learning.instrument.measuring import load_instrument, save_instrument
-from slipstitch.learning.model_file import load_model, save_model
-from slipstitch.learning.network import build_network
+from slipstitch.learning.lrcn import LRCN
+from slipstitch.learning.lrcn_model import load_model, save_model
 from slipstitch.physics.calibration.calibration import read_sweeps
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.trajectory import read_trajectory
@@ -229,7 +229,7 @@ def decoded(images: dict) -> None:
 def _networks(add, config, folder: Path) -> None:
     train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
     train = train.model_copy(update={"lstm_units": 4})
-    network = build_network(train, 2, 16)
+    network = LRCN(train, 2, 16)
     card = {
         "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
         "settings": train.model_dump(mode="json"), "classes": [{"id": "f0100"}, {"id": "f0300"}],

@@ -87,17 +87,17 @@ def run(arguments: argparse.Namespace) -> None:
         return
     refuse(arguments, ("calibration_datasets",), mode)
     from slipstitch.learning.instrument.training import train_instrument
+    from slipstitch.learning.trainer import Run
 
-    card = train_instrument(
-        config.instrument,
+    run = Run(
         arguments.dataset,
         arguments.split,
         arguments.seed,
         arguments.out_dir,
         frames=config.sample.frames,
-        viewpoints=config.instrument_views,
         threads=arguments.threads,
     )
+    card = train_instrument(config.instrument, run, config.instrument_views)
     print(
         f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "

@@ -28,22 +28,25 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.config import load_config
     from slipstitch.design.grid import classes
-    from slipstitch.learning.training import train_network
+    from slipstitch.learning.lrcn_model import train_network
+    from slipstitch.learning.trainer import Run
 
     check_at_least(arguments, threads=1, seed=0)
     config = load_config(*arguments.config)
     card = train_network(
         config.train,
-        arguments.dataset,
+        Run(
+            arguments.dataset,
+            arguments.split,
+            arguments.seed,
+            arguments.out_dir,
+            frames=config.sample.frames,
+            threads=arguments.threads,
+        ),
         arguments.network,
-        arguments.split,
-        arguments.seed,
-        arguments.out_dir,
-        frames=config.sample.frames,
-        view_order=config.view_order,
+        config.view_order,
         material_model=arguments.material_model,
         expected_classes=classes(config.grid),
-        threads=arguments.threads,
     )
     print(
         f"{card['network']} {card['split']} seed {card['seed']}: {card['epochs']} epochs on "

@@ -1,7 +1,6 @@
 """Settings of the train stage. Pydantic and the standard library only.
 
-Every choice that the paper leaves open is a switch here; the defaults are argued in
-docs/how/learning.md.
+What the paper leaves open and nobody needs to change is decided in `slipstitch.learning.lrcn`.
 """
 
 from typing import Literal
@@ -35,13 +34,8 @@ class TrainSettings(Section):
     )
     reflective_seeds: Seeds = Field([0], description="those of by_video_reflective")
 
-    architecture: Literal["lrcn"] = Field("lrcn", description="the paper's network")
     pixels: int | None = Field(
         None, ge=16, le=1024, description="side of the input image; null: as rendered"
-    )
-    input_scaling: Literal["standardised", "unit"] = Field(
-        "standardised",
-        description="pixel values minus the training set's mean over its deviation, or in 0 ... 1",
     )
     width: float = Field(
         0.25, gt=0.0, le=4.0, description="multiplies all layer sizes below; the paper's net is 1"
@@ -52,30 +46,10 @@ class TrainSettings(Section):
     convolutions: list[int] = Field(
         [2, 2, 1, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
     )
-    padding: Literal["same", "valid"] = Field(
-        "same", description="of convolutions and poolings; valid: none"
-    )
-    readout: Literal["flatten", "pool"] = Field(
-        "pool", description="the last block's map flattened, or averaged over the image"
-    )
-    batch_norm: Literal["none", "features", "convolutions", "all"] = Field(
-        "all",
-        description="batch normalisation of the frames' features before the LSTM, after every "
-        "convolution before its rectifier, of both or neither",
-    )
     lstm_units: int = Field(256, ge=1, description="of each of the two LSTM layers")
     fc_units: int = Field(256, ge=1, description="of the first of the two fully connected layers")
-    material_units: int | None = Field(
-        None,
-        ge=1,
-        description="outputs of the softmax layer that a told material goes through; null: as many "
-        "as materials",
-    )
     dropout: float = Field(
         0.2, ge=0.0, lt=1.0, description="between the two fully connected layers"
-    )
-    outputs: Literal["last", "all"] = Field(
-        "last", description="the class is read after the last frame, or after every frame"
     )
     initialisation: Literal["he", "glorot", "pytorch"] = "he"
 
@@ -95,9 +69,6 @@ class TrainSettings(Section):
         description="share of the learning rate to which it falls, as a cosine, within the last "
         "cycle, and at which fine-tuning goes on; 1: constant",
     )
-    rho: float = Field(0.95, gt=0.0, lt=1.0, description="Adadelta's")
-    epsilon: float = Field(1e-7, gt=0.0, description="Adadelta's; Keras' default")
-    gradient_norm_max: float | None = Field(None, gt=0.0, description="clipping; null: none")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
     )

@@ -1,38 +1,15 @@
 """Trained networks on disk: weights in safetensors, a model card in JSON, nothing executable."""
 
 import json
-import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import nn
 
-from slipstitch.base.errors import BadInput, Damaged, first_line
+from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import atomic_path, file_digest, write_json
-from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
-from slipstitch.learning.network import build_network
-
-FORMAT = "slipstitch-lrcn-2"
-WEIGHTS = "model.safetensors"
-CARD = "model.json"
-
-
-@dataclass(frozen=True)
-class TrainedModel:
-    """A network with its weights, and its card."""
-
-    network: nn.Module
-    card: dict[str, Any]
-
-    @property
-    def target(self) -> str:
-        """Kind of the classes: material or friction."""
-        return self.card["target"]
 
 
 def write_weights(
@@ -85,39 +62,3 @@ def read_weights(
     if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
         raise Damaged(card_path, f"altered: differs from the card inside {weights.name}")
     return tensors, card
-
-
-def save_model(
-    network: nn.Module, card: dict[str, Any], folder: str | os.PathLike
-) -> dict[str, Any]:
-    """Write ``model.safetensors`` and ``model.json``; return the card as written."""
-    return write_weights(
-        network.state_dict(),
-        {"format": FORMAT, **card},
-        Path(folder) / WEIGHTS,
-        Path(folder) / CARD,
-    )
-
-
-def load_model(folder: str | os.PathLike) -> TrainedModel:
-    """Read a network that `save_model` wrote.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, is of another kind, or is not as it was written.
-    """
-    weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
-    tensors, card = read_weights(weights, card_path, FORMAT)
-    try:
-        if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
-            raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
-        settings = TrainSettings.model_validate(card["settings"])
-        network = build_network(
-            settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
-        )
-        network.load_state_dict(tensors)
-    except (ValidationError, RuntimeError, KeyError) as error:
-        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
-    network.eval()
-    return TrainedModel(network, card)

@@ -26,12 +26,10 @@ from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.loop import DivergedError, Phase
-from slipstitch.learning.model_file import WEIGHTS as LRCN_WEIGHTS
-from slipstitch.learning.model_file import TrainedModel, load_model
-from slipstitch.learning.prediction import predict, predicted_materials
+from slipstitch.learning.lrcn_model import FINE_TUNING, TRUE, LrcnModel, load_model, train_network
+from slipstitch.learning.lrcn_model import WEIGHTS as LRCN_WEIGHTS
 from slipstitch.learning.torch_setup import set_up_torch
-from slipstitch.learning.training import FINE_TUNING, train_network
+from slipstitch.learning.trainer import DivergedError, Phase, Run
 
 SPLIT = "by_simulation"
 FINISHED = "finished.json"
@@ -185,18 +183,11 @@ class _Runs:
                 identity,
                 lambda: train_network(
                     settings,
-                    self.dataset,
+                    self._training(variant, folder / name),
                     network,
-                    SPLIT,
-                    self.seed,
-                    folder / name,
-                    view_order=self.plan.viewpoints,
-                    frames=frames,
+                    self.plan.viewpoints,
                     phases=planned,
-                    uses=lambda row: row["video"] in variant.videos,
-                    true_materials=told.get("true_materials", False),
                     material_model=told.get("material_model"),
-                    threads=self.threads,
                 ),
             )
 
@@ -206,7 +197,7 @@ class _Runs:
         if variant.condition == "none":
             found = train("friction_baseline", "friction")
         elif variant.condition == "true":
-            found = train("friction_conditional", "friction", true_materials=True)
+            found = train("friction_conditional", "friction", material_model=TRUE)
         else:
             found = train("material_baseline", "material")
             if found["failure"] is None:
@@ -230,18 +221,16 @@ class _Runs:
         row |= {key: model.card[key] for key in ("train_loss", "chance_loss")}
         videos = self.videos(settings.pixels, frames)
         condition = self._condition(variant, model, material, videos)
-        probabilities = predict(
-            model.network, videos.pixels, condition, bfloat16=model.card["bfloat16"]
-        )
+        probabilities = model.probabilities(videos, condition)
         values = np.array([entry["value"] for entry in model.card["classes"]])
         return row, self._predictions(videos, values[probabilities.argmax(1)])
 
     def _condition(
-        self, variant: Variant, model: TrainedModel, material: TrainedModel | None, videos: Videos
+        self, variant: Variant, model: LrcnModel, material: LrcnModel | None, videos: Videos
     ) -> np.ndarray | None:
         """Material class numbers that a conditional network is told of the test videos."""
         if material is not None:
-            return predicted_materials(material, videos)
+            return material.probabilities(videos).argmax(1)
         if variant.condition == "true":
             return labels_of(videos.rows, model.card["condition_classes"], "material")
         return None
@@ -261,15 +250,7 @@ class _Runs:
             variant,
             identity,
             lambda: train_instrument(
-                settings,
-                self.dataset,
-                SPLIT,
-                self.seed,
-                folder,
-                viewpoints=self.plan.viewpoints[:1],
-                frames=self.config.sample.frames,
-                uses=lambda row: row["video"] in variant.videos,
-                threads=self.threads,
+                settings, self._training(variant, folder), self.plan.viewpoints[:1]
             ),
         )
         row = self._row(variant, settings.epochs)
@@ -285,6 +266,17 @@ class _Runs:
         frames = phased(videos.pixels, instrument.card["frames"], None)
         measured = [instrument.measure(video).friction_coefficient for video in frames]
         return row, self._predictions(videos, np.array(measured))
+
+    def _training(self, variant: Variant, folder: Path) -> Run:
+        return Run(
+            self.dataset,
+            SPLIT,
+            self.seed,
+            folder,
+            self.config.sample.frames,
+            lambda row: row["video"] in variant.videos,
+            self.threads,
+        )
 
     def _once(
         self,

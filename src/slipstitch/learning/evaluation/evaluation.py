@@ -54,10 +54,9 @@ from slipstitch.learning.evaluation.metrics import (
 from slipstitch.learning.evaluation.probes import entries as probe_entries
 from slipstitch.learning.evaluation.probes import probes
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
-from slipstitch.learning.loop import simulations
-from slipstitch.learning.model_file import CARD, WEIGHTS, TrainedModel, load_model
-from slipstitch.learning.prediction import check_material_model, predict, predicted_materials
+from slipstitch.learning.lrcn_model import CARD, WEIGHTS, LrcnModel, load_model
 from slipstitch.learning.torch_setup import set_up_torch
+from slipstitch.learning.trainer import simulations
 
 # The friction network whose entry carries the material scores too: both are the paper's baseline.
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
@@ -169,7 +168,7 @@ def network_weights(folder: str | os.PathLike, train: TrainSettings | None = Non
 
 def find_models(
     folder: str | os.PathLike, train: TrainSettings | None = None
-) -> dict[tuple[str, str, int], TrainedModel]:
+) -> dict[tuple[str, str, int], LrcnModel]:
     """The models in ``{split}/{network}/seed{seed}/``, by (split, network, seed).
 
     Parameters
@@ -212,20 +211,14 @@ def predicted_probabilities(
             raise BadInput(
                 f"friction_conditional {split} seed {seed} has no matching material_baseline"
             )
-        check_material_model(material, split, seed, videos.digest)
+        material.check_is_material_network_of(split, seed, videos.digest)
         if material.card["weights_sha256"] != model.card["condition_sha256"]:
             raise BadInput(
                 f"friction_conditional {split} seed {seed} was trained with a different "
                 "material_baseline"
             )
-        condition = predicted_materials(material, videos, batch_size)
-    return predict(
-        model.network,
-        videos.pixels,
-        condition,
-        bfloat16=model.card["bfloat16"],
-        batch_size=batch_size,
-    )
+        condition = material.probabilities(videos, batch_size=batch_size).argmax(1)
+    return model.probabilities(videos, condition, batch_size)
 
 
 def evaluate(
@@ -439,7 +432,7 @@ def _over_seeds(scores: list[dict[str, float]]) -> dict[str, Any]:
 
 
 def _rows(
-    part: Videos, test: EvaluationSet, key, model: TrainedModel, probabilities
+    part: Videos, test: EvaluationSet, key, model: LrcnModel, probabilities
 ) -> list[dict[str, Any]]:
     card = model.card
     truth = known_labels(part.rows, card)

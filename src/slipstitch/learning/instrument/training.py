@@ -1,11 +1,9 @@
 """Training the instrument's network, then calibrating its error bars and its alarm."""
 
 import math
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,6 @@ from slipstitch.base.provenance import start_clock
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.videos import Videos
-from slipstitch.learning.checkpoint import Progress
 from slipstitch.learning.classes import classes_of
 from slipstitch.learning.instrument.augmentation import (
     augmented,
@@ -35,50 +32,31 @@ from slipstitch.learning.instrument.error_bars import calibrated
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
-from slipstitch.learning.loop import (
-    Phase,
-    read_training_videos,
-    simulations,
-    train_learner,
-    training_facts,
-    training_identity,
-    write_record,
-)
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
+from slipstitch.learning.trainer import Learner, Phase, Run, Trainer, simulations
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
-GRADIENT_NORM_MAX = 1.0
 UNKNOWN = -1  # number of a fabric that does not train
 POINTS_SPREAD_MIN_M = 1e-3
 POINT_ERROR_M = 0.005  # the unit of the loss of places: in that of their spread, tails count little
 
 
 def _training_videos(
-    settings: InstrumentSettings,
-    dataset: str | os.PathLike,
-    split: str,
-    viewpoints: Sequence[str],
-    frames: int,
-    uses: Callable[[dict[str, Any]], bool] | None = None,
+    settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> tuple[Videos, np.ndarray]:
-    """The videos of some viewpoints that train or calibrate, and which of them train.
-
-    `uses` says of a manifest row whether its video may do either; by default all may.
+    """Return the videos of some viewpoints that train or calibrate, and which of them train.
 
     Raises
     ------
     BadInput
         If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
     """
-    videos, training = read_training_videos(
-        dataset,
-        split,
-        lambda row: row["viewpoint"] in viewpoints and (uses is None or uses(row)),
-        settings.pixels,
-    )
-    stored = videos.pixels.shape[1]
-    if stored < frames:
-        raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
+    videos, training = run.videos(settings.pixels, None, viewpoints)
+    dataset, stored = run.dataset, videos.pixels.shape[1]
+    if run.frames is not None and stored < run.frames:
+        raise BadInput(
+            f"{dataset}: videos have {stored} frames; the instrument requires {run.frames}"
+        )
     trained = list(compress(videos.rows, training))
     for key, least in (("material", 1), ("friction", 2)):
         found = {row[f"{key}_id"] for row in trained}
@@ -86,7 +64,7 @@ def _training_videos(
             raise BadInput(f"{dataset}: {len(found)} {key}(s) for training; {least} are required")
     if settings.points_weight and videos.points_m is None:
         raise BadInput(
-            f"{dataset}: has no places of points of the cloth, as instrument.points_weight "
+            f"{dataset}: has no keypoints of the cloth, as instrument.points_weight "
             "requires: render and sample it again"
         )
     # A fabric may be for the error bars alone (sample.validation_materials).
@@ -256,8 +234,8 @@ def training_views(
 
 
 @dataclass
-class InstrumentLearner:
-    """The instrument's network with the videos that it learns from: a `train.loop.Learner`.
+class InstrumentLearner(Learner):
+    """The instrument's network with the videos that it learns from.
 
     Attributes
     ----------
@@ -269,8 +247,6 @@ class InstrumentLearner:
     friction : float tensor, shape (n,)
     labels : int64 tensor, shape (n,)
         Class numbers of the fabrics; `UNKNOWN` for one that does not train.
-    training : ndarray of bool, shape (n,)
-        Which of the videos train; the others validate.
     poses : float tensor, shape (n, 4)
         Of the cameras, scaled.
     points : float tensor, shape (n, stored frames, points, 3), optional
@@ -288,31 +264,25 @@ class InstrumentLearner:
     labels: Tensor
     training: np.ndarray
     poses: Tensor
-    bfloat16: bool
     points: Tensor | None = None
+
+    stage = "instrument"
+    gradient_norm_max = 1.0
 
     def __post_init__(self):
         settings = self.settings
+        self.bfloat16 = computes_bfloat16(settings.precision)
         self.next_friction = next_frictions(self.rows, self.training)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), weight_decay=settings.weight_decay
         )
-        self.batch_size = settings.batch_size
-        self.gradient_norm_max = GRADIENT_NORM_MAX
         self.chance_loss = chance_score(self.friction.numpy()[self.training])
-        self.plateau_margin = settings.plateau_margin
-        self.plateau_window = 1
-        self.plateau_epochs = None
         self.diverged_hint = f"a smaller instrument.learning_rate than {settings.learning_rate:g}"
         self.plateau_hint = "instrument.epochs, instrument.learning_rate"
 
-    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
-        """All: they are in one view."""
-        return np.flatnonzero(self.training), np.flatnonzero(~self.training)
-
     def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
         """As the function of this name, by the share of the steps that are done."""
-        steps = -(-videos // self.batch_size)
+        steps = -(-videos // self.settings.batch_size)
         return learning_rate(self.settings, (epoch + step / steps) / phase.epochs)
 
     def batch_loss(
@@ -388,10 +358,6 @@ class InstrumentLearner:
             for name, each in zip(names, found, strict=True)
         }
 
-    def columns(self, phase: Phase) -> dict[str, Any]:
-        """None: there is one phase."""
-        return {}
-
     def summary(self, row: dict[str, Any]) -> str:
         """Errors, validation loss, and share of fabrics that are right."""
         return (
@@ -401,41 +367,18 @@ class InstrumentLearner:
 
 
 def train_instrument(
-    settings: InstrumentSettings,
-    dataset: str | os.PathLike,
-    split: str,
-    seed: int,
-    out_dir: str | os.PathLike,
-    *,
-    viewpoints: Sequence[str],
-    frames: int = 30,
-    uses: Callable[[dict[str, Any]], bool] | None = None,
-    threads: int = 1,
-    after_step: Callable[[Progress], None] | None = None,
+    settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
     """Train, calibrate and write an instrument.
 
     Parameters
     ----------
     settings : InstrumentSettings
-    dataset : path
-        Folder that the sample stage wrote.
-    split : {"by_video", "by_simulation", "by_video_reflective"}
-        Its validation videos calibrate the error bars and the alarm.
-    seed : int
-        Of weights, order of the videos, augmentation and dropout.
-    out_dir : path
-        Gets ``instrument.safetensors``, ``instrument.json``, ``history.csv`` and, until it is
-        done, ``checkpoint.safetensors``.
+    run : Run
+        The validation videos calibrate the error bars and the alarm. Where the dataset has more
+        than `run.frames` frames, they are seen at a random phase in training.
     viewpoints : sequence of str
         Names of those that it learns from, all seen in the calibrated view.
-    frames : int
-        Frames of a video that it sees; where the dataset has more, at a random phase in training.
-    uses : callable, optional
-        Says of a manifest row whether its video may train or calibrate; by default all may.
-    threads : int
-    after_step : callable, optional
-        Called after every step with the progress; what it raises stops the training.
 
     Returns
     -------
@@ -452,19 +395,21 @@ def train_instrument(
         If the loss is not finite.
     """
     started = start_clock()
-    set_up_torch(threads)
-    videos, training = _training_videos(settings, dataset, split, viewpoints, frames, uses)
+    set_up_torch(run.threads)
+    videos, training = _training_videos(settings, run, viewpoints)
+    frames = run.frames or videos.pixels.shape[1]
     materials = classes_of(list(compress(videos.rows, training)), "material")
     numbers = {entry["id"]: number for number, entry in enumerate(materials)}
-    torch.manual_seed(seed)
+    torch.manual_seed(run.seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
-    points = _points(network, videos, training) if settings.points_weight else None
     learner = InstrumentLearner(
-        name=f"instrument {split} seed {seed}",
+        name=f"instrument {run.split} seed {run.seed}",
         settings=settings,
         network=network,
         # Twice as many videos, each shown half as often.
-        phases=[Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (split == REFLECTIVE))))],
+        phases=[
+            Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (run.split == REFLECTIVE))))
+        ],
         rows=videos.rows,
         pixels=videos.pixels,
         frames=frames,
@@ -472,49 +417,28 @@ def train_instrument(
         labels=torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows]),
         training=training,
         poses=scaled(poses_of(videos.rows)),
-        bfloat16=computes_bfloat16(settings.precision),
-        points=points,
+        points=_points(network, videos, training) if settings.points_weight else None,
     )
-    identity = training_identity(
-        "instrument",
-        learner,
-        videos,
-        network="instrument",
-        split=split,
-        seed=seed,
-        frames=frames,
-        threads=threads,
-    )
-    out = Path(out_dir)
-    history = train_learner(learner, seed, out, identity, after_step)
+    trainer = Trainer(learner, run, videos, started)
+    trainer.train()
     card = {
         "materials": [entry["name"] for entry in materials],
         "frames": frames,
         "pixels": network.pixels,
         "viewpoints": list(viewpoints),
         "pose_range": pose_range(poses_of(list(compress(videos.rows, training)))),
-        "split": split,
-        "seed": seed,
+        "split": run.split,
+        "seed": run.seed,
         "frictions": sorted(
             {row["friction"] for row in videos.rows if not row.get("interpolated")}
         ),
         "interpolated_videos": sum(bool(row.get("interpolated")) for row in videos.rows),
         "calibration_simulations": len(simulations(videos, ~training)),
-        **training_facts(learner, videos, history),
+        **trainer.facts(),
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
         "videos it should raise its alarm, and its intervals are not valid",
     }
-    card = save_instrument(calibrated(Instrument((network,), card, None), videos, training), out)
-    write_record(
-        "instrument",
-        out,
-        history,
-        (WEIGHTS, CARD),
-        dataset=dataset,
-        videos=videos,
-        settings=settings,
-        seed=seed,
-        threads=threads,
-        started=started,
-    )
+    instrument = calibrated(Instrument((network,), card, None), videos, training)
+    card = save_instrument(instrument, run.out)
+    trainer.write_record((WEIGHTS, CARD))
     return card

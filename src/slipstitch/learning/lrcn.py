@@ -1,8 +1,10 @@
 """The paper's network: a convolutional one for every frame, a recurrent one over the frames.
 
 Rasheed et al., "Learning to Measure the Static Friction Coefficient in Cloth Contact", CVPR 2020,
-Table 1: an LRCN (Donahue et al. 2015). What the paper leaves open is a switch of the settings, and
-argued in docs/how/learning.md.
+Table 1: an LRCN (Donahue et al. 2015). What the paper leaves open is decided here, as trials on
+validation videos had it: borders are padded; every convolution is batch-normalised before its
+rectifier, and so are the features of the frames; the last map is averaged over the image; the class
+is read after the last frame; a told material has as many softmax outputs as there are materials.
 
     frame --> conv1a, conv1b, pool, conv2a, conv2b, pool, conv3a, pool, conv4a --> features
     material --> FC_s, softmax --> beside the features of every frame
@@ -12,7 +14,6 @@ argued in docs/how/learning.md.
 import torch
 from torch import Tensor, nn
 
-from slipstitch.base.errors import BadInput
 from slipstitch.config.train import TrainSettings
 from slipstitch.learning.convolution import Convolution
 
@@ -20,7 +21,7 @@ LSTM_LAYERS = 2
 
 
 def scaled(size: int, width: float) -> int:
-    """A layer's size at a relative width, at least 1."""
+    """Return a layer's size at a relative width, at least 1."""
     return max(1, round(size * width))
 
 
@@ -30,22 +31,19 @@ class ConvolutionBlock(nn.Sequential):
     The last rectifier comes after the pooling, with which it commutes, on a quarter of the pixels.
     """
 
-    def __init__(self, inputs: int, outputs: int, convolutions: int, pool: bool, s: TrainSettings):
+    def __init__(self, inputs: int, outputs: int, convolutions: int, pool: bool):
         layers: list[nn.Module] = []
-        batch_norm = s.batch_norm in ("convolutions", "all")
-        padding = 1 if s.padding == "same" else 0
         for number in range(convolutions):
-            layers.append(Convolution(inputs, outputs, 3, padding=padding, bias=not batch_norm))
-            if batch_norm:
-                layers.append(nn.BatchNorm2d(outputs))
+            layers.append(Convolution(inputs, outputs, 3, padding=1, bias=False))
+            layers.append(nn.BatchNorm2d(outputs))
             if pool and number == convolutions - 1:
-                layers.append(nn.MaxPool2d(3, stride=2, padding=padding))
+                layers.append(nn.MaxPool2d(3, stride=2, padding=1))
             layers.append(nn.ReLU(inplace=True))
             inputs = outputs
         super().__init__(*layers)
 
     def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
-        """Maps of half the side, if they are pooled; `bfloat16` as in `Convolution`."""
+        """Return maps of half the side, if they are pooled; `bfloat16` as in `Convolution`."""
         for layer in self:
             maps = layer(maps, bfloat16) if isinstance(layer, Convolution) else layer(maps)
         return maps
@@ -57,17 +55,12 @@ class LRCN(nn.Module):
     Parameters
     ----------
     settings : TrainSettings
-        Layer sizes and switches.
+        Sizes of the layers and initialisation.
     classes : int
     pixels : int
         Side of the frames.
     condition_classes : int
         Materials of which a conditional network is told one; 0: it is told nothing.
-
-    Raises
-    ------
-    BadInput
-        If the frames are too small for the blocks.
     """
 
     def __init__(
@@ -76,40 +69,31 @@ class LRCN(nn.Module):
         super().__init__()
         self.settings = settings
         self.condition_classes = condition_classes
-        self.pixels = pixels
         # Colour statistics of the training set; part of the model, not learnt.
         self.register_buffer("mean", torch.zeros(3))
         self.register_buffer("deviation", torch.ones(3))
 
         blocks, channels, side, self.multiply_accumulates = [], 3, pixels, 0
         last = len(settings.channels) - 1
-        lost = 0 if settings.padding == "same" else 2  # pixels of the side, by a 3 x 3 window
         for number, (size, convolutions) in enumerate(
             zip(settings.channels, settings.convolutions, strict=True)
         ):
             outputs = scaled(size, settings.width)
             pool = number < last
-            blocks.append(ConvolutionBlock(channels, outputs, convolutions, pool, settings))
+            blocks.append(ConvolutionBlock(channels, outputs, convolutions, pool))
             for _ in range(convolutions):
-                side -= lost
-                self.multiply_accumulates += 9 * channels * outputs * max(side, 0) ** 2
+                self.multiply_accumulates += 9 * channels * outputs * side**2
                 channels = outputs
             if pool:
-                side = (side + 1 - lost) // 2
-        if side < 1:
-            raise BadInput(f"{pixels} pixels are too few for {len(blocks)} blocks of convolutions")
+                side = (side + 1) // 2
         self.convolutions = nn.Sequential(*blocks)
-
-        inputs = channels if settings.readout == "pool" else channels * side**2
-        self.feature_norm = (
-            nn.BatchNorm1d(inputs) if settings.batch_norm in ("features", "all") else nn.Identity()
-        )
+        self.feature_norm = nn.BatchNorm1d(channels)
         if condition_classes:
-            told = settings.material_units or condition_classes
-            self.material = nn.Sequential(nn.Linear(condition_classes, told), nn.Softmax(-1))
-            inputs += told
+            self.material = nn.Sequential(
+                nn.Linear(condition_classes, condition_classes), nn.Softmax(-1)
+            )
         units = scaled(settings.lstm_units, settings.width)
-        self.lstm = nn.LSTM(inputs, units, LSTM_LAYERS, batch_first=True)
+        self.lstm = nn.LSTM(channels + condition_classes, units, LSTM_LAYERS, batch_first=True)
         hidden = scaled(settings.fc_units, settings.width)
         self.fully_connected = nn.Sequential(
             nn.Linear(units, hidden),
@@ -154,7 +138,7 @@ class LRCN(nn.Module):
     def forward(
         self, frames: Tensor, condition: Tensor | None = None, bfloat16: bool = False
     ) -> Tensor:
-        """Logits.
+        """Return the logits.
 
         Parameters
         ----------
@@ -167,24 +151,19 @@ class LRCN(nn.Module):
 
         Returns
         -------
-        float32 tensor, shape (videos, outputs, classes)
-            One output (after the last frame), or one after every frame.
+        float32 tensor, shape (videos, classes)
         """
         videos, count = frames.shape[:2]
         maps = self._standardised(frames).permute(0, 3, 1, 2)  # NHWC in memory: channels last
         for block in self.convolutions:
             maps = block(maps, bfloat16)
-        maps = maps.float()
-        features = maps.mean((2, 3)) if self.settings.readout == "pool" else maps.flatten(1)
-        features = self.feature_norm(features).view(videos, count, -1)
+        features = self.feature_norm(maps.float().mean((2, 3))).view(videos, count, -1)
         if self.condition_classes:
             one_hot = nn.functional.one_hot(condition, self.condition_classes).float()
             told = self.material(one_hot)[:, None].expand(-1, count, -1)
             features = torch.cat([told, features], dim=2)
         states, _ = self.lstm(features)
-        if self.settings.outputs == "last":
-            states = states[:, -1:]
-        return self.fully_connected(states)
+        return self.fully_connected(states[:, -1])
 
     def _standardised(self, frames: Tensor) -> Tensor:
         """Images (n, side, side, 3) from bytes; whole rows at a time, three numbers are slow."""
@@ -192,42 +171,3 @@ class LRCN(nn.Module):
         rows = frames.reshape(-1, side, side * 3).float()
         rows = rows.sub_(self.mean.repeat(side)).div_(self.deviation.repeat(side))
         return rows.view(-1, side, side, 3)
-
-
-def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Categorical cross-entropy, the mean over videos and outputs."""
-    outputs = logits.shape[1]
-    return nn.functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(outputs))
-
-
-def class_probabilities(logits: Tensor) -> Tensor:
-    """Softmax, averaged over outputs: shape (videos, classes)."""
-    return logits.softmax(-1).mean(1)
-
-
-# A network by its name in `train.architecture`, where the setting lists it too. Each is built as
-# `build_network` does, counts its `multiply_accumulates` a frame, has the buffers `mean` and
-# `deviation` for the colours, and gives logits as `LRCN.forward` does.
-ARCHITECTURES: dict[str, type[nn.Module]] = {"lrcn": LRCN}
-
-
-def build_network(
-    settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
-) -> nn.Module:
-    """The network that `settings.architecture` names, its weights drawn from torch's generator.
-
-    Parameters
-    ----------
-    settings : TrainSettings
-    classes : int
-    pixels : int
-        Side of the frames.
-    condition_classes : int
-        Materials that a conditional network is told one of; 0: it is told nothing.
-
-    Raises
-    ------
-    BadInput
-        If the frames are too small for the network.
-    """
-    return ARCHITECTURES[settings.architecture](settings, classes, pixels, condition_classes)

@@ -1,0 +1,476 @@
+"""The paper's networks as models: training, files and predictions.
+
+Cycles of the training add a viewpoint each; the calibrated viewpoint alone is fine-tuned.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+from torch import Tensor, nn
+
+from slipstitch.base.errors import BadInput, first_line
+from slipstitch.base.provenance import start_clock
+from slipstitch.config.train import NETWORKS, REFLECTIVE, TRAINED_ON, TrainSettings
+from slipstitch.dataset.videos import Videos
+from slipstitch.learning.classes import chance_loss, classes_of, labels_of
+from slipstitch.learning.lrcn import LRCN
+from slipstitch.learning.model_file import read_weights, write_weights
+from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
+from slipstitch.learning.trainer import Learner, Phase, Run, Trainer
+
+FORMAT = "slipstitch-lrcn-2"
+WEIGHTS = "model.safetensors"
+CARD = "model.json"
+FINE_TUNING = "fine-tuning"
+#: Instead of a material network: the videos' true materials.
+TRUE = "true materials"
+# Adadelta's decay and the constant below its root: the paper's, and Keras' default.
+RHO, EPSILON = 0.95, 1e-7
+# Settings of earlier versions, with the only values whose networks are still built.
+_ONCE_SETTINGS = {
+    "architecture": "lrcn",
+    "padding": "same",
+    "readout": "pool",
+    "batch_norm": "all",
+    "material_units": None,
+    "outputs": "last",
+}
+_NO_LONGER = {*_ONCE_SETTINGS, "input_scaling", "rho", "epsilon", "gradient_norm_max"}
+
+
+@dataclass(frozen=True)
+class LrcnModel:
+    """A network with its weights, its card and, if it is conditional, its material network.
+
+    Attributes
+    ----------
+    network : LRCN
+    card : dict
+    """
+
+    network: LRCN
+    card: dict[str, Any]
+
+    @property
+    def target(self) -> str:
+        """Return the kind of the classes: material or friction."""
+        return self.card["target"]
+
+    @property
+    def values(self) -> np.ndarray:
+        """Return the coefficients of the classes, shape (classes,); NaN of materials."""
+        return np.array([of_class.get("value", math.nan) for of_class in self.card["classes"]])
+
+    def probabilities(
+        self, videos: Videos, condition: np.ndarray | None = None, batch_size: int = 8
+    ) -> np.ndarray:
+        """Return the class probabilities of videos, float64 of shape (n, classes).
+
+        Parameters
+        ----------
+        videos : Videos
+        condition : ndarray of int64, shape (n,), optional
+            Material class numbers for a conditional network.
+        batch_size : int
+        """
+        return class_probabilities(
+            self.network,
+            videos.pixels,
+            condition,
+            bfloat16=self.card["bfloat16"],
+            batch_size=batch_size,
+        )
+
+    def check_is_material_network_of(self, split: str, seed: int, digest: str) -> None:
+        """Refuse a network that is not the material network of this split, seed and dataset."""
+        expected = {
+            "network": "material_baseline",
+            "split": split,
+            "seed": seed,
+            "dataset_digest": digest,
+        }
+        for key, value in expected.items():
+            if self.card[key] != value:
+                raise BadInput(
+                    f"the material model has {key} {self.card[key]!r}, {value!r} is needed: "
+                    "the friction network must be conditioned on predictions for the same data"
+                )
+
+
+def class_probabilities(
+    network: LRCN,
+    pixels: np.ndarray,
+    condition: np.ndarray | None = None,
+    *,
+    bfloat16: bool = False,
+    batch_size: int = 8,
+) -> np.ndarray:
+    """Return the class probabilities of videos, float64 of shape (n, classes).
+
+    Parameters
+    ----------
+    network : LRCN
+    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
+    condition : ndarray of int64, shape (n,), optional
+        Material class numbers for a conditional network.
+    bfloat16 : bool
+    batch_size : int
+    """
+    network.eval()
+    parts = []
+    with torch.inference_mode():
+        for first in range(0, len(pixels), batch_size):
+            batch = slice(first, first + batch_size)
+            given = None if condition is None else torch.from_numpy(condition[batch])
+            logits = network(torch.from_numpy(pixels[batch]), given, bfloat16)
+            parts.append(logits.double().softmax(-1))
+    return torch.cat(parts).numpy()
+
+
+def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
+    """Write ``model.safetensors`` and ``model.json``; return the card as written."""
+    return write_weights(
+        network.state_dict(),
+        {"format": FORMAT, **card},
+        Path(folder) / WEIGHTS,
+        Path(folder) / CARD,
+    )
+
+
+def load_model(folder: str | os.PathLike) -> LrcnModel:
+    """Read a network that `save_model` wrote.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, is of another kind, or is not as it was written.
+    """
+    weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
+    tensors, card = read_weights(weights, card_path, FORMAT)
+    try:
+        if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
+            raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
+        noted = card["settings"]
+        for name, value in _ONCE_SETTINGS.items():
+            if noted.get(name, value) != value:
+                raise BadInput(f"{card_path}: {name} {noted[name]!r} is no longer supported")
+        settings = TrainSettings.model_validate(
+            {name: value for name, value in noted.items() if name not in _NO_LONGER}
+        )
+        network = LRCN(
+            settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
+        )
+        network.load_state_dict(tensors)
+    except (ValidationError, RuntimeError, KeyError, AttributeError) as error:
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
+    network.eval()
+    return LrcnModel(network, card)
+
+
+def progressive_schedule(
+    settings: TrainSettings, view_order: Sequence[str], twice_as_many: bool = False
+) -> list[Phase]:
+    """Return cycles of one, two ... viewpoints, then the first one alone.
+
+    With `twice_as_many` videos there are half as many epochs, which is the same work.
+    """
+    share = 2 if twice_as_many else 1
+    epochs, last = (
+        -(-count // share) for count in (settings.epochs_per_cycle, settings.fine_tuning_epochs)
+    )
+    cycles = [
+        Phase(f"cycle {count}", tuple(view_order[:count]), epochs)
+        for count in range(1, len(view_order) + 1)
+    ]
+    if last:
+        cycles.append(Phase(FINE_TUNING, (view_order[0],), last))
+    return cycles
+
+
+def learning_rate(
+    settings: TrainSettings, phases: Sequence[Phase], phase: Phase, done: float
+) -> float:
+    """Return Adadelta's rate: constant, down a cosine in the last cycle, then as at its end.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    phases : sequence of Phase
+        All of the training.
+    phase : Phase
+        The one at work.
+    done : float
+        Share of it that is done, 0 ... 1.
+    """
+    last_cycle = [other for other in phases if other.name != FINE_TUNING][-1]
+    if phase.name == FINE_TUNING:
+        height = 0.0
+    elif phase is last_cycle:
+        height = 0.5 * (1.0 + math.cos(math.pi * done))
+    else:
+        height = 1.0
+    lowest = settings.annealed_share
+    return settings.learning_rate * (lowest + (1.0 - lowest) * height)
+
+
+@dataclass
+class LrcnLearner(Learner):
+    """A network that tells classes, with the videos that it learns from.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
+    labels : ndarray of int64, shape (n,)
+    condition : ndarray of int64, shape (n,), or None
+        Material class numbers that a conditional network is told.
+    viewpoints : ndarray of str, shape (n,)
+    """
+
+    name: str
+    settings: TrainSettings
+    network: LRCN
+    phases: Sequence[Phase]
+    pixels: np.ndarray
+    labels: np.ndarray
+    condition: np.ndarray | None
+    training: np.ndarray
+    viewpoints: np.ndarray
+
+    stage = "train"
+
+    def __post_init__(self):
+        settings = self.settings
+        self.bfloat16 = computes_bfloat16(settings.precision)
+        self.optimizer = torch.optim.Adadelta(
+            self.network.parameters(), lr=settings.learning_rate, rho=RHO, eps=EPSILON
+        )
+        self.chance_loss = chance_loss(self.labels[self.training])
+        self.plateau_window = settings.epochs_per_cycle
+        self.plateau_epochs = settings.plateau_epochs
+        self.diverged_hint = f"a smaller train.learning_rate than {settings.learning_rate:g}"
+        self.plateau_hint = (
+            f"initialisation {settings.initialisation!r}, train.epochs_per_cycle "
+            f"{settings.epochs_per_cycle}"
+        )
+
+    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+        """Return those of the phase's viewpoints."""
+        in_view = np.isin(self.viewpoints, phase.viewpoints)
+        return np.flatnonzero(self.training & in_view), np.flatnonzero(~self.training & in_view)
+
+    def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
+        """Return that of the function of this name, by the share of the videos that were shown."""
+        done = (epoch + step * self.settings.batch_size / videos) / phase.epochs
+        return learning_rate(self.settings, self.phases, phase, done)
+
+    def batch_loss(
+        self, batch: np.ndarray, generator: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Return the cross-entropy; its sum and the number of right answers."""
+        logits = self.network(
+            torch.from_numpy(self.pixels[batch]),
+            None if self.condition is None else torch.from_numpy(self.condition[batch]),
+            self.bfloat16,
+        )
+        truth = torch.from_numpy(self.labels[batch])
+        loss = nn.functional.cross_entropy(logits, truth)
+        right = int((logits.softmax(-1).argmax(1) == truth).sum())
+        return loss, {"train_loss": loss.item() * len(batch), "train_accuracy": right}
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Return loss and accuracy."""
+        if not len(numbers):
+            return {"validation_loss": math.nan, "validation_accuracy": math.nan}
+        probabilities = class_probabilities(
+            self.network,
+            self.pixels[numbers],
+            None if self.condition is None else self.condition[numbers],
+            bfloat16=self.bfloat16,
+            batch_size=self.settings.batch_size,
+        )
+        labels = self.labels[numbers]
+        of_truth = probabilities[np.arange(len(labels)), labels]
+        return {
+            "validation_loss": float(-np.log(np.maximum(of_truth, 1e-12)).mean()),
+            "validation_accuracy": float((probabilities.argmax(1) == labels).mean()),
+        }
+
+    def columns(self, phase: Phase) -> dict[str, Any]:
+        """Return name and viewpoints of the phase."""
+        return {"stage": phase.name, "viewpoints": "+".join(phase.viewpoints)}
+
+    def summary(self, row: dict[str, Any]) -> str:
+        """Return both accuracies."""
+        return f"accuracy {row['train_accuracy']:.3f}, validation {row['validation_accuracy']:.3f}"
+
+
+def train_network(
+    settings: TrainSettings,
+    run: Run,
+    network_name: str,
+    view_order: Sequence[str],
+    *,
+    material_model: str | os.PathLike | None = None,
+    expected_classes: dict[str, list] | None = None,
+    phases: list[Phase] | None = None,
+) -> dict[str, Any]:
+    """Train one network and write it.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    run : Run
+    network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
+    view_order : sequence of str
+        Training viewpoints by name; the first is the calibrated one.
+    material_model : path, optional
+        What friction_conditional is conditioned on, and for it only: folder of the
+        material_baseline of the same dataset, split and seed; or `TRUE`.
+    expected_classes : dict, optional
+        ``{"material": [names], "friction": [coefficients]}`` that the dataset must have.
+    phases : list of Phase, optional
+        Epochs by viewpoints; by default the `progressive_schedule`.
+
+    Returns
+    -------
+    dict
+        The model card.
+
+    Raises
+    ------
+    BadInput
+        If dataset, material model or arguments do not fit.
+    PlateauError
+        If the training loss is not below chance by `settings.plateau_margin` in the end, or after
+        `settings.plateau_epochs`.
+    DivergedError
+        If the loss is not finite.
+    """
+    started = start_clock()
+    if network_name not in NETWORKS:
+        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
+    conditional = network_name == "friction_conditional"
+    if conditional != (material_model is not None):
+        raise BadInput(
+            f"{network_name} {'requires' if conditional else 'does not take'} --material-model"
+        )
+    set_up_torch(run.threads)
+    videos, training = run.videos(settings.pixels, run.frames)
+    target = network_name.split("_")[0]
+    classes = classes_of(videos.rows, target)
+    labels = labels_of(videos.rows, classes, target)
+    _check_dataset(videos, expected_classes)
+    _check_training(videos, labels, classes, training, view_order, target)
+    condition, condition_classes, condition_digest = _conditioned_on(
+        material_model, run, videos, settings.batch_size
+    )
+
+    torch.manual_seed(run.seed)
+    pixels = videos.pixels.shape[2]
+    network = LRCN(settings, len(classes), pixels, len(condition_classes))
+    mean, deviation = _colour_statistics(videos.pixels[training])
+    network.mean.copy_(torch.from_numpy(mean))
+    network.deviation.copy_(torch.from_numpy(deviation))
+    learner = LrcnLearner(
+        name=f"{network_name} {run.split} seed {run.seed}",
+        settings=settings,
+        network=network,
+        phases=phases or progressive_schedule(settings, view_order, run.split == REFLECTIVE),
+        pixels=videos.pixels,
+        labels=labels,
+        condition=condition,
+        training=training,
+        viewpoints=np.array([row["viewpoint"] for row in videos.rows]),
+    )
+    named = {
+        "network": network_name,
+        "condition_sha256": condition_digest,
+        "true_materials": material_model == TRUE,
+    }
+    trainer = Trainer(learner, run, videos, started, view_order=list(view_order), **named)
+    trainer.train()
+    card = save_model(
+        network,
+        {
+            **named,
+            "target": target,
+            "split": run.split,
+            "seed": run.seed,
+            "classes": classes,
+            "condition_classes": condition_classes,
+            "pixels": pixels,
+            "frames": videos.pixels.shape[1],
+            "viewpoints": list(view_order),
+            **trainer.facts(),
+            "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
+            "performance on other videos, real ones included, is unknown",
+        },
+        run.out,
+    )
+    listened = [Path(material_model) / name for name in (WEIGHTS, CARD)] if condition_digest else []
+    trainer.write_record((WEIGHTS, CARD), listened)
+    return card
+
+
+def _conditioned_on(
+    material_model: str | os.PathLike | None, run: Run, videos: Videos, batch_size: int
+) -> tuple[np.ndarray | None, list[dict[str, Any]], str | None]:
+    """Material class numbers that a network is told of videos, the classes, the teller's digest."""
+    if material_model is None:
+        return None, [], None
+    if material_model == TRUE:
+        classes = classes_of(videos.rows, "material")
+        return labels_of(videos.rows, classes, "material"), classes, None
+    model = load_model(material_model)
+    model.check_is_material_network_of(run.split, run.seed, videos.digest)
+    told = model.probabilities(videos, batch_size=batch_size).argmax(1)
+    return told, model.card["classes"], model.card["weights_sha256"]
+
+
+def _check_dataset(videos: Videos, expected: dict[str, list] | None) -> None:
+    """Refuse a dataset of other classes than those expected."""
+    for kind, values in (expected or {}).items():
+        key = "name" if kind == "material" else "value"
+        found = [entry[key] for entry in classes_of(videos.rows, kind)]
+        if found != list(values):
+            raise BadInput(
+                f"the dataset has {len(found)} {kind} classes ({', '.join(map(str, found))}), "
+                f"the configuration {len(values)} ({', '.join(map(str, values))})"
+            )
+
+
+def _check_training(videos, labels, classes, training, view_order, target) -> None:
+    """Refuse data that cannot train what is asked for."""
+    if len(classes) < 2:
+        raise BadInput(f"{len(classes)} {target} class: at least two are required")
+    for number, entry in enumerate(classes):
+        if not np.any(labels[training] == number):
+            raise BadInput(f"{target} class {entry['id']} has no training video")
+    present = {row["viewpoint"] for row in videos.rows}
+    trained = {row["viewpoint"] for row in compress(videos.rows, training)}
+    for name in view_order:
+        if name not in present:
+            raise BadInput(
+                f"the dataset has no training viewpoint {name!r}; known: "
+                f"{', '.join(sorted(present))}"
+            )
+        if name not in trained:
+            raise BadInput(f"viewpoint {name!r} has no training video")
+
+
+def _colour_statistics(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each colour over all pixels, from exact integer sums."""
+    count = pixels[..., 0].size
+    histogram = np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)])
+    values = np.arange(256.0)
+    mean = histogram @ values / count
+    variance = histogram @ values**2 / count - mean**2
+    return mean, np.sqrt(np.maximum(variance, 1.0))

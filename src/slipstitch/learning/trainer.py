@@ -1,0 +1,388 @@
+"""The trainer of all networks: epochs, checkpoints, resumption, history, and how a training ends.
+
+A network brings a `Learner`: its videos, the loss of a batch, the learning rate and the validation.
+"""
+
+import csv
+import hashlib
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from slipstitch.base.errors import BadInput, SlipstitchError
+from slipstitch.base.provenance import atomic_path, code_digest, provenance_record, write_sidecar
+from slipstitch.config.train import TRAINED_ON, split_of
+from slipstitch.dataset.manifest import MANIFEST
+from slipstitch.dataset.videos import Videos, read_videos, takes_part
+from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
+from slipstitch.learning.curves import curve
+
+HISTORY = "history.csv"
+
+
+class PlateauError(SlipstitchError):
+    """The loss stayed at chance: the network has learnt nothing."""
+
+
+class DivergedError(SlipstitchError):
+    """The loss is no finite number any more."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Epochs of the schedule with the same viewpoints."""
+
+    name: str
+    viewpoints: tuple[str, ...]
+    epochs: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """What every training is told.
+
+    Attributes
+    ----------
+    dataset : path
+        Folder that the sample stage wrote.
+    split : str
+        One of `slipstitch.config.train.TRAINED_ON`.
+    seed : int
+        Of weights, order of the videos, augmentations and dropout.
+    out : path
+        Folder of the model, of ``history.csv`` and, until the training is finished, of
+        ``checkpoint.safetensors``.
+    frames : int, optional
+        Frames of a video that the network sees; by default all that the dataset has.
+    uses : callable, optional
+        Says of a manifest row whether its video may train or validate; by default all may.
+    threads : int
+    after_step : callable, optional
+        Called after every step with the progress; what it raises stops the training.
+    """
+
+    dataset: str | os.PathLike
+    split: str
+    seed: int
+    out: str | os.PathLike
+    frames: int | None = None
+    uses: Callable[[dict[str, Any]], bool] | None = None
+    threads: int = 1
+    after_step: Callable[[Progress], None] | None = None
+
+    def videos(
+        self, pixels: int | None, frames: int | None, viewpoints: Sequence[str] | None = None
+    ) -> tuple[Videos, np.ndarray]:
+        """Return the videos that train or validate, and which of them train.
+
+        Parameters
+        ----------
+        pixels, frames
+            As for `slipstitch.dataset.videos.read_videos`.
+        viewpoints : sequence of str, optional
+            By default all.
+
+        Raises
+        ------
+        BadInput
+            If there is no such split, or the dataset is damaged or leaks.
+        """
+        if self.split not in TRAINED_ON:
+            raise BadInput(f"unknown split {self.split!r}; known: {', '.join(TRAINED_ON)}")
+        column = f"split_{split_of(self.split)}"
+        videos = read_videos(
+            self.dataset,
+            lambda row: (
+                takes_part(row, self.split)
+                and row[column] != "test"
+                and (viewpoints is None or row["viewpoint"] in viewpoints)
+                and (self.uses is None or self.uses(row))
+            ),
+            pixels,
+            frames,
+        )
+        return videos, np.array([row[column] == "train" for row in videos.rows])
+
+
+class Learner:
+    """A network with the videos that train it; the base of every network's own.
+
+    Attributes
+    ----------
+    stage : str
+        Whose code and settings the training depends on.
+    name : str
+        Names the training in messages.
+    settings : pydantic model
+        With ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``.
+    network : nn.Module
+    training : ndarray of bool, shape (n,)
+        Which of the videos train; the others validate.
+    bfloat16 : bool
+        Whether convolutions are derived in bfloat16.
+    optimizer : torch.optim.Optimizer
+    phases : sequence of Phase
+        The schedule.
+    chance_loss : float
+        Loss of the best guess that ignores the video, as ``train_loss`` counts it.
+    gradient_norm_max : float or None
+        Gradients are clipped to it.
+    plateau_window : int
+        Last epochs over which the loss is averaged before it is compared with chance.
+    plateau_epochs : int or None
+        Epochs after which it is compared for the first time; None: in the end only.
+    diverged_hint, plateau_hint : str
+        Which settings to look at, for the messages.
+    """
+
+    stage: str
+    name: str
+    settings: Any
+    network: nn.Module
+    training: np.ndarray
+    bfloat16: bool
+    optimizer: torch.optim.Optimizer
+    phases: Sequence[Phase]
+    chance_loss: float
+    gradient_norm_max: float | None = None
+    plateau_window: int = 1
+    plateau_epochs: int | None = None
+    diverged_hint: str
+    plateau_hint: str
+
+    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of the videos that train in a phase, and of those that validate it."""
+        return np.flatnonzero(self.training), np.flatnonzero(~self.training)
+
+    def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
+        """Return the rate of a step of an epoch of so many videos, both counted from 0."""
+        raise NotImplementedError
+
+    def batch_loss(
+        self, batch: np.ndarray, generator: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Return the loss to derive, and columns of the history summed over the batch.
+
+        ``train_loss`` is the first. `generator` is for augmentations: the same one at the same
+        step, however often a training was stopped before.
+        """
+        raise NotImplementedError
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Return columns of the history from videos that do not train; NaN without any."""
+        raise NotImplementedError
+
+    def columns(self, phase: Phase) -> dict[str, Any]:
+        """Return columns of the history that say which phase an epoch is of."""
+        return {}
+
+    def summary(self, row: dict[str, Any]) -> str:
+        """Return what the terminal says of an epoch beside its loss."""
+        raise NotImplementedError
+
+
+class Trainer:
+    """Trains a learner, from the start or from the checkpoint of the same training.
+
+    Parameters
+    ----------
+    learner : Learner
+    run : Run
+    videos : Videos
+        Those of `run`.
+    started : tuple of float
+        What `slipstitch.base.provenance.start_clock` returned before they were read.
+    identity : dict
+        In JSON's types, what tells this training from others beside data, settings and code.
+    """
+
+    def __init__(self, learner: Learner, run: Run, videos: Videos, started: Any, **identity: Any):
+        self.learner, self.run, self.videos, self.started = learner, run, videos, started
+        self.out = Path(run.out)
+        self.history: list[dict[str, Any]] = []
+        names = "\n".join(row["video"] for row in videos.rows)
+        self.identity = {
+            "settings": learner.settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
+            "dataset_digest": videos.digest,
+            "videos_sha256": hashlib.sha256(names.encode()).hexdigest(),
+            "phases": [[phase.name, *phase.viewpoints, phase.epochs] for phase in learner.phases],
+            "bfloat16": learner.bfloat16,
+            "code_digest": code_digest(learner.stage),
+            "split": run.split,
+            "seed": run.seed,
+            "frames": run.frames,
+            "threads": run.threads,
+            **identity,
+        }
+
+    def train(self) -> None:
+        """Train to the end; then `history` has one row per epoch.
+
+        Raises
+        ------
+        DivergedError
+            If the loss is not finite.
+        PlateauError
+            If the training loss is not below chance by the margin of the settings.
+        """
+        learner = self.learner
+        schedule = [(phase, epoch) for phase in learner.phases for epoch in range(phase.epochs)]
+        progress, message = load_checkpoint(
+            self.out / CHECKPOINT, self.identity, learner.network, learner.optimizer
+        )
+        progress = progress or Progress()
+        if message:
+            print(message, file=sys.stderr)
+        self.saved_at = time.monotonic()
+        bar = tqdm(
+            total=len(schedule),
+            initial=progress.epoch,
+            desc=learner.name,
+            unit="epoch",
+            disable=not sys.stderr.isatty(),
+        )
+        while progress.epoch < len(schedule):
+            phase, epoch = schedule[progress.epoch]
+            row = self._epoch(progress, phase, epoch)
+            progress = Progress(epoch=progress.epoch + 1, history=[*progress.history, row])
+            self._print_epoch(progress, phase, len(schedule), bar)
+            if progress.epoch in (learner.plateau_epochs, len(schedule)):
+                self._check_plateau(progress.history)
+        bar.close()
+        self.history = progress.history
+
+    def _epoch(self, progress: Progress, phase: Phase, epoch: int) -> dict[str, Any]:
+        """Take the remaining steps of an epoch; return its row of the history."""
+        learner, seed = self.learner, self.run.seed
+        training, validating = learner.videos(phase)
+        order = np.random.default_rng([seed, progress.epoch]).permutation(training)
+        size = learner.settings.batch_size
+        learner.network.train()
+        while (first := progress.step * size) < len(order):
+            rate = learner.learning_rate(phase, epoch, progress.step, len(order))
+            self._step(progress, order[first : first + size], rate)
+            if time.monotonic() - self.saved_at >= learner.settings.checkpoint_interval_s:
+                save_checkpoint(
+                    self.out / CHECKPOINT,
+                    self.identity,
+                    progress,
+                    learner.network,
+                    learner.optimizer,
+                    self.started,
+                )
+                self.saved_at = time.monotonic()
+            if self.run.after_step is not None:
+                self.run.after_step(progress)
+        return {
+            "epoch": progress.epoch + 1,
+            **learner.columns(phase),
+            "videos": len(order),
+            **{name: total / len(order) for name, total in progress.sums.items()},
+            "validation_videos": len(validating),
+            **learner.validation(validating),
+            "chance_loss": learner.chance_loss,
+        }
+
+    def _step(self, progress: Progress, batch: np.ndarray, rate: float) -> None:
+        """Take a step; add its sums to the progress."""
+        learner = self.learner
+        for group in learner.optimizer.param_groups:
+            group["lr"] = rate
+        generator = np.random.default_rng([self.run.seed, progress.epoch, progress.step])
+        loss, sums = learner.batch_loss(batch, generator)
+        if not math.isfinite(loss.item()):
+            raise DivergedError(
+                f"{learner.name}: the loss became {loss.item()} in epoch {progress.epoch + 1}, "
+                f"step {progress.step + 1}; no model is written (try {learner.diverged_hint})"
+            )
+        learner.optimizer.zero_grad()
+        loss.backward()
+        if learner.gradient_norm_max is not None:
+            nn.utils.clip_grad_norm_(learner.network.parameters(), learner.gradient_norm_max)
+        learner.optimizer.step()
+        progress.add(sums)
+
+    def _print_epoch(self, progress: Progress, phase: Phase, epochs: int, bar: tqdm) -> None:
+        """Show an epoch's end: the curve so far in a terminal, a line elsewhere."""
+        row, name = progress.history[-1], self.learner.name
+        summary = self.learner.summary(row)
+        bar.update()
+        losses = curve([past["train_loss"] for past in progress.history])
+        bar.set_postfix_str(f"{losses} loss {row['train_loss']:.4f}, {summary}")
+        if bar.disable:
+            epoch = " ".join(filter(None, (f"epoch {row['epoch']}/{epochs}", phase.name)))
+            print(
+                f"{name}: {epoch}: loss {row['train_loss']:.4f} "
+                f"(chance {row['chance_loss']:.4f}), {summary}",
+                file=sys.stderr,
+            )
+
+    def _check_plateau(self, history: list[dict[str, Any]]) -> None:
+        """Fail if the loss of the last epochs is still that of guessing."""
+        learner = self.learner
+        recent = history[-learner.plateau_window :]
+        videos = sum(row["videos"] for row in recent)
+        loss = sum(row["train_loss"] * row["videos"] for row in recent) / videos
+        margin = learner.settings.plateau_margin
+        if margin is not None and loss > (1.0 - margin) * learner.chance_loss:
+            raise PlateauError(
+                f"{learner.name}: after {len(history)} epochs the training loss is still "
+                f"{loss:.4f}, at chance ({learner.chance_loss:.4f}): the network did not learn, no "
+                f"model is written ({learner.plateau_hint})"
+            )
+
+    def facts(self) -> dict[str, Any]:
+        """Return the entries on the training that all model cards have."""
+        learner, videos = self.learner, self.videos
+        return {
+            "bfloat16": learner.bfloat16,
+            "settings": learner.settings.model_dump(mode="json"),
+            "dataset_digest": videos.digest,
+            "training_videos": int(learner.training.sum()),
+            "training_simulations": len(simulations(videos, learner.training)),
+            "epochs": len(self.history),
+            "train_loss": self.history[-1]["train_loss"],
+            "chance_loss": learner.chance_loss,
+            "parameters": sum(weight.numel() for weight in learner.network.parameters()),
+            "multiply_accumulates_per_frame": learner.network.multiply_accumulates,
+        }
+
+    def write_record(self, model_files: Sequence[str], other_inputs: Sequence[Path] = ()) -> None:
+        """Write the history and where it and the model come from; remove the checkpoint."""
+        run, stage = self.run, self.learner.stage
+        with (
+            atomic_path(self.out / HISTORY) as temporary,
+            open(temporary, "w", newline="") as stream,
+        ):
+            writer = csv.DictWriter(stream, list(self.history[0]))
+            writer.writeheader()
+            writer.writerows(self.history)
+        shards = sorted({row["file"] for row in self.videos.rows})
+        inputs = [Path(run.dataset) / name for name in (MANIFEST, *shards)]
+        record = provenance_record(
+            stage,
+            inputs=[*inputs, *other_inputs],
+            config={stage: self.learner.settings},
+            seed=run.seed,
+            started=self.started,
+        )
+        record["threads"] = run.threads
+        for name in (*model_files, HISTORY):
+            write_sidecar(self.out / name, record)
+        (self.out / CHECKPOINT).unlink(missing_ok=True)
+
+
+def simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
+    """Return the simulations of the videos where `chosen` (bool, shape (n,)) is true."""
+    return {row["simulation"] for row in compress(videos.rows, chosen)}
