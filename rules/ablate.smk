@@ -1,13 +1,5 @@
 """Ablations: training choices changed one at a time; not part of `all`."""
 
-from slipstitch.config.ablate import QUESTIONS
-
-ASKED = CONFIG.ablate.asked
-
-
-wildcard_constraints:
-    question="|".join(QUESTIONS),
-
 
 rule ablate:
     input:
@@ -19,11 +11,11 @@ rule ablate_one:
     input:
         rules.sample.input,
     output:
-        "results/ablate/{question}/seed{seed}.json",
+        "results/ablate/{question}/{network}_{variant}_seed{seed}.json",
     log:
-        "results/logs/ablate/{question}_seed{seed}.log",
+        "results/logs/ablate/{question}_{network}_{variant}_seed{seed}.log",
     benchmark:
-        "results/benchmarks/ablate/{question}_seed{seed}.tsv"
+        "results/benchmarks/ablate/{question}_{network}_{variant}_seed{seed}.tsv"
     threads: 1
     resources:
         mem_mb=job_memory_mb("train", CONFIG),
@@ -36,23 +28,20 @@ rule ablate_one:
             also=("sample.frames", "view_order"),
             ablate={"seeds"},
         ),
-        code=code_of("ablate.answering"),
+        code=code_of("ablate.run"),
         config=CONFIG_FILE,
     message:
-        "Ablation: {wildcards.question}, seed {wildcards.seed}"
+        "Ablation: {wildcards.question}, {wildcards.network} {wildcards.variant}, seed {wildcards.seed}"
     shell:
         "slipstitch ablate --config {params.config} --dataset results/sample"
-        " --question {wildcards.question} --seed {wildcards.seed} --threads {threads}"
+        " --question {wildcards.question} --network {wildcards.network}"
+        " --variant {wildcards.variant} --seed {wildcards.seed} --threads {threads}"
         " --out {output} > {log} 2>&1"
 
 
 rule ablate_summary:
     input:
-        expand(
-            "results/ablate/{question}/seed{seed}.json",
-            question=ASKED,
-            seed=CONFIG.ablate.seeds,
-        ),
+        expand("results/ablate/{result}", result=CONFIG.ablate.results),
     output:
         summary="results/ablate/ablate.json",
         page=report(

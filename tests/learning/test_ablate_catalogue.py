@@ -9,7 +9,8 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import resolve_config
 from slipstitch.config.ablate import QUESTIONS, AblateSettings
 from slipstitch.dataset.videos import ROLES
-from slipstitch.learning.ablation.questions import plan
+from slipstitch.learning.ablation.questions import QUESTIONS as ASKED
+from slipstitch.learning.ablation.questions import selected
 
 VIEWS = ["calibrated", "side"]
 
@@ -42,7 +43,7 @@ def manifest(replicates=4, textures=3, mirrors=(1, 3)):
 
 
 def planned(question, rows=None, seed=0, views=VIEWS, **settings):
-    return plan(question, rows or manifest(), views, AblateSettings(**settings), seed)
+    return selected(question, rows or manifest(), views, AblateSettings(**settings), seed)[1]
 
 
 def chosen(rows, ids):
@@ -56,12 +57,13 @@ def test_variants_train_on_equally_many_videos_and_test_on_none_of_their_simulat
 ):
     rows = manifest()
     found = planned(question, rows, seed)
-    assert len({len(one.videos) for one in found.variants}) == 1
+    assert len({len(videos) for videos in found.training.values()}) == 1
     tested = set().union(*found.tests.values())
-    for one in found.variants:
-        trained = {row["simulation"] for row in chosen(rows, one.videos)}
+    assert set(found.training) == set(ASKED[question].variants)
+    for videos in found.training.values():
+        trained = {row["simulation"] for row in chosen(rows, videos)}
         assert trained and not trained & {row["simulation"] for row in chosen(rows, tested)}
-        of_friction = Counter(row["friction_id"] for row in chosen(rows, one.videos))
+        of_friction = Counter(row["friction_id"] for row in chosen(rows, videos))
         assert len(of_friction) == 3 and len(set(of_friction.values())) == 1
     views = {row["viewpoint"] for row in chosen(rows, tested)}
     assert views == set(VIEWS if question == "schedule" else VIEWS[:1])
@@ -69,19 +71,18 @@ def test_variants_train_on_equally_many_videos_and_test_on_none_of_their_simulat
 
 def test_diversity_is_three_replicates_in_one_texture_against_one_in_three():
     rows = manifest()
-    many, one = planned("diversity", rows).variants
-    assert (many.name, one.name) == ("replicates", "textures")
-    by_simulation = Counter(row["simulation"] for row in chosen(rows, many.videos))
+    many, one = planned("diversity", rows).training.values()
+    by_simulation = Counter(row["simulation"] for row in chosen(rows, many))
     assert len(by_simulation) == 6 * 3 and set(by_simulation.values()) == {1}
-    by_simulation = Counter(row["simulation"] for row in chosen(rows, one.videos))
+    by_simulation = Counter(row["simulation"] for row in chosen(rows, one))
     assert len(by_simulation) == 6 and set(by_simulation.values()) == {3}
 
 
 def test_no_texture_is_rarer_in_one_variant_of_diversity_than_in_the_other():
     rows = manifest()
     many, one = (
-        Counter((row["friction_id"], row["texture_id"]) for row in chosen(rows, variant.videos))
-        for variant in planned("diversity", rows).variants
+        Counter((row["friction_id"], row["texture_id"]) for row in chosen(rows, videos))
+        for videos in planned("diversity", rows).training.values()
     )
     assert many == one
 
@@ -89,34 +90,37 @@ def test_no_texture_is_rarer_in_one_variant_of_diversity_than_in_the_other():
 def test_with_fewer_replicates_than_textures_both_get_as_many_as_there_are_replicates():
     rows = manifest(replicates=3, textures=4)
     found = planned("diversity", rows)
-    assert all(len(one.videos) == 6 * 2 for one in found.variants)
+    assert all(len(videos) == 6 * 2 for videos in found.training.values())
     textures = {row["texture_id"] for row in chosen(rows, found.tests["held-out"])}
     assert textures == {"t00", "t01"}  # none that has not been trained on
 
 
 def test_seeds_draw_other_videos_and_the_same_seed_the_same():
-    first, again, other = (planned("diversity", seed=seed).variants[1] for seed in (0, 0, 1))
-    assert first == again and first.videos != other.videos
+    first, again, other = (
+        planned("diversity", seed=seed).training["textures"] for seed in (0, 0, 1)
+    )
+    assert first == again != other
 
 
 def test_textures_are_dealt_evenly_among_the_simulations_of_a_coefficient():
     rows = manifest()
     found = planned("initialisation", rows)
-    videos = chosen(rows, found.variants[0].videos)
+    videos = chosen(rows, found.training["he"])
     assert len(videos) == 6 * 3  # a video a training simulation
     counts = Counter((row["friction_id"], row["texture_id"]) for row in videos)
     assert set(counts.values()) == {2}
     every = planned("initialisation", rows, textures_per_simulation=None)
-    assert len(every.variants[0].videos) == 6 * 3 * 3
+    assert len(every.training["he"]) == 6 * 3 * 3
 
 
 def test_the_floors_exchange_mirrors_for_matte_simulations_of_the_same_coefficient():
     rows = manifest()
     found = planned("floors", rows)
-    matte, mixed = (chosen(rows, one.videos) for one in found.variants)
+    matte, mixed = (chosen(rows, videos) for videos in found.training.values())
     assert not any(row["floor_reflectance"] for row in matte)
     assert sum(row["floor_reflectance"] > 0 for row in mixed) == 6 == len(mixed) / 2
-    assert found.variants[1].phrase == "training with 6 reflective floors out of 12"
+    phrase = ASKED["floors"].variants["mixed"].phrase.format(**found.numbers)
+    assert phrase == "training with 6 reflective floors out of 12"
     for part in (matte, mixed):
         assert set(Counter((r["material_id"], r["friction_id"]) for r in part).values()) == {2}
     for name, reflecting in (("matte floors", False), ("mirroring floors", True)):
@@ -130,19 +134,8 @@ def test_floors_leave_out_a_coefficient_without_mirrors():
         if row["friction_id"] == "f0400":
             row["floor_reflectance"] = 0.0
     found = planned("floors", rows)
-    ids = set().union(*(one.videos for one in found.variants), *found.tests.values())
+    ids = set().union(*found.training.values(), *found.tests.values())
     assert {row["friction_id"] for row in chosen(rows, ids)} == {"f0100", "f0700"}
-
-
-def test_what_a_variant_changes():
-    assert [one.condition for one in planned("conditioning").variants] == [
-        "none",
-        "predicted",
-        "true",
-    ]
-    assert [one.joint for one in planned("schedule").variants] == [False, True]
-    names = [one.changes["initialisation"] for one in planned("initialisation").variants]
-    assert names == ["he", "glorot", "pytorch"]
 
 
 @pytest.mark.parametrize(
@@ -169,7 +162,7 @@ def test_a_question_that_the_dataset_cannot_answer_says_what_is_needed(
 
 
 def test_the_network_that_is_asked_after_must_be_trained():
-    assert planned("diversity", networks=["instrument"]).networks == ["instrument"]
+    assert planned("diversity", networks=["instrument"]).training
     with pytest.raises(BadInput, match=r"network lrcn, which is not in ablate\.networks"):
         planned("initialisation", networks=["instrument"])
 

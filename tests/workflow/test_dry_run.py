@@ -113,17 +113,17 @@ def test_the_convergence_study_is_a_target_of_its_own(workflow):
 
 
 def test_the_ablations_are_a_target_of_their_own(workflow):
-    """A job a question and seed, and one that sums up; only the questions that are named."""
+    """A job a variant and seed, and one that sums up; only the questions that are named."""
     answer = workflow.plan("-n", "--quiet", "rules", "--", "ablate")
     assert answer.returncode == 0, answer.stderr
     counts = job_counts(answer.stdout)
-    assert counts["ablate_one"] == 5 * 3 and counts["ablate_summary"] == 1
+    assert counts["ablate_one"] == (4 + 3 + 2 + 3 + 4) * 3 and counts["ablate_summary"] == 1
     assert "sample_all" in counts
     assert not {"train_one", "instrument_one", "evaluate_all", "report_page"} & set(counts)
 
     overrides = ("--config", "ablate={questions: [diversity, floors], seeds: [4]}")
     answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "ablate")
-    assert job_counts(answer.stdout)["ablate_one"] == 2 * 1
+    assert job_counts(answer.stdout)["ablate_one"] == (4 + 4) * 1
 
 
 def test_single_keys_from_the_command_line(workflow):

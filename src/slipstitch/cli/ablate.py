@@ -1,4 +1,4 @@
-"""slipstitch ablate: one question with one seed, or the summary of all results."""
+"""slipstitch ablate: one variant of a question with one seed, or the summary of all results."""
 
 import argparse
 
@@ -14,7 +14,8 @@ from slipstitch.cli.options import (
 SUMMARY = "ablations: change one training choice at a time, at an equal budget"
 EXAMPLE = (
     "slipstitch ablate --config results/config.json --dataset results/sample "
-    "--question diversity --seed 0 --out results/ablate/diversity/seed0.json\n  "
+    "--question diversity --network lrcn --variant textures --seed 0 "
+    "--out results/ablate/diversity/lrcn_textures_seed0.json\n  "
     "slipstitch ablate --config results/config.json --summary results/ablate "
     "--out results/ablate/ablate.json --page results/ablate/index.html"
 )
@@ -22,31 +23,36 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from slipstitch.config.ablate import QUESTIONS
+    from slipstitch.config.ablate import QUESTIONS, VARIANTS
 
     add_config(parser)
     parser.add_argument(
         "--out", type=output_json, required=True, help="the result, or the summary (JSON)"
     )
-    single = parser.add_argument_group("one question, one seed")
+    single = parser.add_argument_group("one variant of a question, one seed")
     single.add_argument("--dataset", help="folder written by `slipstitch sample`")
     single.add_argument("--question", choices=QUESTIONS)
+    single.add_argument("--network", choices=("lrcn", "instrument"))
+    variants = {name for networks in VARIANTS.values() for of in networks.values() for name in of}
+    single.add_argument("--variant", choices=sorted(variants))
     single.add_argument("--seed", type=int)
     add_threads(single)
     every = parser.add_argument_group("summary of all results")
     every.add_argument(
-        "--summary", metavar="FOLDER", help="folder of the results: {question}/seed{seed}.json"
+        "--summary",
+        metavar="FOLDER",
+        help="folder of the results: {question}/{network}_{variant}_seed{seed}.json",
     )
     every.add_argument("--page", type=output_page, help="conclusions, plots and tables (HTML)")
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Answer one question or summarise all results; print the outcome."""
+    """Train and test one variant or summarise all results; print the outcome."""
     from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
 
     check_at_least(arguments, threads=1, seed=0)
-    one = ("dataset", "question", "seed")
+    one = ("dataset", "question", "network", "variant", "seed")
     config = load_config(*arguments.config)
     if arguments.summary:
         refuse(arguments, one, "--summary")
@@ -54,35 +60,34 @@ def run(arguments: argparse.Namespace) -> None:
         return
     if any(getattr(arguments, name) is None for name in one) or arguments.page:
         raise BadInput(
-            "--dataset, --question and --seed are required, or --summary (--page requires "
-            "--summary)"
+            "--dataset, --question, --network, --variant and --seed are required, or --summary "
+            "(--page requires --summary)"
         )
-    from slipstitch.learning.ablation.answering import write_answer
+    from slipstitch.config.ablate import VARIANTS
+    from slipstitch.learning.ablation.run import Case, write_case
 
-    found = write_answer(
-        config,
-        arguments.dataset,
-        arguments.question,
-        arguments.seed,
-        arguments.out,
-        arguments.threads,
-    )
+    if arguments.variant not in VARIANTS[arguments.question].get(arguments.network, ()):
+        raise BadInput(
+            f"{arguments.question} has no variant {arguments.network} {arguments.variant}"
+        )
+    case = Case(arguments.question, arguments.network, arguments.variant, arguments.seed)
+    found = write_case(config, arguments.dataset, case, arguments.out, arguments.threads)
     if found["left_out"]:
         print(f"left out: {found['left_out']}")
-    for trained in found["variants"]:
-        ending = trained["failure"] or "learnt"
-        if trained["stayed_at_chance"]:
-            ending = "stayed at chance"
-        print(
-            f"{found['question']} seed {found['seed']}: {trained['network']} {trained['variant']}: "
-            f"{trained['training_videos']} videos of {trained['training_simulations']} "
-            f"simulations, {trained['passes']:g} passes: {ending}"
-        )
+        return
+    ending = found["failure"] or "learnt"
+    if found["stayed_at_chance"]:
+        ending = "stayed at chance"
+    print(
+        f"{case.question} seed {case.seed}: {case.network} {case.variant}: "
+        f"{found['training_videos']} videos of {found['training_simulations']} "
+        f"simulations, {found['passes']:g} passes: {ending}"
+    )
 
 
 def _summary(config, arguments: argparse.Namespace) -> None:
     """Write summary and page; print the sentences."""
-    from slipstitch.learning.ablation.collection import write_summary
+    from slipstitch.learning.ablation.summary import write_summary
 
     summary = write_summary(config, arguments.summary, arguments.out, arguments.page)
     for name, question in summary["questions"].items():

@@ -10,6 +10,14 @@ from slipstitch.config.train import TrainSettings
 
 Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
 QUESTIONS: tuple[Question, ...] = get_args(Question)
+#: Question -> its variants with each network (`slipstitch.learning.ablation.questions`).
+VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
+    "diversity": dict.fromkeys(("lrcn", "instrument"), ("replicates", "textures")),
+    "conditioning": {"lrcn": ("none", "predicted", "true")},
+    "schedule": {"lrcn": ("progressive", "joint")},
+    "initialisation": {"lrcn": ("he", "glorot", "pytorch")},
+    "floors": dict.fromkeys(("lrcn", "instrument"), ("matte", "mixed")),
+}
 # What a variant sets itself.
 _OWN_TRAIN = ("seeds", "splits", "view_order", "epochs_per_cycle", "plateau_epochs")
 _OWN_INSTRUMENT = ("seeds", "epochs")
@@ -50,6 +58,18 @@ class AblateSettings(Section):
     def asked(self) -> tuple[Question, ...]:
         """The questions by name, whether stated or all."""
         return tuple(self.questions or QUESTIONS)
+
+    @property
+    def results(self) -> list[str]:
+        """The results of all trainings: ``{question}/{network}_{variant}_seed{seed}.json``."""
+        return [
+            f"{question}/{network}_{variant}_seed{seed}.json"
+            for question in self.asked
+            for network, variants in VARIANTS[question].items()
+            if network in self.networks
+            for variant in variants
+            for seed in self.seeds
+        ]
 
     @field_validator("questions", "networks")
     @classmethod

@@ -362,7 +362,7 @@ def estimate_ablate(config: Config) -> StageEstimate:
         if name in ablate.networks
     )
     seeds = len(ablate.seeds)
-    return StageEstimate("ablate", len(asked) * seeds + 1, seeds * cpu_s, seeds * 16 * 4e6)
+    return StageEstimate("ablate", len(ablate.results) + 1, seeds * cpu_s, seeds * 16 * 4e6)
 
 
 def estimate_captures(config: Config) -> StageEstimate:

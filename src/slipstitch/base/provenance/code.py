@@ -33,7 +33,7 @@ STAGES: dict[str, tuple[str, ...]] = {
     "evaluate": ("learning.evaluation.evaluation",),
     "evaluate.captures": ("film.captures",),
     "ablate": ("learning.ablation",),
-    "ablate.answering": ("learning.ablation.answering",),
+    "ablate.run": ("learning.ablation.run",),
     "release": ("dataset.release",),
     "audit": ("dataset.audit",),
     "report": ("report.page",),

@@ -1,4 +1,4 @@
-"""The questions, their variants, and their training and test videos.
+"""The questions: their variants as overrides of the configuration, and which videos train them.
 
 Every variant of a question is trained with as many passes of videos as the others, on the split by
 simulation, and tested on the same videos of held-out simulations. Those for validation count among
@@ -17,6 +17,7 @@ from slipstitch.config.ablate import AblateSettings
 from slipstitch.dataset.videos import takes_part
 
 Row = dict[str, Any]
+Videos = frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -25,50 +26,29 @@ class Variant:
 
     Attributes
     ----------
-    name : str
-        Names its folder and its row.
     phrase : str
-        Names it in a sentence.
-    videos : frozenset of str
-        Training videos.
-    changes : dict
-        Keys of the section ``train`` that are different.
-    condition : {"none", "predicted", "true"}
-        What the friction network is told of the material.
+        Names it in a sentence; may hold numbers of a `Selection`.
+    train : dict
+        Overrides of the section ``train``.
+    material : {"none", "predicted", "true"}
+        What the friction network is conditioned on.
     joint : bool
         All viewpoints from the first epoch, instead of one more each cycle.
     """
 
-    name: str
     phrase: str
-    videos: frozenset[str]
-    changes: dict[str, Any] = field(default_factory=dict)
-    condition: Literal["none", "predicted", "true"] = "none"
+    train: dict[str, Any] = field(default_factory=dict)
+    material: Literal["none", "predicted", "true"] = "none"
     joint: bool = False
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A question as this dataset can answer it.
+class Selection:
+    """Ids of the videos that train each variant, and of each test set; numbers for phrases."""
 
-    Attributes
-    ----------
-    asks : str
-    viewpoints : list of str
-        That train and test; the first is the calibrated one.
-    variants : list of Variant
-        The others are compared with the first.
-    tests : dict
-        Name of a test set -> ids of its videos, none of a training simulation.
-    networks : list of str
-        Of lrcn and instrument.
-    """
-
-    asks: str
-    viewpoints: list[str]
-    variants: list[Variant]
-    tests: dict[str, frozenset[str]]
-    networks: Sequence[str]
+    training: dict[str, Videos]
+    tests: dict[str, Videos]
+    numbers: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -77,71 +57,70 @@ class Candidates:
 
     training: list[Row]
     held_out: list[Row]
+    views: list[str]
 
     @property
     def textures(self) -> list[str]:
-        """Training textures, by id."""
+        """Return the training textures, by id."""
         return sorted({row["texture_id"] for row in self.training})
 
     def simulations(self) -> dict[tuple[str, str], list[Row]]:
-        """(material, friction) -> one row of each training simulation."""
+        """Return, by material and friction, one row of each training simulation."""
         pairs: dict[tuple[str, str], dict[str, Row]] = defaultdict(dict)
         for row in self.training:
             pairs[row["material_id"], row["friction_id"]][row["simulation"]] = row
         return {pair: [of[name] for name in sorted(of)] for pair, of in sorted(pairs.items())}
 
+    def ids(self, wanted: set[tuple[str, str]]) -> Videos:
+        """Return the training videos of some (simulation, texture), from all viewpoints."""
+        return frozenset(
+            row["video"]
+            for row in self.training
+            if (row["simulation"], row["texture_id"]) in wanted
+        )
 
-def plan(
-    question: str,
-    rows: Sequence[Row],
-    viewpoints: Sequence[str],
-    settings: AblateSettings,
-    seed: int,
-) -> Plan:
-    """The plan for answering a question with a dataset.
+    def tests(self, counts: Callable[[Row], bool] = lambda row: True) -> Videos:
+        """Return the held-out videos that count."""
+        return frozenset(row["video"] for row in self.held_out if counts(row))
 
-    Parameters
-    ----------
-    question : str
-        One of `QUESTIONS`.
-    rows : sequence of dict
-        The manifest.
-    viewpoints : sequence of str
-        Training viewpoints, the calibrated one first.
-    settings : AblateSettings
-    seed : int
-        Draws which videos train, where there is a choice: so the spread over seeds holds it too.
+    def dealt(self, simulations: list[Row], settings: AblateSettings, generator) -> dict:
+        """Return the textures of simulations, each equally often among those of a coefficient.
 
-    Raises
-    ------
-    BadInput
-        If the dataset cannot answer it: what is needed.
-    """
-    views = list(viewpoints) if question == "schedule" else list(viewpoints[:1])
-    usable = [row for row in rows if takes_part(row) and row["viewpoint"] in views]
-    videos = Candidates(
-        training=[row for row in usable if row["split_by_simulation"] == "train"],
-        held_out=[row for row in usable if row["split_by_simulation"] != "train"],
-    )
-    for part, name in ((videos.training, "training"), (videos.held_out, "held-out")):
-        if not part:
-            raise BadInput(f"{question}: a {name} simulation seen from {views[0]} is required")
-    generator = np.random.default_rng([seed, 5])
-    return _PLANS[question](videos, views, settings, generator)
+        So no texture gives a coefficient away.
+        """
+        textures = self.textures
+        count = min(settings.textures_per_simulation or len(textures), len(textures))
+        by_friction: dict[str, set[str]] = defaultdict(set)
+        for row in simulations:
+            by_friction[row["friction_id"]].add(row["simulation"])
+        result = {}
+        for _, names in sorted(by_friction.items()):
+            first = int(generator.integers(len(textures)))
+            for place, name in enumerate(generator.permutation(sorted(names))):
+                start = first + place * count
+                result[str(name)] = [textures[(start + k) % len(textures)] for k in range(count)]
+        return result
+
+    def in_textures(self, simulations: list[Row], dealt: dict[str, list[str]]) -> Videos:
+        """Return the videos of simulations in the textures that they were dealt."""
+        return self.ids(
+            {(row["simulation"], t) for row in simulations for t in dealt[row["simulation"]]}
+        )
 
 
-def diversity(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
+def _diversity(videos: Candidates, settings: AblateSettings, generator) -> Selection:
     """Replicates against textures at an equal number of videos.
 
     Both variants see every texture equally often: the replicates' textures are dealt among them.
     With one texture for all, the test videos' other textures would be new to one variant only.
     """
     pairs = videos.simulations()
-    count = min(len(videos.textures), min(map(len, pairs.values())))
+    fewest = min(map(len, pairs.values()))
+    count = min(len(videos.textures), fewest)
     if count < 2:
         raise BadInput(
             "diversity: 2 training replicates of every pair and 2 training textures are "
-            f"required, not {min(map(len, pairs.values()))} and {len(videos.textures)}"
+            f"required, not {fewest} and {len(videos.textures)}"
         )
     textures = videos.textures[:count]
     drawn = {
@@ -154,87 +133,14 @@ def diversity(videos: Candidates, views: list[str], settings: AblateSettings, ge
         for simulation, texture in zip(of_pair, generator.permutation(textures), strict=True)
     }
     first_only = {(of_pair[0], texture) for of_pair in drawn.values() for texture in textures}
-    return Plan(
-        asks="Which additional video helps more: a new replicate, or a new texture of an old one?",
-        viewpoints=views,
-        variants=[
-            Variant(
-                "replicates", f"{count} replicates in one texture each", _ids(videos.training, many)
-            ),
-            Variant(
-                "textures", f"one replicate in {count} textures", _ids(videos.training, first_only)
-            ),
-        ],
-        tests={"held-out": _tests(videos, lambda row: row["texture_id"] in textures)},
-        networks=settings.networks,
+    return Selection(
+        {"replicates": videos.ids(many), "textures": videos.ids(first_only)},
+        {"held-out": videos.tests(lambda row: row["texture_id"] in textures)},
+        {"count": count},
     )
 
 
-def conditioning(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
-    """Nothing, the predicted or the true material told to the friction network."""
-    materials = {row["material_id"] for row in videos.training}
-    if len(materials) < 2:
-        raise BadInput(f"conditioning: 2 training materials are required, not {len(materials)}")
-    chosen = _dealt(videos, settings, generator)
-    phrases = {
-        "none": "without material input",
-        "predicted": "with the predicted material",
-        "true": "with the true material",
-    }
-    return Plan(
-        asks="Does material input help the friction network?",
-        viewpoints=views,
-        variants=[
-            Variant(name, phrase, chosen, condition=name) for name, phrase in phrases.items()
-        ],
-        tests={"held-out": _tests(videos)},
-        networks=_lrcn("conditioning", settings),
-    )
-
-
-def schedule(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
-    """One viewpoint more each cycle, against all from the first epoch."""
-    if len(views) < 2:
-        raise BadInput(f"schedule: 2 training viewpoints are required, not {len(views)}")
-    chosen = _dealt(videos, settings, generator)
-    return Plan(
-        asks="Does it help to add viewpoints one after another?",
-        viewpoints=views,
-        variants=[
-            Variant("progressive", "adding a viewpoint each cycle", chosen),
-            Variant("joint", "training on all viewpoints from the first epoch", chosen, joint=True),
-        ],
-        tests={
-            "calibrated viewpoint": _tests(videos, lambda row: row["viewpoint"] == views[0]),
-            "all viewpoints": _tests(videos),
-        },
-        networks=_lrcn("schedule", settings),
-    )
-
-
-def initialisation(
-    videos: Candidates, views: list[str], settings: AblateSettings, generator
-) -> Plan:
-    """Initialisation of the weights."""
-    chosen = _dealt(videos, settings, generator)
-    phrases = {
-        "he": "He's initialisation",
-        "glorot": "Glorot's initialisation",
-        "pytorch": "PyTorch's own initialisation",
-    }
-    return Plan(
-        asks="How should the weights be initialised?",
-        viewpoints=views,
-        variants=[
-            Variant(name, phrase, chosen, changes={"initialisation": name})
-            for name, phrase in phrases.items()
-        ],
-        tests={"held-out": _tests(videos)},
-        networks=_lrcn("initialisation", settings),
-    )
-
-
-def floors(videos: Candidates, views: list[str], settings: AblateSettings, generator) -> Plan:
+def _floors(videos: Candidates, settings: AblateSettings, generator) -> Selection:
     """Matte floors only, against half of them exchanged for mirroring ones.
 
     Each exchanged simulation makes room for one with the same friction coefficient, and the same
@@ -253,8 +159,7 @@ def floors(videos: Candidates, views: list[str], settings: AblateSettings, gener
         raise BadInput(
             "floors: 2 friction coefficients with 2 matte training simulations and 1 reflective "
             "one each, and held-out ones on both kinds of floor, are required (render.floors); "
-            "found: "
-            f"{len(frictions)} such coefficients, {sum(map(len, matte.values()))} matte and "
+            f"found: {len(frictions)} such coefficients, {sum(map(len, matte.values()))} matte and "
             f"{sum(map(len, mirrors.values()))} reflective training simulations"
         )
     only, mixed = [], []
@@ -268,93 +173,142 @@ def floors(videos: Candidates, views: list[str], settings: AblateSettings, gener
             kept.remove((same or kept)[0])
             mixed.append(new)
         mixed += kept
-    dealt = _deal(only + mixed, videos.textures, settings, generator)
-    exchanged = sum(map(_mirrors, mixed))
+    dealt = videos.dealt(only + mixed, settings, generator)
 
-    def told(row: Row, mirroring: bool) -> bool:
-        return row["friction_id"] in frictions and _mirrors(row) == mirroring
+    def tests(mirroring: bool) -> Videos:
+        return videos.tests(
+            lambda row: row["friction_id"] in frictions and _mirrors(row) == mirroring
+        )
 
-    return Plan(
-        asks="Are reflective floors needed in training?",
-        viewpoints=views,
-        variants=[
-            Variant("matte", "training on matte floors only", _ids_of(videos, only, dealt)),
-            Variant(
-                "mixed",
-                f"training with {exchanged} reflective floors out of {len(mixed)}",
-                _ids_of(videos, mixed, dealt),
-            ),
-        ],
-        tests={
-            "matte floors": _tests(videos, lambda row: told(row, False)),
-            "mirroring floors": _tests(videos, lambda row: told(row, True)),
-        },
-        networks=settings.networks,
+    return Selection(
+        {"matte": videos.in_textures(only, dealt), "mixed": videos.in_textures(mixed, dealt)},
+        {"matte floors": tests(False), "mirroring floors": tests(True)},
+        {"exchanged": sum(map(_mirrors, mixed)), "all": len(mixed)},
     )
-
-
-_PLANS: dict[str, Callable[..., Plan]] = {
-    "diversity": diversity,
-    "conditioning": conditioning,
-    "schedule": schedule,
-    "initialisation": initialisation,
-    "floors": floors,
-}
 
 
 def _mirrors(row: Row) -> bool:
     return row["floor_reflectance"] > 0
 
 
-def _lrcn(question: str, settings: AblateSettings) -> list[str]:
-    """The one network that has what is asked after; BadInput if it is not to be trained."""
-    if "lrcn" not in settings.networks:
-        raise BadInput(f"{question}: requires the network lrcn, which is not in ablate.networks")
-    return ["lrcn"]
+@dataclass(frozen=True)
+class Question:
+    """What is asked, and how it is answered.
 
-
-def _dealt(videos: Candidates, settings: AblateSettings, generator) -> frozenset[str]:
-    """All training simulations, each in so many textures as the settings say."""
-    simulations = [row for of_pair in videos.simulations().values() for row in of_pair]
-    return _ids_of(videos, simulations, _deal(simulations, videos.textures, settings, generator))
-
-
-def _deal(
-    simulations: list[Row], textures: list[str], settings: AblateSettings, generator
-) -> dict[str, list[str]]:
-    """Simulation -> its textures: among those of a friction coefficient, each equally often.
-
-    So no texture gives a coefficient away.
+    Attributes
+    ----------
+    asks : str
+    variants : dict
+        Name -> variant; the others are compared with the first.
+    select : callable, optional
+        Which videos train each variant; by default all training simulations train every one, each
+        in so many textures as the settings say.
+    networks : tuple of str
+        Those that the question can be asked of.
+    needs : int
+        Viewpoints: that many at least, and all of them; 1: the calibrated one alone.
     """
-    count = min(settings.textures_per_simulation or len(textures), len(textures))
-    by_friction: dict[str, list[str]] = defaultdict(list)
-    for row in simulations:
-        if row["simulation"] not in by_friction[row["friction_id"]]:
-            by_friction[row["friction_id"]].append(row["simulation"])
-    dealt = {}
-    for _, names in sorted(by_friction.items()):
-        first = int(generator.integers(len(textures)))
-        for place, name in enumerate(generator.permutation(sorted(names))):
-            start = first + place * count
-            dealt[str(name)] = [textures[(start + k) % len(textures)] for k in range(count)]
-    return dealt
+
+    asks: str
+    variants: dict[str, Variant]
+    select: Callable[[Candidates, AblateSettings, np.random.Generator], Selection] | None = None
+    networks: tuple[str, ...] = ("lrcn",)
+    needs: int = 1
 
 
-def _ids_of(
-    videos: Candidates, simulations: list[Row], dealt: dict[str, list[str]]
-) -> frozenset[str]:
-    wanted = {
-        (row["simulation"], texture) for row in simulations for texture in dealt[row["simulation"]]
-    }
-    return _ids(videos.training, wanted)
+QUESTIONS = {
+    "diversity": Question(
+        "Which additional video helps more: a new replicate, or a new texture of an old one?",
+        {
+            "replicates": Variant("{count} replicates in one texture each"),
+            "textures": Variant("one replicate in {count} textures"),
+        },
+        _diversity,
+        ("lrcn", "instrument"),
+    ),
+    "conditioning": Question(
+        "Does material input help the friction network?",
+        {
+            "none": Variant("without material input"),
+            "predicted": Variant("with the predicted material", material="predicted"),
+            "true": Variant("with the true material", material="true"),
+        },
+    ),
+    "schedule": Question(
+        "Does it help to add viewpoints one after another?",
+        {
+            "progressive": Variant("adding a viewpoint each cycle"),
+            "joint": Variant("training on all viewpoints from the first epoch", joint=True),
+        },
+        needs=2,
+    ),
+    "initialisation": Question(
+        "How should the weights be initialised?",
+        {
+            "he": Variant("He's initialisation", {"initialisation": "he"}),
+            "glorot": Variant("Glorot's initialisation", {"initialisation": "glorot"}),
+            "pytorch": Variant("PyTorch's own initialisation", {"initialisation": "pytorch"}),
+        },
+    ),
+    "floors": Question(
+        "Are reflective floors needed in training?",
+        {
+            "matte": Variant("training on matte floors only"),
+            "mixed": Variant("training with {exchanged} reflective floors out of {all}"),
+        },
+        _floors,
+        ("lrcn", "instrument"),
+    ),
+}
 
 
-def _ids(rows: list[Row], wanted: set[tuple[str, str]]) -> frozenset[str]:
-    """Ids of the videos of some (simulation, texture), from all viewpoints."""
-    return frozenset(
-        row["video"] for row in rows if (row["simulation"], row["texture_id"]) in wanted
+def selected(
+    name: str, rows: Sequence[Row], viewpoints: Sequence[str], settings: AblateSettings, seed: int
+) -> tuple[list[str], Selection]:
+    """Return the viewpoints of a question, and its videos.
+
+    Parameters
+    ----------
+    name : str
+        One of `QUESTIONS`.
+    rows : sequence of dict
+        The manifest.
+    viewpoints : sequence of str
+        Training viewpoints, the calibrated one first.
+    settings : AblateSettings
+    seed : int
+        Draws which videos train, where there is a choice: so the spread over seeds holds it too.
+
+    Raises
+    ------
+    BadInput
+        If the dataset cannot answer the question: what is needed.
+    """
+    question = QUESTIONS[name]
+    if not set(question.networks) & set(settings.networks):
+        raise BadInput(f"{name}: requires the network lrcn, which is not in ablate.networks")
+    views = list(viewpoints) if question.needs > 1 else list(viewpoints[:1])
+    usable = [row for row in rows if takes_part(row) and row["viewpoint"] in views]
+    videos = Candidates(
+        [row for row in usable if row["split_by_simulation"] == "train"],
+        [row for row in usable if row["split_by_simulation"] != "train"],
+        views,
     )
-
-
-def _tests(videos: Candidates, counts: Callable[[Row], bool] = lambda row: True) -> frozenset[str]:
-    return frozenset(row["video"] for row in videos.held_out if counts(row))
+    for part, kind in ((videos.training, "training"), (videos.held_out, "held-out")):
+        if not part:
+            raise BadInput(f"{name}: a {kind} simulation seen from {views[0]} is required")
+    materials = {row["material_id"] for row in videos.training}
+    if name == "conditioning" and len(materials) < 2:
+        raise BadInput(f"conditioning: 2 training materials are required, not {len(materials)}")
+    if len(views) < question.needs:
+        raise BadInput(f"{name}: 2 training viewpoints are required, not {len(views)}")
+    generator = np.random.default_rng([seed, 5])
+    if question.select is not None:
+        return views, question.select(videos, settings, generator)
+    simulations = [row for of_pair in videos.simulations().values() for row in of_pair]
+    chosen = videos.in_textures(simulations, videos.dealt(simulations, settings, generator))
+    tests = {"held-out": videos.tests()}
+    if len(views) > 1:
+        calibrated = videos.tests(lambda row: row["viewpoint"] == views[0])
+        tests = {"calibrated viewpoint": calibrated, "all viewpoints": videos.tests()}
+    return views, Selection(dict.fromkeys(question.variants, chosen), tests)

@@ -6,7 +6,9 @@ interval counts seeds and simulations, not videos.
 """
 
 import math
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +16,23 @@ from scipy import stats
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import counted
+from slipstitch.base.provenance import (
+    provenance_record,
+    read_json,
+    start_clock,
+    write_json,
+    write_text,
+)
+from slipstitch.config import Config
+from slipstitch.learning.ablation.ablations_page import ablations_page
+from slipstitch.learning.ablation.questions import QUESTIONS
 from slipstitch.learning.evaluation.metrics import (
     constant_error,
     friction_scores,
     mean_over_seeds,
     spread_over_seeds,
 )
+from slipstitch.learning.evaluation.scores import grouped
 
 LEVEL = 0.9
 Row = dict[str, Any]
@@ -71,13 +84,13 @@ def interval(differences: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
-    """All questions' rows, comparisons and conclusions.
+def summarise(cases: Sequence[Row], step: float) -> dict[str, Any]:
+    """Return all questions' rows, comparisons and conclusions.
 
     Parameters
     ----------
-    answers : sequence of dict
-        What `slipstitch.learning.ablation.answering.answer` returned, for all questions and seeds.
+    cases : sequence of dict
+        What `slipstitch.learning.ablation.run.run_case` returned, for all variants and seeds.
     step : float
         Grid step of mu for the shares of small errors.
 
@@ -92,136 +105,79 @@ def summarise(answers: Sequence[dict[str, Any]], step: float) -> dict[str, Any]:
     BadInput
         If the results are from different datasets.
     """
-    if len({answer["dataset_digest"] for answer in answers}) > 1:
+    if len({case["dataset_digest"] for case in cases}) > 1:
         raise BadInput("the results are from different datasets; rerun all questions")
     questions: dict[str, Any] = {}
-    for name in dict.fromkeys(answer["question"] for answer in answers):
-        of_question = sorted(
-            (answer for answer in answers if answer["question"] == name),
-            key=lambda answer: answer["seed"],
-        )
-        first = of_question[0]
-        if first["left_out"]:
-            questions[name] = {"asks": None, "left_out": first["left_out"]}
-            questions[name] |= {"rows": [], "comparisons": []}
+    for name, of_question in grouped(cases, "question").items():
+        left_out = of_question[0]["left_out"]
+        asks = None if left_out else QUESTIONS[name].asks
+        questions[name] = {"asks": asks, "left_out": left_out, "rows": [], "comparisons": []}
+        if left_out:
             continue
-        rows = _rows(of_question, step)
-        questions[name] = {
-            "asks": first["asks"],
-            "left_out": None,
-            "rows": rows,
-            "comparisons": _comparisons(of_question, rows),
-        }
+        for part in grouped(_by_test_set(of_question), "network", "tested_on").values():
+            first, *others = grouped(part, "variant").values()
+            reference = _row(first, step)
+            rows = [_row(variant, step) for variant in others]
+            questions[name]["rows"] += [reference, *rows]
+            questions[name]["comparisons"] += [
+                _comparison(first, variant, reference, row)
+                for variant, row in zip(others, rows, strict=True)
+            ]
     return {
         "level": LEVEL,
-        "seeds": sorted({answer["seed"] for answer in answers}),
+        "seeds": sorted({case["seed"] for case in cases}),
         "comparisons": sum(len(question["comparisons"]) for question in questions.values()),
         "questions": questions,
     }
 
 
-def _tests(answers: Sequence[dict[str, Any]]) -> list[str]:
-    """Names of the test sets, in their order."""
-    return list(
-        dict.fromkeys(
-            prediction["tested_on"] for answer in answers for prediction in answer["predictions"]
-        )
-    )
-
-
-def _predictions(answer: dict[str, Any], network: str, variant: str, tested_on: str) -> list[Row]:
-    wanted = (network, variant, tested_on)
+def _by_test_set(cases: Sequence[Row]) -> list[Row]:
+    """A row for every case and test set, with the predictions for it; in the order of test sets."""
+    names = dict.fromkeys(one["tested_on"] for case in cases for one in case["predictions"])
     return [
-        prediction
-        for prediction in answer["predictions"]
-        if (prediction["network"], prediction["variant"], prediction["tested_on"]) == wanted
+        case
+        | {
+            "tested_on": name,
+            "predictions": [one for one in case["predictions"] if one["tested_on"] == name],
+        }
+        for name in names
+        for case in sorted(cases, key=lambda case: case["seed"])
     ]
 
 
-def _rows(answers: Sequence[dict[str, Any]], step: float) -> list[Row]:
-    """One row per network, test set and variant."""
-    first = answers[0]
-    rows = []
-    for network in dict.fromkeys(variant["network"] for variant in first["variants"]):
-        for tested_on in _tests(answers):
-            for place, variant in enumerate(first["variants"]):
-                if variant["network"] == network:
-                    of_seeds = [answer["variants"][place] for answer in answers]
-                    predictions = [
-                        _predictions(answer, network, variant["variant"], tested_on)
-                        for answer in answers
-                    ]
-                    rows.append(
-                        _row(
-                            of_seeds,
-                            [of_seed for of_seed in predictions if of_seed],
-                            tested_on,
-                            step,
-                        )
-                    )
-    return rows
-
-
-def _row(of_seeds: list[Row], predictions: list[list[Row]], tested_on: str, step: float) -> Row:
-    variant = of_seeds[0]
+def _row(of_seeds: list[Row], step: float) -> Row:
+    """A row of the table: a variant on a test set."""
+    first = of_seeds[0]
+    trained = [case["predictions"] for case in of_seeds if case["predictions"]]
+    true = [np.array([one["true"] for one in part]) for part in trained]
     scores = [
-        friction_scores(
-            np.array([prediction["predicted"] for prediction in of_seed]),
-            np.array([prediction["true"] for prediction in of_seed]),
-            step,
-        )
-        for of_seed in predictions
+        friction_scores(np.array([one["predicted"] for one in part]), of_part, step)
+        for part, of_part in zip(trained, true, strict=True)
     ]
-    tested = predictions[0] if predictions else []
+    names = ("network", "variant", "phrase", "tested_on")
+    names += ("training_videos", "training_simulations", "passes")
     return {
-        "network": variant["network"],
-        "variant": variant["variant"],
-        "phrase": variant["phrase"],
-        "tested_on": tested_on,
-        "n": len(tested),
-        "simulations": len({prediction["simulation"] for prediction in tested}),
-        "training_videos": variant["training_videos"],
-        "training_simulations": variant["training_simulations"],
-        "passes": variant["passes"],
+        **{name: first[name] for name in names},
+        "n": len(trained[0]) if trained else 0,
+        "simulations": len({one["simulation"] for one in trained[0]}) if trained else 0,
         "seeds": len(of_seeds),
-        "diverged": sum(training["failure"] is not None for training in of_seeds),
-        "stayed_at_chance": sum(training["stayed_at_chance"] for training in of_seeds),
-        "material_stayed_at_chance": sum(
-            training.get("material_stayed_at_chance", False) for training in of_seeds
-        ),
-        "constant_error": constant_error(np.array([prediction["true"] for prediction in tested]))
-        if tested
-        else None,
+        "diverged": sum(case["failure"] is not None for case in of_seeds),
+        "stayed_at_chance": sum(case["stayed_at_chance"] for case in of_seeds),
+        "material_stayed_at_chance": sum(case["material_stayed_at_chance"] for case in of_seeds),
+        "constant_error": constant_error(true[0]) if trained else None,
         "mean": mean_over_seeds(scores) if scores else None,
         "spread": spread_over_seeds(scores),
     }
 
 
-def _comparisons(answers: Sequence[dict[str, Any]], rows: list[Row]) -> list[Row]:
-    """Every variant with the first of its network and test set."""
-    compared = []
-    for row in rows:
-        same = [
-            other
-            for other in rows
-            if (other["network"], other["tested_on"]) == (row["network"], row["tested_on"])
-        ]
-        if row is not same[0]:
-            compared.append(_comparison(answers, same[0], row))
-    return compared
-
-
-def _comparison(answers: Sequence[dict[str, Any]], reference: Row, row: Row) -> Row:
+def _comparison(first: list[Row], second: list[Row], reference: Row, row: Row) -> Row:
+    """The difference of a variant from the first, over the seeds with which both trained."""
+    by_seed = {case["seed"]: _errors(case) for case in first}
     pairs = []
-    for answer in answers:
-        errors = [
-            _by_simulation(
-                _predictions(answer, row["network"], compared["variant"], row["tested_on"])
-            )
-            for compared in (row, reference)
-        ]
-        if all(errors):
-            pairs.append([errors[0][name] - errors[1][name] for name in sorted(errors[0])])
+    for case in second:
+        errors, others = _errors(case), by_seed.get(case["seed"])
+        if errors and others:
+            pairs.append([errors[name] - others[name] for name in sorted(errors)])
     found = {
         "network": row["network"],
         "tested_on": row["tested_on"],
@@ -242,13 +198,12 @@ def _comparison(answers: Sequence[dict[str, Any]], reference: Row, row: Row) -> 
     return found
 
 
-def _by_simulation(predictions: list[Row]) -> dict[str, float]:
+def _errors(case: Row) -> dict[str, float]:
     """Mean absolute error of each simulation."""
-    errors: dict[str, list[float]] = {}
-    for prediction in predictions:
-        error = abs(prediction["predicted"] - prediction["true"])
-        errors.setdefault(prediction["simulation"], []).append(error)
-    return {name: float(np.mean(of)) for name, of in errors.items()}
+    return {
+        name: float(np.mean([abs(one["predicted"] - one["true"]) for one in part]))
+        for name, part in grouped(case["predictions"], "simulation").items()
+    }
 
 
 def verdict(found: Row, reference: Row, row: Row) -> str:
@@ -303,3 +258,42 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
     if found["seeds"] == 1:
         notes.append("the interval does not cover other seeds")
     return start + "; ".join([conclusion, *notes]) + "."
+
+
+def write_summary(
+    config: Config,
+    folder: str | os.PathLike,
+    out: str | os.PathLike,
+    page: str | os.PathLike | None = None,
+) -> dict[str, Any]:
+    """Write the summary of ``{question}/{network}_{variant}_seed{seed}.json`` and its page.
+
+    Raises
+    ------
+    BadInput
+        If a result is missing, damaged, or of another case or dataset.
+    """
+    started = start_clock()
+    paths = [Path(folder) / path for path in config.ablate.results]
+    summary = summarise([_read(path) for path in paths], config.evaluate.friction_step)
+    record = provenance_record(
+        "ablate",
+        inputs=paths,
+        config=config.model_dump(mode="json", include={"ablate", "evaluate"}),
+        started=started,
+    )
+    write_json(out, summary, record)
+    if page is not None:
+        write_text(page, ablations_page(summary), record)
+    return summary
+
+
+def _read(path: Path) -> Row:
+    """One result; BadInput if it does not match its path."""
+    case = read_json(path)
+    if not isinstance(case, dict) or not set(case) >= {"question", "dataset_digest", "predictions"}:
+        raise BadInput(f"{path}: not a result of `slipstitch ablate`")
+    name = f"{case['network']}_{case['variant']}_seed{case['seed']}"
+    if (case["question"], name) != (path.parent.name, path.stem):
+        raise BadInput(f"{path}: holds {case['question']} {name}: does not match its path")
+    return case

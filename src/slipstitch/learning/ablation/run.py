@@ -1,0 +1,224 @@
+"""One variant of a question with one seed: trained, and tested on held-out simulations."""
+
+import dataclasses
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import provenance_record, start_clock, write_json
+from slipstitch.config import Config
+from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import TrainSettings
+from slipstitch.dataset.manifest import MANIFEST, read_manifest
+from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.ablation.questions import QUESTIONS, Variant, selected
+from slipstitch.learning.instrument.measuring import Instrument, load_instrument
+from slipstitch.learning.instrument.training import train_instrument
+from slipstitch.learning.lrcn_model import FINE_TUNING, TRUE, LrcnModel, load_model, train_network
+from slipstitch.learning.trainer import DivergedError, Phase, Run
+
+SPLIT = "by_simulation"
+
+
+@dataclass(frozen=True)
+class Case:
+    """Which variant of which question, with which network and seed."""
+
+    question: str
+    network: str
+    variant: str
+    seed: int
+
+
+def lrcn_settings(config: Config, overrides: dict[str, Any]) -> TrainSettings:
+    """Return the section `train` with the overrides of the ablation and of a variant.
+
+    A run that stays at chance is a result here, so that it does not fail.
+    """
+    whole = {**config.train.model_dump(), **config.ablate.train, **overrides}
+    return TrainSettings.model_validate({**whole, "plateau_margin": None})
+
+
+def instrument_settings(config: Config) -> InstrumentSettings:
+    """Return the section `instrument` with the overrides; staying at chance does not fail."""
+    whole = {**config.instrument.model_dump(), **config.ablate.instrument}
+    own = {"epochs": config.ablate.instrument_passes, "plateau_margin": None}
+    return InstrumentSettings.model_validate({**whole, **own})
+
+
+def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) -> list[Phase]:
+    """Return epochs by viewpoints; joint and progressive show as many videos.
+
+    One viewpoint: `passes` epochs. V of them: cycles of E = 2 passes / (V + 1) epochs, rounded (and
+    even where V is), show E V (V + 1) / 2 times the videos of a viewpoint, as do E (V + 1) / 2
+    epochs of all. Both end with the same fine-tuning on the first viewpoint.
+    """
+    count = len(viewpoints)
+    if count == 1:
+        return [Phase("one viewpoint", tuple(viewpoints), passes)]
+    epochs = max(1, round(2 * passes / (count + 1)))
+    epochs += (count % 2 == 0) and (epochs % 2)
+    if joint:
+        whole = [Phase("joint", tuple(viewpoints), epochs * (count + 1) // 2)]
+    else:
+        whole = [
+            Phase(f"cycle {seen}", tuple(viewpoints[:seen]), epochs) for seen in range(1, count + 1)
+        ]
+    if fine_tuning:
+        whole.append(Phase(FINE_TUNING, (viewpoints[0],), fine_tuning))
+    return whole
+
+
+def run_case(
+    config: Config, dataset: str | os.PathLike, case: Case, folder: Path, threads: int = 1
+) -> dict[str, Any]:
+    """Train a variant and test it.
+
+    Parameters
+    ----------
+    config : Config
+    dataset : path
+        Folder that the sample stage wrote.
+    case : Case
+    folder : path
+        Gets the models.
+    threads : int
+
+    Returns
+    -------
+    dict
+        The case, ``dataset_digest``; ``left_out``, why the dataset cannot answer the question; the
+        training: ``phrase, training_videos, training_simulations, passes, failure,
+        stayed_at_chance``; and ``predictions``, a list of ``tested_on, video, simulation, true,
+        predicted``.
+
+    Raises
+    ------
+    BadInput
+        If the dataset cannot answer a question that the configuration names.
+    """
+    rows, digest = read_manifest(dataset)
+    result: dict[str, Any] = asdict(case) | {"dataset_digest": digest, "left_out": None}
+    try:
+        views, videos = selected(case.question, rows, config.view_order, config.ablate, case.seed)
+    except BadInput as reason:
+        if config.ablate.questions is not None:
+            raise
+        return result | {"left_out": str(reason), "predictions": []}
+    variant, training = (
+        QUESTIONS[case.question].variants[case.variant],
+        videos.training[case.variant],
+    )
+    run = Run(
+        dataset,
+        SPLIT,
+        case.seed,
+        folder,
+        config.sample.frames,
+        lambda row: row["video"] in training,
+        threads,
+    )
+    result |= {
+        "phrase": variant.phrase.format(**videos.numbers),
+        "training_videos": len(training),
+        "training_simulations": len({name.rsplit("_", 2)[0] for name in training}),
+        "passes": passes(config, case, views),
+        "failure": None,
+        "stayed_at_chance": False,
+        "material_stayed_at_chance": False,
+        "predictions": [],
+    }
+    margin = config.train.plateau_margin
+    train = _lrcn
+    if case.network == "instrument":
+        margin, train = config.instrument.plateau_margin, _instrument
+    try:
+        model = train(config, run, variant, views)
+    except DivergedError as failure:
+        return result | {"failure": str(failure)}
+    result["stayed_at_chance"] = _at_chance(model, margin)
+    if isinstance(model, LrcnModel) and model.material is not None:
+        result["material_stayed_at_chance"] = _at_chance(model.material, margin)
+    tested = frozenset().union(*videos.tests.values())
+    test_videos = read_videos(dataset, lambda row: row["video"] in tested)
+    predictions = model.predict(test_videos)
+    result["predictions"] = [
+        {
+            "tested_on": name,
+            "video": row["video"],
+            "simulation": row["simulation"],
+            "true": row["friction"],
+            "predicted": prediction.friction_coefficient,
+        }
+        for name, ids in videos.tests.items()
+        for row, prediction in zip(test_videos.rows, predictions, strict=True)
+        if row["video"] in ids
+    ]
+    return result
+
+
+def passes(config: Config, case: Case, views: list[str]) -> float:
+    """Return how often a training shows its videos."""
+    if case.network == "instrument":
+        return instrument_settings(config).epochs
+    planned = _planned(config, QUESTIONS[case.question].variants[case.variant], views)
+    return sum(phase.epochs * len(phase.viewpoints) for phase in planned) / len(views)
+
+
+def _planned(config: Config, variant: Variant, views: list[str]) -> list[Phase]:
+    settings = lrcn_settings(config, variant.train)
+    return phases(views, config.ablate.passes, settings.fine_tuning_epochs, variant.joint)
+
+
+def _lrcn(config: Config, run: Run, variant: Variant, views: list[str]) -> LrcnModel:
+    """The paper's network as a variant trains it, with its material network if it has one."""
+
+    def train(network: str, name: str, material: Any = None) -> LrcnModel:
+        own = dataclasses.replace(run, out=Path(run.out) / name)
+        train_network(
+            lrcn_settings(config, variant.train),
+            own,
+            network,
+            views,
+            material_model=material,
+            phases=_planned(config, variant, views),
+        )
+        return load_model(own.out)
+
+    if variant.material == "none":
+        return train("friction_baseline", "friction")
+    if variant.material == "true":
+        return train("friction_conditional", "friction", TRUE)
+    material = train("material_baseline", "material")
+    friction = train("friction_conditional", "friction", Path(run.out) / "material")
+    return friction.listening_to(material)
+
+
+def _instrument(config: Config, run: Run, variant: Variant, views: list[str]) -> Instrument:
+    """The instrument trained on a variant's videos."""
+    train_instrument(instrument_settings(config), run, views[:1])
+    return load_instrument(run.out)
+
+
+def _at_chance(model: LrcnModel | Instrument, margin: float | None) -> bool:
+    """Whether a training is still within the margin of chance."""
+    return bool(model.card["train_loss"] > (1.0 - (margin or 0.0)) * model.card["chance_loss"])
+
+
+def write_case(
+    config: Config, dataset: str | os.PathLike, case: Case, out: str | os.PathLike, threads: int = 1
+) -> dict[str, Any]:
+    """Write what `run_case` returns as JSON; the models lie in a folder of that name."""
+    started = start_clock()
+    found = run_case(config, dataset, case, Path(out).with_suffix(""), threads)
+    record = provenance_record(
+        "ablate",
+        inputs=[Path(dataset) / MANIFEST],
+        config=config.model_dump(mode="json", include={"ablate", "train", "instrument"}),
+        seed=case.seed,
+        started=started,
+    )
+    write_json(out, found, record)
+    return found
