@@ -18,10 +18,10 @@ import numpy as np
 
 from slipstitch.dataset.videos import read_videos
 from slipstitch.film.measure import SHIPPED
-from slipstitch.learning.evaluation.instruments import measured
 from slipstitch.learning.evaluation.metrics import BY_NAME, PredictionsAndTruth
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.learning.instrument.poses import poses_of
 
 
 def predictions(dataset, instrument):
@@ -30,7 +30,7 @@ def predictions(dataset, instrument):
     rows = []
     for row, video in zip(videos.rows, videos.pixels, strict=True):
         frames = phased(video[None], instrument.card["frames"], None)
-        (found,) = measured(instrument, frames, [row])
+        found = instrument.measure(frames[0], pose=poses_of([row])[0])
         low, high = found.interval_90
         rows.append(
             row

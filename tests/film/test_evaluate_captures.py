@@ -19,9 +19,10 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.film.captures.evaluation import write_captures_evaluation
-from slipstitch.film.captures.scores import Predictions, capture_scores, distance, subsets
+from slipstitch.film.captures.scores import capture_scores, distance, subsets
 from slipstitch.images.camera import pose
 from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import save_instrument
 from slipstitch.learning.lrcn_model import load_model, train_network
 from slipstitch.learning.trainer import Run
@@ -40,14 +41,22 @@ KNOWN = [
     for pair in range(2)
     for repeat in range(5)
 ]
-CLASSES = Predictions(
-    "lrcn_baseline",
-    "by_video",
-    0,
-    np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9]),
-    None,
-    [["denim", "silk"]] * 5 + [["silk", "denim"]] * 5,
-    ["denim", "silk"],
+NO_INSTRUMENT = {"low": None, "high": None, "fabrics": [], "alarm": None}
+
+
+def predicted(friction, **columns):
+    """Rows of predictions for `KNOWN`: a list a column, or one value for all."""
+    columns = {**NO_INSTRUMENT, "friction": list(friction), **columns}
+    return [
+        row | {name: of[k] if name in columns and isinstance(of, list) and len(of) == 10 else of
+               for name, of in columns.items()}
+        for k, row in enumerate(KNOWN)
+    ]  # fmt: skip
+
+
+CLASSES = predicted(
+    [0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9],
+    fabrics=[["denim", "silk"]] * 5 + [["silk", "denim"]] * 5,
 )
 
 
@@ -67,8 +76,7 @@ def test_captures_are_looked_at_with_and_without_mirrors():
 
 
 def test_scores_of_classes():
-    parts = subsets(KNOWN)
-    scores = capture_scores(KNOWN, CLASSES, parts["surrogate_all"], 0.1)
+    scores = capture_scores(CLASSES, 0.1)
     # Distances: five zeros; 0.10, 0, 0, 0.06, 0.26. Half a step is 0.05, one and a half 0.15.
     assert scores["friction_lt_0.1"] == 0.7
     assert scores["friction_lt_0.2"] == 0.9
@@ -83,16 +91,14 @@ def test_scores_of_classes():
     # Felt is no class: the five films of it do not count.
     assert (scores["material_top1"], scores["material_top2"]) == (0.0, 1.0)
     assert "coverage_90" not in scores
-    matte = capture_scores(KNOWN, CLASSES, parts["surrogate_matte"], 0.1)
+    matte = capture_scores(CLASSES[:5], 0.1)
     assert matte["equal_predictions"] == 1.0
     assert "material_top1" not in matte
 
 
 def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
     """Of the second pair's films two are: of the films most are within, of the pairs one."""
-    friction = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9])
-    said = Predictions("lrcn_baseline", "by_video", 0, friction)
-    scores = capture_scores(KNOWN, said, np.ones(10, bool), 0.1)
+    scores = capture_scores(predicted([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9]), 0.1)
     assert (scores["within_0.1"], scores["median_within_0.1"]) == (0.7, 0.5)
     printed = {name: figures.get("median_within_0.1") for name, figures in paper.CAPTURES.items()}
     pairs = {"all": 39 / 63, "matte": 31 / 36, "all, reflective training": 59 / 63}
@@ -104,15 +110,8 @@ def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
 
 def test_scores_of_an_instrument():
     friction = np.array([0.31, 0.32, 0.29, 0.33, 0.34, 0.6, 0.61, 0.62, 0.63, 0.66])
-    one = Predictions(
-        "instrument",
-        "by_simulation",
-        0,
-        friction,
-        np.column_stack([friction - 0.01, friction + 0.01]),
-        alarms=["odd"] + [""] * 9,
-    )
-    scores = capture_scores(KNOWN, one, np.ones(10, bool), 0.1)
+    ends = {"low": (friction - 0.01).tolist(), "high": (friction + 0.01).tolist()}
+    scores = capture_scores(predicted(friction, **ends, alarm=["odd"] + [""] * 9), 0.1)
     # Intervals that do not meet the reference's: at 0.34 and 0.66, by 0.01.
     assert scores["coverage_90"] == 0.8
     assert scores["interval_width"] == pytest.approx(0.02)
@@ -211,11 +210,9 @@ def evaluated(bench, out, instruments, **which):
     return write_captures_evaluation(
         EvaluateSettings(),
         bench / "left",
-        bench / "train",
-        instruments,
+        Trained(bench / "train", instruments, **which),
         out / "metrics.json",
         out / "predictions.parquet",
-        **which,
     )
 
 

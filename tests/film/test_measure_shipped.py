@@ -12,7 +12,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import load_config
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.example import EXAMPLE_FOLDER
-from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.instrument.measuring import load_instrument
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results/published/instrument"

@@ -18,9 +18,11 @@ from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import friction_id
-from slipstitch.learning.evaluation.evaluation import find_models, write_evaluation
+from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.probes import PREFIX
+from slipstitch.learning.evaluation.scores import recomputed
+from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
@@ -68,18 +70,17 @@ def chain(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def evaluated(chain):
-    out = chain / "evaluate"
-    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
     with contextlib.chdir(chain):  # records name files by their path from the working folder
-        write_evaluation(
-            EvaluateSettings(),
-            chain / "sample",
-            chain / "train",
-            *names,
-            calibrated="calibrated",
-            instruments_folder=chain / "instrument",
-        )
-    return out
+        evaluate(chain, Trained(chain / "train", chain / "instrument"), chain / "evaluate")
+    return chain / "evaluate"
+
+
+def evaluate(chain, trained, out, **options):
+    names = ("metrics.json", "predictions.parquet", "details.json")
+    outputs = Outputs(*(out / name for name in names))
+    return write_evaluation(
+        EvaluateSettings(), chain / "sample", trained, outputs, calibrated="calibrated", **options
+    )
 
 
 def content(path):
@@ -168,7 +169,10 @@ def test_the_tables_follow_from_the_predictions(evaluated):
                 continue
             counts = np.array(details[split][network]["confusion"])
             assert counts.trace() / counts.sum() == pytest.approx(right)
-    assert all(sum(row["probabilities"]) == pytest.approx(1.0) for row in rows)
+    for row in rows:
+        probe = row["network"].startswith(PREFIX)
+        assert probe or sum(row["probabilities"]) == pytest.approx(1.0)
+    assert recomputed(evaluated / "predictions.parquet") == metrics
     held_out = {row["simulation"] for row in rows if row["split"] == "by_simulation"}
     manifest = pq.read_table(evaluated.parent / "sample" / "manifest.parquet").to_pylist()
     trained = {row["simulation"] for row in manifest if row["split_by_simulation"] == "train"}
@@ -233,32 +237,24 @@ def test_the_command_prints_the_table(chain, evaluated, tmp_path, capsys):
 
 def test_a_folder_without_models_is_refused(tmp_path):
     with pytest.raises(BadInput, match="no models found"):
-        find_models(tmp_path)
+        Trained(tmp_path).load()
 
 
 def test_models_of_an_earlier_configuration_do_not_count(chain):
-    every = find_models(chain / "train")
-    of_video = find_models(
-        chain / "train", CONFIG.train.model_copy(update={"splits": ["by_video"]})
-    )
-    assert {split for split, _, _ in every} == set(TRAINED_ON)
-    assert {split for split, _, _ in of_video} == {"by_video"}
+    def found(**changes):
+        train = CONFIG.train.model_copy(update=changes)
+        return {split for split, _, _ in Trained(chain / "train", train=train).load()}
+
+    assert found() == set(TRAINED_ON)
+    assert found(splits=["by_video"]) == {"by_video"}
     with pytest.raises(BadInput, match="no models found"):
-        seeds = {"seeds": [7], "reflective_seeds": [7]}
-        find_models(chain / "train", CONFIG.train.model_copy(update=seeds))
+        found(seeds=[7], reflective_seeds=[7])
 
 
 def test_the_record_names_the_models_that_count_and_no_others(chain, tmp_path, monkeypatch):
     monkeypatch.chdir(chain)
-    metrics = write_evaluation(
-        EvaluateSettings(),
-        chain / "sample",
-        chain / "train",
-        *(tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")),
-        calibrated="calibrated",
-        train=CONFIG.train.model_copy(update={"splits": ["by_simulation"]}),
-        instruments_folder=chain / "instrument",
-    )
+    train = CONFIG.train.model_copy(update={"splits": ["by_simulation"]})
+    metrics = evaluate(chain, Trained(chain / "train", chain / "instrument", train), tmp_path)
     assert set(metrics) == {"by_simulation", "off_grid", "unseen_fabric"}
     inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
     weights = sorted(name for name in inputs if name.endswith(".safetensors"))
@@ -274,7 +270,7 @@ def test_a_model_in_the_wrong_place_is_refused(chain, tmp_path):
     source = chain / "train" / "by_video" / "friction_baseline" / "seed0"
     shutil.copytree(source, tmp_path / "by_simulation" / "friction_baseline" / "seed0")
     with pytest.raises(BadInput, match="does not match its folder"):
-        find_models(tmp_path)
+        Trained(tmp_path).load()
 
 
 def test_a_conditional_network_without_its_material_network_is_refused(chain, tmp_path):
@@ -282,7 +278,7 @@ def test_a_conditional_network_without_its_material_network_is_refused(chain, tm
     shutil.copytree(chain / "train", models)
     shutil.rmtree(models / "by_video" / "material_baseline")
     with pytest.raises(BadInput, match="has no matching material_baseline"):
-        _evaluate(chain / "sample", models, tmp_path)
+        Trained(models).load()
 
 
 def test_models_of_another_dataset_are_refused(chain, tmp_path):
@@ -291,12 +287,13 @@ def test_models_of_another_dataset_are_refused(chain, tmp_path):
     shards = sorted((chain / "render").glob("*.parquet"))
     write_dataset(config, shards, tmp_path / "sample")
     with pytest.raises(BadInput, match="was not trained on"):
-        _evaluate(tmp_path / "sample", chain / "train", tmp_path)
+        evaluate(tmp_path, Trained(chain / "train"), tmp_path)
 
 
-def _evaluate(dataset, models, out):
-    names = [out / name for name in ("metrics.json", "predictions.parquet", "details.json")]
-    write_evaluation(EvaluateSettings(), dataset, models, *names, calibrated="calibrated")
+def predictions(path):
+    """Rows of the table but those of probes."""
+    rows = pq.read_table(path).to_pylist()
+    return [row for row in rows if not row["network"].startswith(PREFIX)]
 
 
 def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_path):
@@ -327,23 +324,15 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
 
     def evaluated(seeds, **options):
         with contextlib.chdir(tmp_path):
-            return write_evaluation(
-                EvaluateSettings(),
-                tmp_path / "sample",
-                None,
-                *names,
-                calibrated="calibrated",
-                instruments_folder=tmp_path / "instrument",
-                instrument_seeds=seeds,
-                **options,
-            )
+            instruments = Trained(None, tmp_path / "instrument", instrument_seeds=seeds)
+            return evaluate(tmp_path, instruments, tmp_path, **options)
 
     metrics = evaluated([0])
     assert set(metrics) == {"by_simulation"}
     for name in names:
         assert set(read_provenance(name)["inputs"]) == {"sample/manifest.parquet", str(trained)}
     instrument = content(names[2])["by_simulation"]["instrument"]
-    rows = pq.read_table(names[1]).to_pylist()
+    rows = predictions(names[1])
     assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
     assert len(rows) == instrument["n"]
     poses = {"yaw_deg": 5, "pitch_deg": 4, "farther_percent": 10}
@@ -365,7 +354,7 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     # Averaged later, when the images of all but the test's simulations are gone.
     evaluated([0, 1])
     before = [content(name) for name in (names[0], names[2])]
-    rows = pq.read_table(names[1]).to_pylist()
+    rows = predictions(names[1])
     members = [tmp_path / f"instrument/by_simulation/seed{seed}" for seed in (0, 1)]
     with contextlib.chdir(tmp_path):
         combine_instruments(
@@ -388,7 +377,7 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     assert after == before
     assert average["metrics"]["seeds"] == [0, 1]
     assert list(average["details"]["seeds"]) == list(average["details"]["alarms"]) == ["ensemble"]
-    now = pq.read_table(names[1]).to_pylist()
+    now = predictions(names[1])
     assert [row for row in now if row["network"] == "instrument"] == rows
     averaged = [row for row in now if row["network"] == "instrument_ensemble"]
     assert [row["video"] for row in averaged] == [row["video"] for row in rows if not row["seed"]]

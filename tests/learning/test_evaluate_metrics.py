@@ -7,23 +7,16 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import number, percent, seeds_in_words
 from slipstitch.learning.evaluation.metrics import (
     FIELDS,
-    chance,
-    confusion,
-    constant_error,
+    check_probabilities,
     entry,
     friction_scores,
-    material_scores,
     mean_over_seeds,
     spread_over_seeds,
     steps_off,
 )
+from slipstitch.learning.evaluation.scores import SCHEMA, details_of_table, metrics_of_table, scores
 
 GRID = np.arange(16) * 0.1
-
-
-def certain(predicted, classes):
-    """Probabilities that leave no doubt."""
-    return np.eye(classes)[predicted]
 
 
 def test_on_the_papers_grid_below_0_1_is_the_class_and_below_0_2_a_neighbour_at_most():
@@ -48,24 +41,51 @@ def test_a_coarse_grid_counts_only_the_exact_class():
     assert scores["friction_lt_0.1"] == scores["friction_lt_0.2"] == pytest.approx(2 / 3)
 
 
-def test_top_1_and_top_2():
-    shares = np.array([[0.5, 0.3, 0.2], [0.1, 0.3, 0.6], [0.4, 0.35, 0.25]])
-    truth = np.array([0, 1, 2])
-    assert material_scores(shares, truth) == {
+def table(network, true, predicted, fabrics=(), **columns):
+    """Rows of a table of predictions of one seed, their ids being letters."""
+    return [
+        {
+            **dict.fromkeys(SCHEMA.names),
+            **{"video": f"v{k}", "simulation": f"s{k}", "viewpoint": "calibrated", "seed": 0},
+            **{"split": "by_video", "trained_on": "by_video", "network": network},
+            **{"true": one, "predicted": other, "material": one},
+            **{"true_value": VALUES.get(one), "predicted_value": VALUES.get(other)},
+            "fabrics": list(fabrics[k]) if fabrics else [],
+            **{name: of[k] for name, of in columns.items()},
+        }
+        for k, (one, other) in enumerate(zip(true, predicted, strict=True))
+    ]
+
+
+VALUES = {"a": 0.1, "b": 0.3, "c": 0.6, "d": 1.0}
+CLASSES = [{"id": name, "value": value} for name, value in VALUES.items()]
+
+
+def test_top_1_and_top_2_count_the_fabrics_from_the_likeliest_on():
+    rows = table("material_baseline", "abc", "aca", ["abc", "cba", "abc"])
+    assert scores(rows, 0.1) == {
         "material_top1": pytest.approx(1 / 3),
         "material_top2": pytest.approx(2 / 3),
     }
+    assert scores(table("material_baseline", "abd", "aca", ["abc", "cba", "abc"]), 0.1) == {}
 
 
-def test_chance_and_the_best_constant():
-    truth = np.array([0, 0, 0, 1, 2])
-    assert chance(truth, 4) == {"uniform": 0.25, "majority": 0.6}
-    coefficients = np.array([0.1, 0.3, 0.6, 1.0])
-    assert constant_error(coefficients[truth]) == pytest.approx((0.2 + 0.5) / 5)
+def test_chance_the_best_constant_and_confusion_with_true_classes_in_rows():
+    rows = table("friction_baseline", "aaabc", "aabbb")
+    models = {"by_video": {"friction_baseline": {"classes": CLASSES}}}
+    found = details_of_table(rows, models, 0.1, {})["by_video"]["friction_baseline"]
+    error = pytest.approx((0.2 + 0.5) / 5)
+    assert found["chance"] == {"uniform": 0.25, "majority": 0.6, "mean_absolute_error": error}
+    assert found["confusion"] == [[2, 1, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]
 
 
-def test_confusion_has_true_classes_in_rows():
-    assert confusion(certain([1, 1, 0], 2), np.array([0, 1, 1])) == [[0, 1], [1, 1]]
+def test_an_altered_prediction_alters_the_scores():
+    rows = table("friction_baseline", "ab", "ab")
+    (whole,) = metrics_of_table(rows, {}, 0.1)["by_video"].values()
+    (altered,) = metrics_of_table([rows[0], rows[1] | {"predicted_value": 0.6}], {}, 0.1)[
+        "by_video"
+    ].values()
+    assert (whole["friction_lt_0.1"], altered["friction_lt_0.1"]) == (1.0, 0.5)
 
 
 def test_an_entry_has_every_field_and_null_where_nothing_is_known():
@@ -86,7 +106,7 @@ def test_an_entry_has_every_field_and_null_where_nothing_is_known():
 )
 def test_what_is_no_prediction_is_refused(shares, truth):
     with pytest.raises(BadInput):
-        material_scores(shares, truth)
+        check_probabilities(shares, truth)
 
 
 def test_seeds_give_a_mean_and_their_standard_deviation():

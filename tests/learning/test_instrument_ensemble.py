@@ -16,8 +16,7 @@ from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos
-from slipstitch.learning.evaluation.instruments import find_instruments
-from slipstitch.learning.instrument import load_instrument
+from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.calibration_answers import FILE, read_answers
 from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
@@ -25,7 +24,7 @@ from slipstitch.learning.instrument.calibration_readings import kept_readings, r
 from slipstitch.learning.instrument.conformal import covered, grouped_quantile
 from slipstitch.learning.instrument.distribution import quantiles, spread
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
-from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, stretch_scores
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument, stretch_scores
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 
@@ -411,16 +410,18 @@ def test_what_does_not_belong_together_is_refused(dataset, members, folder, tmp_
 
 
 def test_it_is_found_beside_its_members_and_only_with_them(members, folder, tmp_path):
-    found = find_instruments(folder, None, SEEDS)
-    assert [key[1] for key in found] == [0, 1, 2, None]
-    assert [key[1] for key in find_instruments(folder, None, [1])] == [1]
+    def found(folder, seeds=None):
+        return [key[2] for key in Trained(instruments=folder, instrument_seeds=seeds).load()]
+
+    assert found(folder, SEEDS) == [0, 1, 2, None]
+    assert found(folder, [1]) == [1]
     copy = shutil.copytree(folder, tmp_path / "copy")
     shutil.rmtree(copy / "by_simulation/seed2")
     with pytest.raises(BadInput, match="is the average of other instruments than those beside it"):
-        find_instruments(copy)
+        found(copy)
     shutil.copytree(members[0], copy / "by_simulation/ensemble", dirs_exist_ok=True)
     with pytest.raises(BadInput, match="holds by_simulation seed 0: does not match its folder"):
-        find_instruments(copy)
+        found(copy)
 
 
 def test_weights_of_fewer_networks_than_its_card_says_are_refused(folder, tmp_path):

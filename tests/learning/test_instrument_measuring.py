@@ -15,7 +15,6 @@ from support.untrained import untrained_instrument
 from slipstitch.base.errors import BadInput
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.videos import Videos
-from slipstitch.learning.instrument import load_instrument
 from slipstitch.learning.instrument.augmentation import (
     augmented,
     rectified_with_errors,
@@ -23,7 +22,13 @@ from slipstitch.learning.instrument.augmentation import (
 )
 from slipstitch.learning.instrument.conformal import covered
 from slipstitch.learning.instrument.error_bars import calibrated
-from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, ErrorBars, save_instrument
+from slipstitch.learning.instrument.measuring import (
+    CARD,
+    WEIGHTS,
+    ErrorBars,
+    load_instrument,
+    save_instrument,
+)
 from slipstitch.learning.instrument.network import shifted_in_time
 from slipstitch.learning.model_file import write_weights
 

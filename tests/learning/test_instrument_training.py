@@ -20,9 +20,9 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.curves import curve
-from slipstitch.learning.instrument import load_instrument
 from slipstitch.learning.instrument import training as training_module
 from slipstitch.learning.instrument.augmentation import disordered, phased
+from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import (
     POINT_ERROR_M,

@@ -48,7 +48,7 @@ from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file
 from slipstitch.images.preview import decode_image, read_images
 from slipstitch.images.textures import _read as read_texture
 from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
-from slipstitch.learning.evaluation.evaluation import find_models
+from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import load_instrument, save_instrument
 from slipstitch.learning.lrcn import LRCN
 from slipstitch.learning.lrcn_model import load_model, save_model
@@ -240,7 +240,7 @@ def _networks(add, config, folder: Path) -> None:
     save_model(network, card, models)
     add("weights", models / "model.safetensors", lambda: load_model(models))
     add("model card", models / "model.json", lambda: load_model(models))
-    add("models of a folder", models / "model.json", lambda: find_models(folder / "models"))
+    add("models of a folder", models / "model.json", lambda: Trained(folder / "models").load())
     optimizer = torch.optim.Adadelta(network.parameters())
     path = folder / "checkpoint.safetensors"
     save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())

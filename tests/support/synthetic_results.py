@@ -19,7 +19,7 @@ from slipstitch.config import Config, resolve_config
 from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import simulations
-from slipstitch.film.captures.scores import Predictions, capture_scores, subsets
+from slipstitch.film.captures.scores import capture_metrics
 from slipstitch.learning.evaluation.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.physics import theory
 from slipstitch.physics.calibration.calibration import (
@@ -241,7 +241,7 @@ def write_captures(folder: Path, surrogate=True, seeds=(0,), trained_on=None) ->
     off its reference's interval with seed 0, two are with any other. `trained_on` says on what a
     seed was trained, by_video by default.
     """
-    rows, metrics = [], {}
+    rows = []
     trained_on = trained_on or dict.fromkeys(seeds, "by_video")
     for seed in seeds:
         second = [0.5, 0.6, 0.6, 0.7, 0.9] if seed == 0 else [0.6, 0.6, 0.6, 0.9, 0.9]
@@ -261,25 +261,10 @@ def write_captures(folder: Path, surrogate=True, seeds=(0,), trained_on=None) ->
                     "trained_on": trained_on[seed],
                     "seed": seed,
                     "friction": friction,
+                    **{"low": None, "high": None, "fabrics": [], "alarm": None},
                 }
             )
-    for name, chosen in subsets(rows[:10]).items():
-        metrics[name] = {}
-        for split in dict.fromkeys(trained_on.values()):
-            of_split = [seed for seed in seeds if trained_on[seed] == split]
-            scores = []
-            for seed in of_split:
-                own = [row for row in rows if row["seed"] == seed]
-                friction = np.array([row["friction"] for row in own])
-                said = Predictions("lrcn_conditional", split, seed, friction)
-                scores.append(capture_scores(own, said, chosen, 0.1))
-            mean = mean_over_seeds(scores)
-            metrics[name][said.label] = {
-                **mean,
-                **entry(int(chosen.sum()), of_split, mean),
-                "pairs": int(mean["pairs"]),
-                "spread": spread_over_seeds(scores),
-            }
+    metrics = capture_metrics(rows, 0.1)
     out = folder / "captures"
     out.mkdir(parents=True)
     (out / "metrics.json").write_text(json.dumps(metrics))

@@ -111,12 +111,12 @@ def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
 
 
 def test_edited_train_code_reruns_training_and_what_follows(chain):
-    with chain.edited("learning/training.py"):
+    with chain.edited("learning/lrcn_model.py"):
         assert stages(chain.pending()) == {"train", "evaluate", "report"}
 
 
 def test_edited_training_loop_reruns_both_trainings_and_what_follows(chain):
-    with chain.edited("learning/loop.py"):
+    with chain.edited("learning/trainer.py"):
         assert stages(chain.pending()) == {"train", "instrument", "evaluate", "report"}
 
 

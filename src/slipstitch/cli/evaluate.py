@@ -56,37 +56,39 @@ def run(arguments: argparse.Namespace) -> None:
 
     from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
-    from slipstitch.learning.evaluation.evaluation import write_evaluation
+    from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
     from slipstitch.learning.evaluation.text_table import test_set_lines
+    from slipstitch.learning.evaluation.trained import Trained
 
     check_at_least(arguments, threads=1)
     config = load_config(*arguments.config)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
+    trained = Trained(
+        arguments.models, arguments.instruments, config.train, config.instrument.seeds
+    )
     if arguments.captures:
-        _captures(config, arguments)
+        _captures(config, arguments, trained)
         return
     if arguments.page:
         raise BadInput("--page requires --captures")
     metrics = write_evaluation(
         config.evaluate,
         arguments.dataset,
-        arguments.models,
-        arguments.out,
-        arguments.predictions,
-        arguments.details or Path(arguments.out).with_name("details.json"),
-        train=config.train,
-        frames=config.sample.frames,
-        instruments_folder=arguments.instruments,
-        instrument_seeds=config.instrument.seeds,
-        update=arguments.update,
+        trained,
+        Outputs(
+            arguments.out,
+            arguments.predictions,
+            arguments.details or Path(arguments.out).with_name("details.json"),
+        ),
         calibrated=config.calibrated_view,
+        update=arguments.update,
         threads=arguments.threads,
     )
     print(*test_set_lines(metrics), sep="\n")
 
 
-def _captures(config, arguments: argparse.Namespace) -> None:
+def _captures(config, arguments: argparse.Namespace, trained) -> None:
     """Evaluate on captures; print one line per model and subset."""
     from slipstitch.film.captures.evaluation import write_captures_evaluation
     from slipstitch.learning.evaluation.text_table import capture_lines
@@ -95,13 +97,10 @@ def _captures(config, arguments: argparse.Namespace) -> None:
     metrics = write_captures_evaluation(
         config.evaluate,
         arguments.dataset,
-        arguments.models,
-        arguments.instruments,
+        trained,
         arguments.out,
         arguments.predictions,
         arguments.page,
-        train=config.train,
-        instrument_seeds=config.instrument.seeds,
         threads=arguments.threads,
     )
     print(*capture_lines(metrics), sep="\n")

@@ -3,9 +3,10 @@
 Cycles of the training add a viewpoint each; the calibrated viewpoint alone is fine-tuned.
 """
 
+import dataclasses
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -23,6 +24,7 @@ from slipstitch.dataset.videos import Videos
 from slipstitch.learning.classes import chance_loss, classes_of, labels_of
 from slipstitch.learning.lrcn import LRCN
 from slipstitch.learning.model_file import read_weights, write_weights
+from slipstitch.learning.prediction import Prediction
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 from slipstitch.learning.trainer import Learner, Phase, Run, Trainer
 
@@ -54,40 +56,56 @@ class LrcnModel:
     ----------
     network : LRCN
     card : dict
+    material : LrcnModel, optional
+        Of a conditional network.
     """
 
     network: LRCN
     card: dict[str, Any]
+    material: "LrcnModel | None" = None
 
     @property
     def target(self) -> str:
         """Return the kind of the classes: material or friction."""
         return self.card["target"]
 
-    @property
-    def values(self) -> np.ndarray:
-        """Return the coefficients of the classes, shape (classes,); NaN of materials."""
-        return np.array([of_class.get("value", math.nan) for of_class in self.card["classes"]])
+    def listening_to(self, material: "LrcnModel") -> "LrcnModel":
+        """Return the conditional network with its material network."""
+        return dataclasses.replace(self, material=material)
 
-    def probabilities(
-        self, videos: Videos, condition: np.ndarray | None = None, batch_size: int = 8
-    ) -> np.ndarray:
+    def sees(self, row: Mapping[str, Any]) -> bool:
+        """Return whether the model predicts for the video of a manifest row: for any."""
+        return True
+
+    def probabilities(self, videos: Videos, batch_size: int = 8) -> np.ndarray:
         """Return the class probabilities of videos, float64 of shape (n, classes).
 
-        Parameters
-        ----------
-        videos : Videos
-        condition : ndarray of int64, shape (n,), optional
-            Material class numbers for a conditional network.
-        batch_size : int
+        The frames are those that the network trained on, at its size.
         """
+        card, condition = self.card, None
+        if self.material is not None:
+            condition = self.material.probabilities(videos, batch_size).argmax(1)
+        elif card["condition_classes"]:
+            condition = labels_of(videos.rows, card["condition_classes"], "material")
         return class_probabilities(
             self.network,
-            videos.pixels,
+            videos.seen_with(card["pixels"], card["frames"]).pixels,
             condition,
-            bfloat16=self.card["bfloat16"],
+            bfloat16=card["bfloat16"],
             batch_size=batch_size,
         )
+
+    def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
+        """Return a prediction for every video."""
+        every = self.probabilities(videos, batch_size)
+        if self.target == "material":
+            names = [of_class["name"] for of_class in self.card["classes"]]
+            return [
+                Prediction(material_probabilities=dict(zip(names, shares.tolist(), strict=True)))
+                for shares in every
+            ]
+        values = np.array([of_class["value"] for of_class in self.card["classes"]])
+        return [Prediction(float(values[shares.argmax()]), (values, shares)) for shares in every]
 
     def check_is_material_network_of(self, split: str, seed: int, digest: str) -> None:
         """Refuse a network that is not the material network of this split, seed and dataset."""
@@ -431,7 +449,7 @@ def _conditioned_on(
         return labels_of(videos.rows, classes, "material"), classes, None
     model = load_model(material_model)
     model.check_is_material_network_of(run.split, run.seed, videos.digest)
-    told = model.probabilities(videos, batch_size=batch_size).argmax(1)
+    told = model.probabilities(videos, batch_size).argmax(1)
     return told, model.card["classes"], model.card["weights_sha256"]
 
 

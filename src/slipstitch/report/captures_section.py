@@ -10,7 +10,6 @@ from slipstitch.config.train import REFLECTIVE, split_of
 from slipstitch.dataset.videos import takes_part
 from slipstitch.film.captures.scores import subsets, what_they_are
 from slipstitch.learning.evaluation import paper
-from slipstitch.learning.evaluation.evaluation import MODELS
 from slipstitch.learning.evaluation.metrics import (
     BY_NAME,
     CAPTURES,
@@ -20,6 +19,7 @@ from slipstitch.learning.evaluation.metrics import (
     metrics_of,
     spread_over_seeds,
 )
+from slipstitch.learning.evaluation.scores import MODELS
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import MODEL_TITLES, SPLIT_TITLES, seeds_of
 from slipstitch.report.results import Results

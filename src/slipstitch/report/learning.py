@@ -10,9 +10,8 @@ from slipstitch.base.page.wording import percent, seeds_in_words
 from slipstitch.config import Config
 from slipstitch.learning.ablation.summary import LEVEL, interval
 from slipstitch.learning.evaluation import paper, probes
-from slipstitch.learning.evaluation.evaluation import MODELS
-from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
 from slipstitch.learning.evaluation.metrics import TEST_SETS, Metric, metrics_of, steps_off
+from slipstitch.learning.evaluation.scores import AVERAGE, MODELS, TRAINING
 
 SPLIT_TITLES = {
     "by_video": "videos held out (the paper’s split)",

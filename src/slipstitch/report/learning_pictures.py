@@ -12,7 +12,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
 from slipstitch.learning.evaluation.cumulative import draw_cumulative
-from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
+from slipstitch.learning.evaluation.scores import AVERAGE, TRAINING
 from slipstitch.report.results import History
 
 NETWORK_NAMES = {

@@ -6,9 +6,8 @@ from typing import Any
 from slipstitch.base.page.figures import svg_uri
 from slipstitch.base.page.wording import percent
 from slipstitch.learning.evaluation import paper
-from slipstitch.learning.evaluation.evaluation import MODELS
-from slipstitch.learning.evaluation.instruments import AVERAGE, TRAINING
 from slipstitch.learning.evaluation.metrics import Metric
+from slipstitch.learning.evaluation.scores import AVERAGE, MODELS, TRAINING
 from slipstitch.report import learning_pictures
 from slipstitch.report.learning import (
     COUNTED,

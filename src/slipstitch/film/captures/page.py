@@ -13,10 +13,11 @@ from slipstitch.base.page.palette import INK, SERIES
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import evenly, number, seeds_in_words
 from slipstitch.dataset.images import read_frames
-from slipstitch.film.captures.scores import Predictions, pair_medians, subsets, what_they_are
+from slipstitch.film.captures.scores import label, pair_medians, subsets, what_they_are
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.cumulative import draw_cumulative
 from slipstitch.learning.evaluation.metrics import CAPTURES, metrics_of
+from slipstitch.learning.evaluation.scores import grouped
 
 _TEMPLATE = Path(__file__).with_name("captures.html.j2")
 _DASHES = {"all": "-", "matte": "--", "reflective": ":"}
@@ -26,22 +27,24 @@ _FRAMES_SHOWN = 10
 def captures_page(
     dataset: Path,
     known: Sequence[Mapping[str, Any]],
-    found: Sequence[Predictions],
+    found: Sequence[Mapping[str, Any]],
     metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
     step: float,
 ) -> str:
-    """The page as HTML; it needs no other file.
+    """Return the page as HTML; it needs no other file.
 
     Parameters
     ----------
     dataset : path
         Of the captures, for their pictures.
-    known, found, metrics
-        See `slipstitch.film.captures.evaluation`.
+    known : sequence of mapping
+        The captures.
+    found : sequence of mapping
+        Predictions, as `slipstitch.film.captures.evaluation` makes them.
+    metrics : mapping
     step : float
         Of the grid of friction.
     """
-    whole = np.ones(len(known), bool)
     columns = metrics_of(CAPTURES)
     return render(
         _TEMPLATE,
@@ -54,13 +57,15 @@ def captures_page(
             for subset in paper.CAPTURES
         },
         seeds_in_words=seeds_in_words,
-        plot=svg_uri(_cumulative(known, found, step)),
+        plot=svg_uri(_cumulative(found, step)),
         models=[
             {
-                "label": f"{predictions.label}, seed {predictions.seed}".replace("_", " "),
-                "rows": pair_medians(known, predictions, whole, step),
+                "label": f"{label(row)}, seed {row['seed']}".replace("_", " "),
+                "rows": pair_medians(
+                    [one for one in found if _of_training(one) == _of_training(row)], step
+                ),
             }
-            for predictions in _first_by(found, lambda one: one.label)
+            for row in _first_by(found, label)
         ],
         strips=[_strip(dataset, row) for row in _first_by(known, lambda row: row["pair"])],
         captures=len(known),
@@ -77,29 +82,27 @@ def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
     return list(first.values())
 
 
+def _of_training(row: Mapping[str, Any]) -> tuple[str, int | None]:
+    return label(row), row["seed"]
+
+
 @styled
-def _cumulative(known, found: Sequence[Predictions], step: float) -> Figure:
+def _cumulative(found: Sequence[Mapping[str, Any]], step: float) -> Figure:
     """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
     figure = new_figure(7.6, 3.6)
     axes = figure.subplots()
-    groups: dict[str, list[Predictions]] = {}
-    for predictions in found:
-        groups.setdefault(predictions.label, []).append(predictions)
-    off = {
-        label: {
-            name: np.array(
-                [
-                    pair["error"]
-                    for seed in members
-                    for pair in pair_medians(known, seed, chosen, step)
-                ]
-            )
-            for name, chosen in subsets(known).items()
-        }
-        for label, members in groups.items()
-    }
+    off: dict[str, dict[str, np.ndarray]] = {}
+    for name, chosen in subsets(found).items():
+        part = [row for row, one in zip(found, chosen, strict=True) if one]
+        for of_training in grouped(part, "model", "trained_on").values():
+            errors = [
+                pair["error"]
+                for of_seed in grouped(of_training, "seed").values()
+                for pair in pair_medians(of_seed, step)
+            ]
+            off.setdefault(label(of_training[0]), {})[name] = np.array(errors)
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
-    for colour, (label, of_label) in zip(SERIES, off.items(), strict=False):
+    for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
         for name, errors in of_label.items():
             kind = name.split("_")[1]
             draw_cumulative(
@@ -108,14 +111,14 @@ def _cumulative(known, found: Sequence[Predictions], step: float) -> Figure:
                 largest,
                 color=colour,
                 linestyle=_DASHES[kind],
-                label=label.replace("_", " ") if kind == "all" else None,
+                label=title.replace("_", " ") if kind == "all" else None,
                 linewidth=1.8 if kind == "all" else 1.1,
             )
     axes.set(xlim=(0, largest), ylim=(0, 1.02))
     axes.set_xlabel("distance of a pair’s median µ from the reference interval")
     axes.set_ylabel("share of pairs")
     colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
-    kinds = [name.split("_")[1] for name in subsets(known)]
+    kinds = [name.split("_")[1] for name in subsets(found)]
     if len(kinds) > 1:  # two short legends for a long one: colours, dashes
         lines = [Line2D([], [], color=INK, ls=_DASHES[kind], label=kind) for kind in kinds]
         axes.add_artist(colours)

@@ -3,57 +3,29 @@
 The reference of a pair is an interval, r +- e: the error of a prediction is its distance from the
 interval, 0 inside. Of a pair's repeats the median counts; pairs whose repeats are all given the
 same friction, to half a grid step, are counted. Reflective substrates are evaluated separately.
+Every score follows from the rows of captures/predictions.parquet.
 """
 
-from collections import defaultdict
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from slipstitch.learning.evaluation.metrics import PredictionsAndTruth, distance, scores_of
+from slipstitch.learning.evaluation.metrics import (
+    distance,
+    entry,
+    mean_over_seeds,
+    scores_of,
+    spread_over_seeds,
+)
+from slipstitch.learning.evaluation.scores import answers_of, grouped
+
+Row = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Predictions:
-    """Predictions of one trained model for all captures.
-
-    Attributes
-    ----------
-    model : str
-        lrcn_baseline, lrcn_conditional, instrument, instrument_ensemble.
-    trained_on : str
-        The split.
-    seed : int or None
-        None of an average of seeds.
-    friction : ndarray (n,)
-    intervals : ndarray (n, 2), optional
-    materials : list of list of str
-        Fabrics of each video from the likeliest on; empty if the model does not tell.
-    known_materials : list of str
-        The fabrics it can tell.
-    alarms : list of str
-        Why each video is unlike the training data; empty without alarm.
-    """
-
-    model: str
-    trained_on: str
-    seed: int | None
-    friction: np.ndarray
-    intervals: np.ndarray | None = None
-    materials: list[list[str]] = field(default_factory=list)
-    known_materials: list[str] = field(default_factory=list)
-    alarms: list[str] = field(default_factory=list)
-
-    @property
-    def label(self) -> str:
-        """The model and what it was trained on, whatever the seed."""
-        return f"{self.model}, trained {self.trained_on}"
-
-
-def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
-    """Kind of the videos: the first line of every page about them."""
+def what_they_are(known: Sequence[Row]) -> str:
+    """Return what kind of videos these are: the first line of every page about them."""
     if known[0]["surrogate"]:
         return (
             "Surrogate captures: simulated videos with a distribution shift from the training "
@@ -62,86 +34,101 @@ def what_they_are(known: Sequence[Mapping[str, Any]]) -> str:
     return "Real captures: videos of a bench, with friction measured on an inclined plane."
 
 
-def subsets(known: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Name -> which captures: all, without reflective substrates, reflective only."""
+def subsets(known: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return, by name, which captures: all, without reflective substrates, reflective only."""
     reflective = np.array([row["reflective"] for row in known])
     prefix = "surrogate" if known[0]["surrogate"] else "real"
     parts = {"all": np.ones(len(known), bool), "matte": ~reflective, "reflective": reflective}
     return {f"{prefix}_{name}": chosen for name, chosen in parts.items() if chosen.any()}
 
 
-def pair_medians(
-    known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
-) -> list[dict[str, Any]]:
-    """One row per pair: reference, predictions of the repeats, their median and its error."""
-    members: dict[str, list[int]] = defaultdict(list)
-    for k in np.flatnonzero(chosen):
-        members[known[k]["pair"]].append(int(k))
-    rows = []
-    for pair, repeats in sorted(members.items()):
-        first = known[repeats[0]]
-        friction = predictions.friction[repeats]
+def label(row: Row) -> str:
+    """Return the model of a row and what it was trained on, whatever the seed."""
+    return f"{row['model']}, trained {row['trained_on']}"
+
+
+def pair_medians(rows: Sequence[Row], step: float) -> list[dict[str, Any]]:
+    """Return a row per pair: reference, predictions of the repeats, their median and its error.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Predictions of one model and seed.
+    step : float
+        Of the grid of mu.
+    """
+    result = []
+    for pair, repeats in sorted(grouped(rows, "pair").items()):
+        first = repeats[0]
+        friction = np.array([row["friction"] for row in repeats])
         median = float(np.median(friction))
-        # The class of an instrument's continuous answer is the nearest multiple of the grid's step.
-        classes = np.round(friction / step) if predictions.intervals is not None else friction
-        rows.append(
+        # The class of an instrument's continuous prediction is the nearest multiple of the step.
+        classes = friction if first["low"] is None else np.round(friction / step)
+        names = ("material", "substrate", "reflective", "mu_ref", "mu_ref_error")
+        result.append(
             {
                 "pair": pair,
-                "material": first["material"],
-                "substrate": first["substrate"],
-                "reflective": first["reflective"],
-                "mu_ref": first["mu_ref"],
-                "mu_ref_error": first["mu_ref_error"],
+                **{name: first[name] for name in names},
                 "predictions": friction.tolist(),
                 "median": median,
                 "error": float(distance(median, first["mu_ref"], first["mu_ref_error"])),
                 "equal": bool(np.ptp(classes) == 0),
             }
         )
-    return rows
+    return result
 
 
-def capture_scores(
-    known: Sequence[Mapping[str, Any]], predictions: Predictions, chosen: np.ndarray, step: float
-) -> dict[str, float | None]:
-    """Scores of one model on some captures.
+def capture_scores(rows: Sequence[Row], step: float) -> dict[str, float]:
+    """Return the scores of one model and seed on some captures.
 
-    Returns
-    -------
-    dict
-        Those of `metrics.METRICS` that the model gives, and ``pairs``, their
-        number.
+    Those of `metrics.METRICS` that the model gives, and ``pairs``, their number. Fabrics count
+    where they are ones that the model knows.
     """
-    pairs = pair_medians(known, predictions, chosen, step)
-    places = _places(chosen)
-    named = [place for place in places if known[place]["material"] in predictions.known_materials]
-    answers = PredictionsAndTruth(
-        step,
-        predictions.friction[chosen],
-        np.array([row["mu_ref"] for row in known])[chosen],
-        np.array([row["mu_ref_error"] for row in known])[chosen],
-        None if predictions.intervals is None else predictions.intervals[chosen],
-        alarms=np.array([bool(predictions.alarms[place]) for place in places])
-        if predictions.alarms
-        else None,
+    pairs = pair_medians(rows, step)
+    answers = dataclasses.replace(
+        answers_of(
+            [
+                row
+                | {
+                    "predicted_value": row["friction"],
+                    "true_value": row["mu_ref"],
+                    "reference_error": row["mu_ref_error"],
+                    "simulation": row["video"],
+                }
+                for row in rows
+            ],
+            step,
+        ),
         pair_errors=np.array([pair["error"] for pair in pairs]),
         pair_agrees=np.array([pair["equal"] for pair in pairs]),
-        fabric_rank=np.array(
-            [predictions.materials[place].index(known[place]["material"]) for place in named]
-        )
-        if predictions.materials
-        else None,
     )
-    scores: dict[str, float | None] = {
-        **scores_of(answers, "friction", "capture"),
-        "pairs": float(len(pairs)),
-    }
-    if predictions.intervals is not None:
+    scores = {**scores_of(answers, "friction", "capture"), "pairs": float(len(pairs))}
+    if answers.intervals is not None:
         scores |= scores_of(answers, "interval")
-    if named and predictions.materials:
+    if len(answers.fabric_rank):
         scores |= scores_of(answers, "fabric")
     return scores
 
 
-def _places(chosen: np.ndarray) -> list[int]:
-    return np.flatnonzero(chosen).tolist()
+def capture_metrics(rows: Sequence[Row], step: float) -> dict[str, Any]:
+    """Return the content of captures/metrics.json from the rows of predictions.parquet.
+
+    ``{subset: {"model, trained on split": {field: number}}}``: means over seeds; ``spread`` holds
+    the standard deviations over seeds, null of one seed.
+    """
+    metrics: dict[str, Any] = {}
+    for name, chosen in subsets(rows).items():
+        part = [row for row, one in zip(rows, chosen, strict=True) if one]
+        metrics[name] = {}
+        for of_model in grouped(part, "model", "trained_on").values():
+            of_seeds = grouped(of_model, "seed")
+            scores = [capture_scores(of_seed, step) for of_seed in of_seeds.values()]
+            mean = mean_over_seeds(scores)
+            seeds = sorted(seed for seed in of_seeds if seed is not None)
+            metrics[name][label(of_model[0])] = {
+                **mean,
+                **entry(len(grouped(of_model, "video")), seeds, mean),
+                "pairs": int(mean["pairs"]),
+                "spread": spread_over_seeds(scores),
+            }
+    return metrics

@@ -15,8 +15,7 @@ from slipstitch.film.videos import problem_of_view, seen_shares
 from slipstitch.images.bench_camera import BenchCamera
 from slipstitch.images.camera import AIM_M, POSE, relative_pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.learning.instrument import load_instrument
-from slipstitch.learning.instrument.measuring import CARD
+from slipstitch.learning.instrument.measuring import CARD, load_instrument
 from slipstitch.learning.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
 
 

@@ -20,9 +20,10 @@ from slipstitch.film.measure import SHIPPED
 from slipstitch.film.videos import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.images.camera import POSE, Camera, relative_pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.learning.instrument import Instrument, Measurement, load_instrument
 from slipstitch.learning.instrument.distribution import quantiles
+from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.poses import just_beyond, outside
+from slipstitch.learning.prediction import Prediction
 
 # Within one standard deviation, were the distribution normal.
 _STANDARD_SHARE = 0.6827
@@ -38,7 +39,7 @@ class MeasuredVideo:
     name : str
         Of the video file.
     video : StageVideo
-    measurement : Measurement
+    measurement : Prediction
     uncertainty : float
         Half the width of the middle 68 % of the distribution, stretched as its interval is.
     instrument : str
@@ -61,7 +62,7 @@ class MeasuredVideo:
 
     name: str
     video: StageVideo
-    measurement: Measurement
+    measurement: Prediction
     uncertainty: float
     instrument: str
     stage_path: StagePath
@@ -220,7 +221,7 @@ class MeasuringBench:
             self._points_px(video, measured),
         )
 
-    def _points_px(self, video: StageVideo, measured: Measurement) -> np.ndarray | None:
+    def _points_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:
         """The cloth's points as the instrument sees them, in the frames."""
         if measured.points_m is None:
             return None

@@ -1,14 +1,10 @@
-"""Evaluation of trained networks on their test videos."""
+"""Evaluation of trained models: a table of predictions, and the scores that follow from it."""
 
-import math
 import os
-from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import compress
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,439 +14,290 @@ from slipstitch.base.provenance import (
     file_digest,
     provenance_record,
     read_json,
-    read_parquet,
     read_provenance,
     start_clock,
     write_json,
     write_parquet,
 )
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.train import NETWORKS, REFLECTIVE, SPLITS, TRAINED_ON, TrainSettings
+from slipstitch.config.train import TRAINED_ON
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
-from slipstitch.dataset.videos import Videos, read_videos, takes_part, test_only
-from slipstitch.learning.classes import classes_of, labels_of
-from slipstitch.learning.evaluation.instruments import (
+from slipstitch.dataset.videos import Videos, read_videos, takes_part
+from slipstitch.learning.classes import classes_of
+from slipstitch.learning.evaluation.metrics import check_probabilities
+from slipstitch.learning.evaluation.probes import probes
+from slipstitch.learning.evaluation.scores import (
     AVERAGE,
     ENSEMBLE,
-    TRAINING,
-    alarm_rates,
-    evaluate_instruments,
-    find_instruments,
-    instrument_weights,
-    prediction_of,
-    stretched_again,
+    MATERIAL,
+    PROBE,
+    SCHEMA,
+    details_of_table,
+    metrics_of_table,
+    read_table,
 )
-from slipstitch.learning.evaluation.metrics import (
-    chance,
-    check_probabilities,
-    confusion,
-    constant_error,
-    entry,
-    friction_scores,
-    material_scores,
-    mean_over_seeds,
-    spread_over_seeds,
-)
-from slipstitch.learning.evaluation.probes import entries as probe_entries
-from slipstitch.learning.evaluation.probes import probes
+from slipstitch.learning.evaluation.test_sets import evaluation_sets
+from slipstitch.learning.evaluation.trained import Key, Trained
+from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
-from slipstitch.learning.lrcn_model import CARD, WEIGHTS, LrcnModel, load_model
+from slipstitch.learning.lrcn_model import LrcnModel
+from slipstitch.learning.prediction import Prediction
 from slipstitch.learning.torch_setup import set_up_torch
-from slipstitch.learning.trainer import simulations
-
-# The friction network whose entry carries the material scores too: both are the paper's baseline.
-MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
-
-PREDICTIONS_SCHEMA = pa.schema(
-    [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("split", pa.string()),
-        ("trained_on", pa.string()),
-        ("network", pa.string()),
-        ("seed", pa.int32()),
-        ("true", pa.string()),
-        ("predicted", pa.string()),
-        ("true_value", pa.float64()),
-        ("predicted_value", pa.float64()),
-        ("probabilities", pa.list_(pa.float64())),  # of classes; an instrument's on its grid
-        ("likeliest_material", pa.string()),  # by an instrument
-        ("low", pa.float64()),  # of the instrument's interval
-        ("high", pa.float64()),
-        ("alarm", pa.string()),  # its reason, empty without
-    ]
-)
-
 
 Row = dict[str, Any]
-NETWORKS_SCORED = "networks"
 
 
-@dataclass(frozen=True)
-class EvaluationSet:
-    """Videos that test the networks trained on one split."""
+class Outputs(NamedTuple):
+    """Files of an evaluation."""
 
-    name: str
-    trained_on: str
-    holds: Callable[[Row], bool]
+    metrics: str | os.PathLike
+    predictions: str | os.PathLike
+    details: str | os.PathLike
 
 
-def evaluation_sets(
-    rows: list[dict[str, Any]], calibrated: str, viewpoints: str
-) -> list[EvaluationSet]:
-    """The test sets that a dataset has, in the order of the tables.
+@dataclass
+class Table:
+    """Predictions, and what they do not say of the models.
 
-    by_video, by_simulation: the split's test videos in training textures and views.
-    off_grid, unseen_fabric: friction coefficients between those of the grid, and fabrics that no
-    network trains on, with the networks trained by simulation.
-    unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
-    turn from the calibrated one, in degrees, in training textures. Both test the networks trained
-    by video on every simulation, as the paper does: the texture or the view is new to them, the
-    cloth's motion is not.
-    reflective_floors, by_video_reflective: by_video's test videos on the floors of the second
-    training set, with the networks that have not learnt from it, and with those that have.
-
-    Parameters
+    Attributes
     ----------
     rows : list of dict
-        The manifest.
-    calibrated : str
-        Name of the calibrated viewpoint.
-    viewpoints : {"training", "calibrated"}
-        Training views to count.
+        As `scores.SCHEMA`.
+    models : dict
+        ``{trained_on: {network: {"classes": [...]} or {"seeds": [...]}}}``.
+    alarms : dict
+        ``{test set: {network: {seed: {kind of wrong input: share of alarms}}}}``.
     """
 
-    def counts(row: Row) -> bool:
-        return viewpoints == "training" or row["viewpoint"] == calibrated
+    rows: list[Row] = field(default_factory=list)
+    models: dict[str, dict[str, Any]] = field(default_factory=dict)
+    alarms: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def of_split(split: str, row: Row) -> bool:
-        return takes_part(row) and counts(row) and row[f"split_{split}"] == "test"
-
-    def unseen(kind: str, row: Row) -> bool:
-        return counts(row) and test_only(row) == {kind}
-
-    def turned(turn_deg: float, row: Row) -> bool:
-        return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
-
-    def mirrored(row: Row) -> bool:
-        return counts(row) and test_only(row) == {"floor"} and row["split_by_video"] == "test"
-
-    turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
-    sets = [
-        *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
-        EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),
-        EvaluationSet("unseen_texture", "by_video", partial(unseen, "texture")),
-        EvaluationSet("unseen_fabric", "by_simulation", partial(unseen, "material")),
-        *(
-            EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
-            for turn in sorted(turns)
-        ),
-        EvaluationSet("reflective_floors", "by_video", mirrored),
-        EvaluationSet(REFLECTIVE, REFLECTIVE, mirrored),
-    ]
-    return [test for test in sets if any(map(test.holds, rows))]
+    def add(self, other: "Table", without: Iterable[str]) -> None:
+        """Add another table but for some networks."""
+        without = set(without)
+        self.rows += [row for row in other.rows if row["network"] not in without]
+        for mine, others in ((self.models, other.models), (self.alarms, other.alarms)):
+            for name, networks in others.items():
+                for network, noted in networks.items():
+                    if network not in without:
+                        mine.setdefault(name, {}).setdefault(network, noted)
 
 
-def network_weights(folder: str | os.PathLike, train: TrainSettings | None = None) -> list[Path]:
-    """Weights in ``{split}/{network}/seed{seed}/``: all, or of the configured trainings only."""
-    return [
-        path
-        for split in (TRAINED_ON if train is None else train.splits)
-        for network in NETWORKS
-        for path in sorted(Path(folder, split, network).glob(f"seed*/{WEIGHTS}"))
-        if train is None
-        or (network, path.parent.name.removeprefix("seed"))
-        in {(name, str(seed)) for name, seed in train.trainings(split)}
-    ]
-
-
-def find_models(
-    folder: str | os.PathLike, train: TrainSettings | None = None
-) -> dict[tuple[str, str, int], LrcnModel]:
-    """The models in ``{split}/{network}/seed{seed}/``, by (split, network, seed).
+def prediction_row(
+    row: Mapping[str, Any],
+    network: str,
+    prediction: Prediction,
+    classes: Sequence[Mapping[str, Any]],
+) -> Row:
+    """Return what a row of predictions.parquet says of a video, and of a prediction for it.
 
     Parameters
     ----------
-    folder : path
-    train : TrainSettings, optional
-        Which splits and seeds count; others, left by an earlier configuration, do not.
-
-    Raises
-    ------
-    BadInput
-        If there is none, one is damaged, or one is not what its place says.
+    row : mapping
+        Of the manifest.
+    network : str
+    prediction : Prediction
+    classes : sequence of mapping
+        Coefficients that train; the nearest is the predicted class.
     """
-    models = {}
-    for path in network_weights(folder, train):
-        model = load_model(path.parent)
-        card = model.card
-        named = (card["split"], card["network"], f"seed{card['seed']}")
-        if named != path.parts[-4:-1]:
-            raise BadInput(
-                f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
-                "does not match its folder"
-            )
-        models[card["split"], card["network"], card["seed"]] = model
-    if not models:
-        raise BadInput(f"{folder}: no models found ({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})")
-    return models
+    fabrics = prediction.fabrics
+    if network == MATERIAL:
+        shares = [*prediction.material_probabilities.values()]
+        true = {"true": row["material_id"], "true_value": np.nan}
+        predicted = next(one["id"] for one in classes if one["name"] == fabrics[0])
+    else:
+        shares = prediction.distribution[1].tolist()
+        true = {"true": row["friction_id"], "true_value": row["friction"]}
+        mu = prediction.friction_coefficient
+        predicted = min(classes, key=lambda of_class: abs(of_class["value"] - mu))["id"]
+    check_probabilities(np.array([shares]), np.zeros(1, int))
+    low, high = prediction.interval_90 or (None, None)
+    return {
+        **{name: row[name] for name in ("video", "simulation", "texture", "viewpoint")},
+        "network": network,
+        **true,
+        "predicted": predicted,
+        "predicted_value": prediction.friction_coefficient,
+        "probabilities": shares,
+        "material": row["material"],
+        "fabrics": fabrics,
+        "likeliest_material": fabrics[0] if fabrics and network != MATERIAL else None,
+        "low": low,
+        "high": high,
+        "alarm": None if prediction.alarm is None else prediction.alarm_reason,
+    }
 
 
-def predicted_probabilities(
-    models: dict, key: tuple[str, str, int], videos: Videos, batch_size: int
-) -> np.ndarray:
-    """Probabilities of a model on videos; a conditional one gets its material network's answer."""
-    split, network, seed = key
-    model = models[key]
-    condition = None
-    if network == "friction_conditional":
-        material = models.get((split, "material_baseline", seed))
-        if material is None:
-            raise BadInput(
-                f"friction_conditional {split} seed {seed} has no matching material_baseline"
-            )
-        material.check_is_material_network_of(split, seed, videos.digest)
-        if material.card["weights_sha256"] != model.card["condition_sha256"]:
-            raise BadInput(
-                f"friction_conditional {split} seed {seed} was trained with a different "
-                "material_baseline"
-            )
-        condition = material.probabilities(videos, batch_size=batch_size).argmax(1)
-    return model.probabilities(videos, condition, batch_size)
-
-
-def evaluate(
+def predicted_table(
     settings: EvaluateSettings,
     dataset: str | os.PathLike,
-    models_folder: str | os.PathLike | None,
-    *,
+    models: Mapping[Key, LrcnModel | Instrument],
     calibrated: str,
-    train: TrainSettings | None = None,
-    frames: int | None = None,
-    instruments_folder: str | os.PathLike | None = None,
-    instrument_seeds: list[int] | None = None,
-    scored: Collection[str] = (),
-    threads: int = 1,
-) -> tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
-    """Evaluate all models on all test sets.
+) -> Table:
+    """Return the predictions of models on all their test sets.
 
     Parameters
     ----------
     settings : EvaluateSettings
     dataset : path
         What the sample stage wrote.
-    models_folder : path or None
-        What the train stage wrote; None: instruments only.
+    models : mapping
     calibrated : str
         Name of the calibrated viewpoint.
-    train : TrainSettings, optional
-        The splits and seeds that count; by default every model in the folder.
-    frames : int, optional
-        Frames of a video that the networks see; by default all of the dataset's.
-    instruments_folder : path, optional
-        What the instrument stage wrote.
-    instrument_seeds : list of int, optional
-        Seeds that count; by default all.
-    scored : collection of {"networks", "instrument", "instrument_ensemble"}
-        Kinds of models that are left out, and then the probes of the dataset too.
-    threads : int
-
-    Returns
-    -------
-    metrics : dict
-        ``{split: {model: {field: number or None}}}``, the content of metrics.json.
-    details : dict
-        For every split and network: chance, scores of each seed, by viewpoint, confusion matrix.
-    predictions : list of dict
-        Rows of predictions.parquet.
 
     Raises
     ------
     BadInput
-        If a model is missing its partner, was trained on other data, files are damaged, or what
-        must tell nothing of friction tells it (see `slipstitch.learning.evaluation.probes`).
+        If a model was trained on other data, or files are damaged.
     """
-    set_up_torch(threads)
-    models = {}
-    if models_folder is not None and NETWORKS_SCORED not in scored:
-        models = find_models(models_folder, train)
-    pixels = {model.card["pixels"] for model in models.values()}
-    if len(pixels) > 1:
-        raise BadInput(f"{models_folder}: models of different image sizes: {sorted(pixels)}")
-    instruments = {}
-    if instruments_folder is not None:
-        instruments = {
-            key: instrument
-            for key, instrument in find_instruments(
-                instruments_folder, train, instrument_seeds
-            ).items()
-            if (AVERAGE if key[1] is None else TRAINING) not in scored
-        }
     manifest, _ = read_manifest(dataset)
-    trained_on = {key[0] for key in (*models, *instruments)}
+    table = Table()
+    trained_on = {key[0] for key in models}
     tests = [
         test
         for test in evaluation_sets(manifest, calibrated, settings.viewpoints)
         if test.trained_on in trained_on
     ]
     if not tests:
-        return {}, {}, []
+        return table
     videos = read_videos(dataset, lambda row: any(test.holds(row) for test in tests))
+    coefficients = classes_of([row for row in manifest if takes_part(row)], "friction")
     for (split, network, seed), model in models.items():
-        if model.card["dataset_digest"] != videos.digest:
-            raise BadInput(f"{network} {split} seed {seed} was not trained on {dataset}")
-
-    for (split, of_one), instrument in instruments.items():
-        if instrument.card.get("dataset_digest") != videos.digest:
-            which = "ensemble" if of_one is None else f"seed {of_one}"
-            raise BadInput(f"instrument {split} {which} was not trained on {dataset}")
-
-    grid = classes_of([row for row in manifest if takes_part(row)], "friction")
-    probed = {} if scored else probes(settings, dataset)
-    side = pixels.pop() if pixels else None
-    metrics: dict[str, Any] = {}
-    details: dict[str, Any] = {}
-    predictions: list[dict[str, Any]] = []
+        if model.card.get("dataset_digest") != videos.digest:
+            which = ENSEMBLE if seed is None else f"seed {seed}"
+            raise BadInput(f"{network} {split} {which} was not trained on {dataset}")
+        noted = {"seeds": model.card["seeds"]} if seed is None else {}
+        if isinstance(model, LrcnModel):
+            noted = {"classes": model.card["classes"]}
+        table.models.setdefault(split, {}).setdefault(network, noted)
     for test in tests:
-        chosen = np.array([test.holds(row) for row in videos.rows])
-        whole = videos.chosen(chosen)
-        part = whole if side is None else whole.seen_with(side, frames)
-        by_network: dict[str, dict[int, np.ndarray]] = defaultdict(dict)
-        for key in models:
-            if key[0] == test.trained_on:
-                probabilities = predicted_probabilities(models, key, part, settings.batch_size)
-                by_network[key[1]][key[2]] = probabilities
-                predictions += _rows(part, test, key, models[key], probabilities)
-        measured = {
-            network: evaluate_instruments(settings, test, whole, instruments, grid, network)
-            for network in (TRAINING, AVERAGE)
-        }
-        if not by_network and not any(found for found, _ in measured.values()):
-            continue
-        scores = {
-            network: _scores(settings, part, models, test.trained_on, network, of_seed)
-            for network, of_seed in by_network.items()
-        }
-        details[test.name] = scores
-        metrics[test.name] = {}
-        for name, network in MODELS.items():
-            used = [network] + ["material_baseline"] * (name == "lrcn_baseline")
-            used = [network for network in used if network in scores]
-            if used:
-                seeds = sorted({seed for network in used for seed in by_network[network]})
-                metrics[test.name][name] = entry(
-                    len(part), seeds, *(scores[network]["mean"] for network in used)
-                )
-        details[test.name] |= probed.get(test.name, {})
-        metrics[test.name] |= probe_entries(probed.get(test.name, {}))
-        for network, (found, rows) in measured.items():
-            if not found:
+        whole = videos.chosen(np.array([test.holds(row) for row in videos.rows]))
+        for (split, network, seed), model in models.items():
+            seen = np.array([model.sees(row) for row in whole.rows])
+            if split != test.trained_on or not seen.any():
                 continue
-            if test.name in TRAINED_ON:
-                found["alarms"] = alarm_rates(instruments, test.name, whole, network)
-            details[test.name][network] = found
-            predictions += rows
-            seeds = (
-                sorted(map(int, found["seeds"]))
-                if network == TRAINING
-                else instruments[test.trained_on, None].card["seeds"]
-            )
-            metrics[test.name][network] = entry(found["n"], seeds, found["mean"])
-    return metrics, details, predictions
+            part = whole.chosen(seen)
+            named = {"split": test.name, "trained_on": split, "seed": seed}
+            classes = table.models[split][network].get("classes", coefficients)
+            table.rows += [
+                prediction_row(row, network, prediction, classes) | named
+                for row, prediction in zip(
+                    part.rows, model.predict(part, settings.batch_size), strict=True
+                )
+            ]
+            if isinstance(model, Instrument) and test.name in TRAINED_ON:
+                of_network = table.alarms.setdefault(test.name, {}).setdefault(network, {})
+                name = ENSEMBLE if seed is None else str(seed)
+                of_network[name] = alarm_rates(model, whole)
+    return table
 
 
-def _score(
-    settings, card, probabilities: np.ndarray, rows: list[dict[str, Any]]
-) -> dict[str, float]:
-    """Scores of one network; empty for the fabrics of videos of which any is no class."""
-    if card["target"] == "friction":
-        values = np.array([of_class["value"] for of_class in card["classes"]])
-        true = np.array([row["friction"] for row in rows])
-        return friction_scores(values[probabilities.argmax(1)], true, settings.friction_step)
-    truth = known_labels(rows, card)
-    return {} if truth is None else material_scores(probabilities, truth)
+def alarm_rates(instrument: Instrument, videos: Videos) -> dict[str, float]:
+    """Return shares of alarms on wrong inputs made from test videos, and on these themselves.
 
+    Parameters
+    ----------
+    videos : Videos
+        All test videos of a split; those of other training viewpoints are wrong inputs too.
 
-def known_labels(rows: list[dict[str, Any]], card: dict[str, Any]) -> np.ndarray | None:
-    """Class numbers of videos; None if one is of no class, as off the grid."""
-    known = {of_class["id"] for of_class in card["classes"]}
-    if any(row[f"{card['target']}_id"] not in known for row in rows):
-        return None
-    return labels_of(rows, card["classes"], card["target"])
-
-
-def _scores(settings, part: Videos, models, split, network, of_seed) -> dict[str, Any]:
-    """Everything that details.json says of one network on one test set."""
-    card = models[split, network, min(of_seed)].card
-    truth = known_labels(part.rows, card)
-    viewpoints = np.array([row["viewpoint"] for row in part.rows])
-    each = {
-        seed: _score(settings, card, probabilities, part.rows)
-        for seed, probabilities in of_seed.items()
+    Returns
+    -------
+    dict
+        Kind -> share; ``good`` is the share of false alarms.
+    """
+    mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
+    own = instrument.frames_of(videos.chosen(mine))
+    kinds = {
+        kind: Videos(own.rows, pixels, own.digest)
+        for kind, pixels in {"good": own.pixels, **wrong_inputs(own.pixels)}.items()
     }
-    result: dict[str, Any] = {
-        "n": len(part),
-        "simulations": len({row["simulation"] for row in part.rows}),
-        "trained_on": split,
-        "classes": card["classes"],
-        "chance": {} if truth is None else chance(truth, len(card["classes"])),
-        **_over_seeds(list(each.values())),
-        "seeds": {str(seed): score for seed, score in sorted(each.items())},
-        "viewpoints": {
-            str(viewpoint): {
-                "n": int((viewpoints == viewpoint).sum()),
-                "simulations": len(simulations(part, viewpoints == viewpoint)),
-                **_over_seeds(
-                    [
-                        _score(
-                            settings,
-                            card,
-                            probabilities[viewpoints == viewpoint],
-                            list(compress(part.rows, viewpoints == viewpoint)),
-                        )
-                        for probabilities in of_seed.values()
-                    ]
-                ),
-            }
-            for viewpoint in sorted(set(viewpoints))
-        },
-        "confusion": None,
+    if not mine.all():
+        kinds["viewpoint"] = videos.chosen(~mine)
+    return {
+        kind: float(np.mean([one.alarm for one in instrument.predict(part)]))
+        for kind, part in kinds.items()
     }
-    if truth is not None:
-        counts = [confusion(probabilities, truth) for probabilities in of_seed.values()]
-        result["confusion"] = np.sum(counts, axis=0).tolist()
-    if card["target"] == "friction":
-        true = np.array([row["friction"] for row in part.rows])
-        result["chance"]["mean_absolute_error"] = constant_error(true)
-    return result
 
 
-def _over_seeds(scores: list[dict[str, float]]) -> dict[str, Any]:
-    return {"mean": mean_over_seeds(scores), "spread": spread_over_seeds(scores)}
+def probe_table(dataset: str | os.PathLike) -> Table:
+    """Return the predictions of the probes on the splits that must tell nothing."""
+    table = Table()
+    for name, network, classes, rows in probes(dataset):
+        table.models.setdefault(name, {})[network] = {"classes": classes}
+        named = {"split": name, "trained_on": name, "network": network, "seed": 0}
+        table.rows += [dict.fromkeys(SCHEMA.names) | row | named for row in rows]
+    return table
 
 
-def _rows(
-    part: Videos, test: EvaluationSet, key, model: LrcnModel, probabilities
-) -> list[dict[str, Any]]:
-    card = model.card
-    truth = known_labels(part.rows, card)
-    no_truth = np.zeros(len(probabilities), np.int64)
-    check_probabilities(probabilities, no_truth if truth is None else truth)
-    ids = [of_class["id"] for of_class in card["classes"]]
-    values = [of_class.get("value", math.nan) for of_class in card["classes"]]
-    return [
-        {
-            **prediction_of(row, test, key[1], key[2]),
-            "true": row[f"{card['target']}_id"],
-            "predicted": ids[int(of_classes.argmax())],
-            "true_value": row["friction"] if card["target"] == "friction" else math.nan,
-            "predicted_value": values[int(of_classes.argmax())],
-            "probabilities": of_classes.tolist(),
-        }
-        for row, of_classes in zip(part.rows, probabilities, strict=True)
-    ]
+def write_evaluation(
+    settings: EvaluateSettings,
+    dataset: str | os.PathLike,
+    trained: Trained,
+    out: Outputs,
+    *,
+    calibrated: str,
+    update: bool = False,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Write predictions.parquet and its scores, metrics.json and details.json; return the metrics.
+
+    With `update`, what these files say of models that are unchanged stays, as of the dataset's
+    probes, and only kinds of models (networks, instruments, their averages) of which one is new or
+    changed predict. Of averages that differ in their conformal scale alone
+    (`slipstitch.learning.instrument.ensemble.recalibrate_instrument`) no image is needed.
+
+    Raises
+    ------
+    BadInput
+        If a model is missing its partner, was trained on other data, files are damaged, or what
+        must tell nothing of friction tells it (see `slipstitch.learning.evaluation.probes`); with
+        `update` also if the files are of another dataset or other settings.
+    """
+    started = start_clock()
+    set_up_torch(threads)
+    manifest = Path(dataset) / MANIFEST
+    files = trained.files()
+    before = _scored_before(settings, manifest, out.metrics) if update else {}
+    kept = {
+        kind
+        for kind, paths in files.items()
+        if before and all(file_digest(path) in before.values() for path in paths)
+    }
+    rescaled = [] if AVERAGE in kept else _rescaled_since(files[AVERAGE], before)
+    if rescaled:
+        kept.add(AVERAGE)
+    table = predicted_table(settings, dataset, trained.load(frozenset(kept)), calibrated)
+    rows, _ = read_manifest(dataset)
+    if kept:
+        again = {row["network"] for row in table.rows}
+        table.add(_written(out, rescaled), again)
+    else:
+        table.add(probe_table(dataset), ())
+    order = [test.name for test in evaluation_sets(rows, calibrated, settings.viewpoints)]
+    scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
+    found = sorted(
+        (row for row in table.rows if row["split"] in scored),
+        key=lambda row: order.index(row["split"]),
+    )
+    step = settings.friction_step
+    metrics = metrics_of_table(found, table.models, step)
+    of_video = {row["video"]: row for row in rows}
+    details = details_of_table(found, table.models, step, of_video)
+    for test, networks in table.alarms.items():
+        for network, rates in networks.items():
+            details[test][network]["alarms"] = rates
+    record = provenance_record(
+        "evaluate",
+        inputs=[manifest, *(path for paths in files.values() for path in paths)],
+        config={"evaluate": settings},
+        started=started,
+    )
+    write_json(out.metrics, metrics, record)
+    write_json(out.details, details, record)
+    notes = {"models": table.models, "friction_step": step}
+    write_parquet(pa.Table.from_pylist(found, schema=SCHEMA), out.predictions, notes, record)
+    return metrics
 
 
 def _scored_before(
@@ -469,13 +316,8 @@ def _scored_before(
     return inputs
 
 
-def _updated(kept: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """Test sets with their models, those that are new in the place of earlier ones."""
-    return kept | {name: kept.get(name, {}) | models for name, models in new.items()}
-
-
-def _stretched_since(averages: Sequence[Path], before: Mapping[str, str]) -> list[Instrument]:
-    """The averages, if all are those scored before but for the stretch of their intervals."""
+def _rescaled_since(averages: Sequence[Path], before: Mapping[str, str]) -> list[Instrument]:
+    """The averages, if all are those scored before but for their conformal scale."""
     if not before:
         return []
     now = [load_instrument(path) for path in averages]
@@ -483,112 +325,17 @@ def _stretched_since(averages: Sequence[Path], before: Mapping[str, str]) -> lis
     return now if known <= {*before.values()} else []
 
 
-def _stretch(
-    settings: EvaluateSettings,
-    metrics: dict[str, Any],
-    details: dict[str, Any],
-    predictions: list[dict[str, Any]],
-    rows: dict[str, dict[str, Any]],
-    instrument: Instrument,
-) -> None:
-    """Put the intervals that an average gives now in the place of those that it gave before."""
-    for test, models in details.items():
-        found = models.get(AVERAGE)
-        if found is None or found["trained_on"] != instrument.card["split"]:
-            continue
-        mine = [
-            k
-            for k, row in enumerate(predictions)
-            if (row["split"], row["network"]) == (test, AVERAGE)
-        ]
-        models[AVERAGE], now = stretched_again(
-            found,
-            [predictions[k] for k in mine],
-            [rows[predictions[k]["video"]] for k in mine],
-            instrument,
-            settings.friction_step,
-        )
-        for k, row in zip(mine, now, strict=True):
-            predictions[k] = row
-        metrics[test][AVERAGE] = entry(
-            found["n"], instrument.card["seeds"], models[AVERAGE]["mean"]
-        )
-
-
-def write_evaluation(
-    settings: EvaluateSettings,
-    dataset: str | os.PathLike,
-    models_folder: str | os.PathLike | None,
-    out: str | os.PathLike,
-    predictions_out: str | os.PathLike,
-    details_out: str | os.PathLike,
-    *,
-    train: TrainSettings | None = None,
-    instruments_folder: str | os.PathLike | None = None,
-    instrument_seeds: list[int] | None = None,
-    update: bool = False,
-    **options: Any,
-) -> dict[str, Any]:
-    """`evaluate`, written to metrics.json, details.json and predictions.parquet; the metrics.
-
-    With `update`, what these files say of models that are unchanged stays, as of the dataset's
-    probes, and only kinds of models (networks, instruments, their averages) of which one is new or
-    changed are evaluated. Of averages that differ in the stretch of their intervals alone
-    (`slipstitch.learning.instrument.ensemble.recalibrate_instrument`) no image is needed.
-
-    Raises
-    ------
-    BadInput
-        As `evaluate`; with `update` also if the files are of another dataset or other settings.
-    """
-    started = start_clock()
-    manifest = Path(dataset) / MANIFEST
-    kinds: dict[str, list[Path]] = {NETWORKS_SCORED: [], TRAINING: [], AVERAGE: []}
-    if models_folder is not None:
-        weights = network_weights(models_folder, train)
-        kinds[NETWORKS_SCORED] = [
-            path.with_name(name) for path in weights for name in (WEIGHTS, CARD)
-        ]
-    if instruments_folder is not None:
-        for path in instrument_weights(instruments_folder, train, instrument_seeds):
-            kinds[AVERAGE if path.parent.name == ENSEMBLE else TRAINING].append(path)
-    before = _scored_before(settings, manifest, out) if update else {}
-    scored = {
-        kind
-        for kind, paths in kinds.items()
-        if before and all(file_digest(path) in before.values() for path in paths)
-    }
-    stretched = [] if AVERAGE in scored else _stretched_since(kinds[AVERAGE], before)
-    if stretched:
-        scored.add(AVERAGE)
-    metrics, details, predictions = evaluate(
-        settings,
-        dataset,
-        models_folder,
-        train=train,
-        instruments_folder=instruments_folder,
-        instrument_seeds=instrument_seeds,
-        scored=scored,
-        **options,
-    )
-    if scored:
-        again = {row["network"] for row in predictions}
-        metrics = _updated(read_json(out), metrics)
-        details = _updated(read_json(details_out), details)
-        kept = read_parquet(predictions_out).to_pylist()
-        predictions = [row for row in kept if row["network"] not in again] + predictions
-    if stretched:
-        rows = {row["video"]: row for row in read_manifest(dataset)[0]}
-        for instrument in stretched:
-            _stretch(settings, metrics, details, predictions, rows, instrument)
-    record = provenance_record(
-        "evaluate",
-        inputs=[manifest, *(path for paths in kinds.values() for path in paths)],
-        config={"evaluate": settings},
-        started=started,
-    )
-    for place, content in ((out, metrics), (details_out, details)):
-        write_json(place, content, record)
-    table = pa.Table.from_pylist(predictions, schema=PREDICTIONS_SCHEMA)
-    write_parquet(table, predictions_out, {}, record)
-    return metrics
+def _written(out: Outputs, rescaled: Sequence[Instrument]) -> Table:
+    """The table of before, with the intervals that averages give now."""
+    rows, notes = read_table(out.predictions)
+    table = Table(rows, notes["models"])
+    for test, networks in read_json(out.details).items():
+        found = {name: one["alarms"] for name, one in networks.items() if "alarms" in one}
+        table.alarms |= {test: found} if found else {}
+    for instrument in rescaled:
+        split = instrument.card["split"]
+        mine = [row for row in rows if (row["network"], row["trained_on"]) == (AVERAGE, split)]
+        intervals = instrument.intervals(np.array([row["probabilities"] for row in mine]))
+        for row, (_, low, high) in zip(mine, intervals, strict=True):
+            row |= {"low": float(low), "high": float(high)}
+    return table

@@ -222,12 +222,6 @@ def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarra
     return np.floor(np.abs(predicted - true) / step + 0.5 + 1e-9).astype(np.int64)
 
 
-def rank_of_truth(probabilities: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Place of every row's true class among its classes from the likeliest on, 0 the first."""
-    order = np.argsort(-probabilities, axis=1, kind="stable")
-    return (order == truth[:, None]).argmax(axis=1)
-
-
 def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dict[str, float]:
     """Scores of predicted friction coefficients, on the grid or off it.
 
@@ -245,32 +239,9 @@ def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dic
     return scores_of(PredictionsAndTruth(step, predicted, true), "friction")
 
 
-def material_scores(probabilities: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """``material_top1`` and ``material_top2``, shares in 0 ... 1."""
-    check_probabilities(probabilities, truth)
-    answers = PredictionsAndTruth(np.nan, fabric_rank=rank_of_truth(probabilities, truth))
-    return scores_of(answers, "fabric")
-
-
-def chance(truth: np.ndarray, classes: int) -> dict[str, float]:
-    """Chance levels: a uniform random guess, and always the test set's largest class."""
-    return {
-        "uniform": 1.0 / classes,
-        "majority": float(np.bincount(truth, minlength=classes).max() / len(truth)),
-    }
-
-
 def constant_error(true: np.ndarray) -> float:
     """Least mean absolute error of one coefficient said of every video: that of the median."""
     return float(np.abs(true - np.median(true)).mean())
-
-
-def confusion(probabilities: np.ndarray, truth: np.ndarray) -> list[list[int]]:
-    """Counts: row = true class, column = predicted class."""
-    classes = probabilities.shape[1]
-    counts = np.zeros((classes, classes), np.int64)
-    np.add.at(counts, (truth, probabilities.argmax(1)), 1)
-    return counts.tolist()
 
 
 def _common(scores: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:

@@ -1,13 +1,14 @@
 """Probes as rows of the tables: what a single frame tells, and what must tell nothing."""
 
 import os
+from collections.abc import Iterator
+from itertools import compress
 from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import split_of
 from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import read_manifest
@@ -23,15 +24,9 @@ from slipstitch.dataset.probes import (
 )
 from slipstitch.dataset.videos import Videos, read_videos
 from slipstitch.learning.classes import classes_of, labels_of
-from slipstitch.learning.evaluation.metrics import (
-    chance,
-    confusion,
-    constant_error,
-    entry,
-    friction_scores,
-)
+from slipstitch.learning.evaluation.scores import PROBE as PREFIX
 
-PREFIX = "probe_"
+Row = dict[str, Any]
 #: The one probe that may tell something: of a frame in the middle of the film.
 MIDDLE_FRAME = f"{PREFIX}middle_frame"
 #: Name -> what it sees, in words.
@@ -102,18 +97,24 @@ def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
 
 
 def probe_split(
-    settings: EvaluateSettings, dataset: str | os.PathLike, videos: Videos, split: str
-) -> dict[str, dict[str, Any]]:
-    """Entries of details.json for every probe in one split.
+    dataset: str | os.PathLike, videos: Videos, split: str
+) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
+    """Give the predictions of every probe in one split.
 
     Parameters
     ----------
-    settings : EvaluateSettings
     dataset : path
     videos : Videos
         Those that `is_probed` in the split, two frames of each, the first and one in the middle.
     split : str
         One of `slipstitch.config.train.TRAINED_ON`.
+
+    Yields
+    ------
+    split, network : str
+    classes : list of dict
+    rows : list of dict
+        What rows of predictions.parquet say of the test videos.
 
     Raises
     ------
@@ -123,9 +124,7 @@ def probe_split(
     sides = np.array([row[f"split_{split_of(split)}"] for row in videos.rows])
     classes = classes_of(videos.rows, "friction")
     labels = labels_of(videos.rows, classes, "friction")
-    values = np.array([of_class["value"] for of_class in classes])
     simulations = np.array([row["simulation"] for row in videos.rows])
-    result = {}
     for name, (seen, by) in probe_features(dataset, videos, sides).items():
         features, test = standardised(seen, by == "train"), by == "test"
         for learner, learn in (("", linear_answers), (NETWORK, network_answers)):
@@ -136,36 +135,28 @@ def probe_split(
                 what = f"{dataset}: split {split.replace('_', ' ')}: {WHAT[name]}"
                 right = (answers == labels)[test]
                 refuse_leak(what, right, labels[test], simulations[test])
-            said, true = values[answers[test]], values[labels[test]]
-            scores = friction_scores(said, true, settings.friction_step)
-            result[name + learner] = {
-                "n": int(test.sum()),
-                "simulations": len(set(simulations[test])),
-                "trained_on": split,
-                "classes": classes,
-                "chance": chance(labels[test], len(classes))
-                | {"mean_absolute_error": constant_error(true)},
-                "mean": scores,
-                "spread": None,
-                "seeds": {"0": scores},
-                "confusion": confusion(np.eye(len(classes))[answers[test]], labels[test]),
-            }
-    return result
+            rows = [
+                {
+                    **{key: row[key] for key in ("video", "simulation", "texture", "viewpoint")},
+                    "true": row["friction_id"],
+                    "predicted": classes[answer]["id"],
+                    "true_value": classes[label]["value"],
+                    "predicted_value": classes[answer]["value"],
+                    "material": row["material"],
+                }
+                for row, answer, label in compress(
+                    zip(videos.rows, answers, labels, strict=True), test
+                )
+            ]
+            yield split, name + learner, classes, rows
 
 
-def probes(settings: EvaluateSettings, dataset: str | os.PathLike) -> dict[str, dict[str, Any]]:
-    """`probe_split` of the splits that must tell nothing, of the videos of each."""
+def probes(dataset: str | os.PathLike) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
+    """Give what `probe_split` gives of the splits that must tell nothing."""
     splits = probed_splits(read_manifest(dataset)[0])
     videos = read_videos(
         dataset, lambda row: any(is_probed(row, split) for split in splits), PIXELS, 2
     )
-    result = {}
     for split in splits:
         chosen = videos.chosen(np.array([is_probed(row, split) for row in videos.rows]))
-        result[split] = probe_split(settings, dataset, chosen, split)
-    return result
-
-
-def entries(of_split: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Entries of metrics.json."""
-    return {name: entry(one["n"], [0], one["mean"]) for name, one in of_split.items()}
+        yield from probe_split(dataset, chosen, split)

@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from scipy.special import softmax
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import split_of
-from slipstitch.dataset.videos import resized
+from slipstitch.dataset.videos import Videos, resized
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
-from slipstitch.learning.instrument.augmentation import augmented
+from slipstitch.learning.instrument.augmentation import augmented, phased
 from slipstitch.learning.instrument.conformal import least_groups
 from slipstitch.learning.instrument.distribution import (
     friction_grid,
@@ -27,8 +28,9 @@ from slipstitch.learning.instrument.distribution import (
     spread,
 )
 from slipstitch.learning.instrument.network import InstrumentNetwork
-from slipstitch.learning.instrument.poses import scaled
+from slipstitch.learning.instrument.poses import poses_of, scaled
 from slipstitch.learning.model_file import read_weights, write_weights
+from slipstitch.learning.prediction import Prediction
 
 FORMAT = "slipstitch-instrument-3"
 WEIGHTS = "instrument.safetensors"
@@ -36,41 +38,6 @@ CARD = "instrument.json"
 ALARM = "alarm."
 NETWORKS_MAX = 16
 NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """Result of the instrument for one video.
-
-    Attributes
-    ----------
-    friction_coefficient : float
-        Median of the distribution.
-    distribution : tuple of ndarray
-        Grid of mu and the probability of each of its points, both of shape (G,).
-    interval_90 : tuple of float
-        Conformal interval, (low, high); the whole grid where too few simulations calibrate it.
-    material_probabilities : dict
-        Fabric -> probability.
-    alarm : bool
-        Whether the video is unlike the training data, so that the rest is not to be believed.
-    alarm_reason : str
-        Why; empty without alarm.
-    attention_weights : ndarray, shape (frames,)
-        Weight of each frame in the decision, sum 1.
-    points_m : ndarray, shape (frames, points, 3), optional
-        Where the instrument sees points of the cloth (`slipstitch.images.keypoints`), if it
-        learnt to.
-    """
-
-    friction_coefficient: float
-    distribution: tuple[np.ndarray, np.ndarray]
-    interval_90: tuple[float, float]
-    material_probabilities: dict[str, float]
-    alarm: bool
-    alarm_reason: str
-    attention_weights: np.ndarray
-    points_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -226,7 +193,7 @@ class Instrument:
         frames: np.ndarray,
         generator: np.random.Generator | None = None,
         pose: np.ndarray | None = None,
-    ) -> Measurement:
+    ) -> Prediction:
         """Measure one video.
 
         Parameters
@@ -255,7 +222,7 @@ class Instrument:
         if bars:
             scores = bars.alarm.raw(video, answers.embedding, answers.order)
             reason = bars.alarm.reason(scores[0])
-        return Measurement(
+        return Prediction(
             friction_coefficient=float(median),
             distribution=(self.grid, distribution[0]),
             interval_90=(float(low), float(high)),
@@ -267,6 +234,25 @@ class Instrument:
             attention_weights=answers.attention_weights[0],
             points_m=None if answers.points_m is None else answers.points_m[0],
         )
+
+    def sees(self, row: Mapping[str, Any]) -> bool:
+        """Return whether the model predicts for the video of a manifest row.
+
+        For those from the viewpoints that it learnt, and from turned ones that test alone.
+        """
+        return row["viewpoint"] in self.card["viewpoints"] or row["viewpoint_role"] == "test"
+
+    def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
+        """Return a prediction for every video, each with the same augmented views as any other."""
+        seen = self.frames_of(videos)
+        return [
+            self.measure(video, pose=pose)
+            for video, pose in zip(seen.pixels, poses_of(seen.rows), strict=True)
+        ]
+
+    def frames_of(self, videos: Videos) -> Videos:
+        """Return the videos with the frames that the network sees, from the first on."""
+        return Videos(videos.rows, phased(videos.pixels, self.card["frames"], None), videos.digest)
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
         """The frames at the network's size; BadInput if they are no such frames."""

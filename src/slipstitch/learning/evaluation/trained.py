@@ -1,0 +1,148 @@
+"""The trained models that an evaluation is of: finding, checking and loading them."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
+from slipstitch.learning.evaluation.scores import AVERAGE, ENSEMBLE, MATERIAL, TRAINING
+from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
+from slipstitch.learning.instrument.measuring import Instrument, load_instrument
+from slipstitch.learning.lrcn_model import CARD, WEIGHTS, LrcnModel, load_model
+
+#: Kinds of models, as an update of an evaluation tells them apart.
+NETWORKS_KIND = "networks"
+#: Split, network, seed; None: an average.
+Key = tuple[str, str, int | None]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Which models count.
+
+    Attributes
+    ----------
+    networks : path, optional
+        Folder ``{split}/{network}/seed{seed}/`` that the train stage wrote.
+    instruments : path, optional
+        Folder ``{split}/seed{seed}/``, ``{split}/ensemble/`` that the instrument stage wrote.
+    train : TrainSettings, optional
+        Which splits and seeds count; others, left by an earlier configuration, do not.
+    instrument_seeds : sequence of int, optional
+        Which seeds of instruments count.
+    """
+
+    networks: str | os.PathLike | None = None
+    instruments: str | os.PathLike | None = None
+    train: TrainSettings | None = None
+    instrument_seeds: list[int] | None = None
+
+    def weights(self) -> dict[str, list[Path]]:
+        """Return the files of weights of every kind of model."""
+        splits = TRAINED_ON if self.train is None else self.train.splits
+        found: dict[str, list[Path]] = {NETWORKS_KIND: [], TRAINING: [], AVERAGE: []}
+        for split in splits if self.networks is not None else ():
+            wanted = self.train and {
+                (name, f"seed{seed}") for name, seed in self.train.trainings(split)
+            }
+            found[NETWORKS_KIND] += [
+                path
+                for network in NETWORKS
+                for path in sorted(Path(self.networks, split, network).glob(f"seed*/{WEIGHTS}"))
+                if wanted is None or (network, path.parent.name) in wanted
+            ]
+        seeds = self.instrument_seeds
+        for split in splits if self.instruments is not None else ():
+            folder = Path(self.instruments, split)
+            found[TRAINING] += [
+                path
+                for path in sorted(folder.glob(f"seed*/{INSTRUMENT_WEIGHTS}"))
+                if seeds is None or path.parent.name in {f"seed{seed}" for seed in seeds}
+            ]
+            # Of a single seed no average is configured.
+            if seeds is None or len(seeds) > 1:
+                found[AVERAGE] += sorted(folder.glob(f"{ENSEMBLE}/{INSTRUMENT_WEIGHTS}"))
+        return found
+
+    def files(self) -> dict[str, list[Path]]:
+        """Return the files that the predictions of every kind of model depend on."""
+        found = self.weights()
+        found[NETWORKS_KIND] = [
+            path.with_name(name) for path in found[NETWORKS_KIND] for name in (WEIGHTS, CARD)
+        ]
+        return found
+
+    def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
+        """Return the models but those of some kinds.
+
+        Raises
+        ------
+        BadInput
+            If there is no network where a folder of networks is given, a model is damaged or not
+            what its place says, or is not of those beside it with which it belongs.
+        """
+        weights = self.weights()
+        models: dict[Key, LrcnModel | Instrument] = {}
+        if self.networks is not None and NETWORKS_KIND not in without:
+            models |= _networks(weights[NETWORKS_KIND])
+            if not models:
+                raise BadInput(
+                    f"{self.networks}: no models found "
+                    f"({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})"
+                )
+        instruments = _instruments(weights[TRAINING], weights[AVERAGE])
+        return models | {key: one for key, one in instruments.items() if key[1] not in without}
+
+
+def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
+    """The paper's networks; the conditional ones with their material networks."""
+    found: dict[Key, LrcnModel] = {}
+    for path in paths:
+        model = load_model(path.parent)
+        card = model.card
+        if (card["split"], card["network"], f"seed{card['seed']}") != path.parts[-4:-1]:
+            raise BadInput(
+                f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
+                "does not match its folder"
+            )
+        found[card["split"], card["network"], card["seed"]] = model
+    for (split, network, seed), model in found.items():
+        if network == "friction_conditional" and not model.card.get("true_materials"):
+            named = f"friction_conditional {split} seed {seed}"
+            material = found.get((split, MATERIAL, seed))
+            if material is None:
+                raise BadInput(f"{named} has no matching material_baseline")
+            material.check_is_material_network_of(split, seed, model.card["dataset_digest"])
+            if material.card["weights_sha256"] != model.card["condition_sha256"]:
+                raise BadInput(f"{named} was trained with a different material_baseline")
+            found[split, network, seed] = model.listening_to(material)
+    return found
+
+
+def _instruments(single: list[Path], averages: list[Path]) -> dict[Key, Instrument]:
+    """The instruments, and the averages of those beside them."""
+    found: dict[Key, Instrument] = {}
+    for path in [*single, *averages]:
+        instrument = load_instrument(path)
+        card = instrument.card
+        averaged = len(instrument.networks) > 1
+        name = ENSEMBLE if averaged else f"seed{card.get('seed')}"
+        if (card.get("split"), name) != path.parts[-3:-1]:
+            held = "an average" if averaged else f"seed {card.get('seed')}"
+            raise BadInput(f"{path}: holds {card.get('split')} {held}: does not match its folder")
+        if not averaged:
+            found[card["split"], TRAINING, card["seed"]] = instrument
+            continue
+        beside = {
+            one.card["weights_sha256"]
+            for (split, _, seed), one in found.items()
+            if split == card["split"] and seed is not None
+        }
+        if set(card["members_sha256"]) != beside:
+            raise BadInput(
+                f"{path}: is the average of other instruments than those beside it; combine "
+                "these with slipstitch instrument --members"
+            )
+        found[card["split"], AVERAGE, None] = instrument
+    return found
