@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance.files import atomic_path
 from slipstitch.base.provenance.reading import load_yaml, read_json, read_yaml
+from slipstitch.config.former import FormerKeyError, without_former_keys
 from slipstitch.config.model import Config
 
 # YAML 1.1 reads 1e-3 as a string, because it wants a point in the mantissa and a sign; here it is
@@ -203,6 +204,10 @@ def resolve_config(
                 return f"{name}: "
         return ""
 
+    try:
+        merged = without_former_keys("", merged)
+    except FormerKeyError as error:
+        raise BadInput(f"{source(error.location)}{error}") from None
     bad = _not_finite(merged, ())
     if bad is not None:
         raise BadInput(f"{source(bad)}{'.'.join(map(str, bad))}: must be a finite number")

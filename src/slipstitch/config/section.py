@@ -1,17 +1,29 @@
 """Common parts of the sections of the configuration. Pydantic and the standard library only."""
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from slipstitch.config.catalogue import fabric_names
+from slipstitch.config.former import without_former_keys
 
 
 class Section(BaseModel):
     """Keys that belong together: none may be unknown, none changes once it is read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RecordedSection(Section):
+    """A section that trajectories or trained models hold; those may name former keys."""
+
+    NAME: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_keys(cls, values: Any) -> Any:
+        return without_former_keys(cls.NAME, values)
 
 
 def _in_the_catalogue(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.section import Section, Seeds
+from slipstitch.config.section import RecordedSection, Seeds
 
 NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
 BY_SIMULATION = "by_simulation"
@@ -22,8 +22,10 @@ def split_of(trained_on: str) -> str:
     return trained_on.removesuffix("_reflective")
 
 
-class TrainSettings(Section):
+class TrainSettings(RecordedSection):
     """The paper's recurrent convolutional network and its training."""
+
+    NAME = "train"
 
     seeds: Seeds = Field([0], description="one training of every network a seed")
     splits: list[Literal["by_video", "by_simulation", "by_video_reflective"]] = Field(

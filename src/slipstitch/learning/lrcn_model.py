@@ -36,16 +36,6 @@ FINE_TUNING = "fine-tuning"
 TRUE = "true materials"
 # Adadelta's decay and the constant below its root: the paper's, and Keras' default.
 RHO, EPSILON = 0.95, 1e-7
-# Settings of earlier versions, with the only values whose networks are still built.
-_ONCE_SETTINGS = {
-    "architecture": "lrcn",
-    "padding": "same",
-    "readout": "pool",
-    "batch_norm": "all",
-    "material_units": None,
-    "outputs": "last",
-}
-_NO_LONGER = {*_ONCE_SETTINGS, "input_scaling", "rho", "epsilon", "gradient_norm_max"}
 
 
 @dataclass(frozen=True)
@@ -176,18 +166,12 @@ def load_model(folder: str | os.PathLike) -> LrcnModel:
     try:
         if card["network"] not in NETWORKS or card["split"] not in TRAINED_ON:
             raise BadInput(f"{card_path}: unknown network {card['network']!r} or split")
-        noted = card["settings"]
-        for name, value in _ONCE_SETTINGS.items():
-            if noted.get(name, value) != value:
-                raise BadInput(f"{card_path}: {name} {noted[name]!r} is no longer supported")
-        settings = TrainSettings.model_validate(
-            {name: value for name, value in noted.items() if name not in _NO_LONGER}
-        )
+        settings = TrainSettings.model_validate(card["settings"])
         network = LRCN(
             settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
         )
         network.load_state_dict(tensors)
-    except (ValidationError, RuntimeError, KeyError, AttributeError) as error:
+    except (ValidationError, RuntimeError, KeyError) as error:
         raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
     network.eval()
     return LrcnModel(network, card)

@@ -1,0 +1,61 @@
+"""Former keys of the configuration: each became a constant beside its use.
+
+Files and records that name one with the value of the constant are still accepted.
+"""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+# Section -> key -> the value of the constant, as JSON has it.
+FORMER_KEYS: dict[str, dict[str, Any]] = {
+    "train": {
+        "architecture": "lrcn",
+        "input_scaling": "standardised",
+        "padding": "same",
+        "readout": "pool",
+        "batch_norm": "all",
+        "material_units": None,
+        "outputs": "last",
+        "rho": 0.95,
+        "epsilon": 1e-7,
+        "gradient_norm_max": None,
+    }
+}
+
+
+def without_former_keys(section: str, values: Any) -> Any:
+    """Return the values of a section, and of sections in it, without former keys.
+
+    Parameters
+    ----------
+    section : str
+        Its name, e.g. ``render``; empty for the whole configuration.
+    values
+        As read from a file; what is no mapping is returned as it is.
+
+    Raises
+    ------
+    FormerKeyError
+        If a former key has another value than the constant that it became.
+    """
+    if not isinstance(values, Mapping):
+        return values
+    former = FORMER_KEYS.get(section, {})
+    kept = {}
+    for key, value in values.items():
+        name = f"{section}.{key}" if section else key
+        if key not in former:
+            kept[key] = without_former_keys(name, value)
+        elif json.loads(json.dumps(value)) != former[key]:
+            raise FormerKeyError(name, former[key], value)
+    return kept
+
+
+class FormerKeyError(ValueError):
+    """A former key with another value than the constant that it became."""
+
+    def __init__(self, name: str, fixed: Any, given: Any):
+        fixed, given = json.dumps(fixed), json.dumps(given)
+        super().__init__(f"{name}: no longer a key; it is always {fixed}, not {given}")
+        self.location = tuple(name.split("."))
