@@ -251,11 +251,7 @@ def test_equal_seed_makes_equal_network(chain, results, config, tmp_path):
 
 def test_the_report_shows_criticism_release_and_audit(results):
     page = (results / "report/index.html").read_text(encoding="utf-8")
-    for case in ("paper_on_paper", "block_on_wood_board", "surrogate_anisotropic"):
-        assert f"results/criticise/{case}/index.html" in page
-    # What is hidden in the surrogate case is found; what is measured is nobody's to prescribe.
-    verdict = json.loads((results / "criticise/surrogate_anisotropic/verdict.json").read_text())
-    assert (verdict["verdict"], verdict["causes"]) == ("cause", ["anisotropy"])
+    assert "results/criticise/block_on_other_board/index.html" in page
     audit = json.loads((results / "audit/audit.json").read_text())
     assert audit["verdict"] == "intact", audit["findings"]
     assert audit["sums_sha256"] == file_digest(results / "release/SHA256SUMS")
@@ -265,7 +261,7 @@ def test_the_report_shows_criticism_release_and_audit(results):
 
 def test_release_of_the_chain_is_whole_and_protected(chain, results):
     release = results / "release"
-    assert "16 videos, 128 images" in (results / "logs/release/release.log").read_text()
+    assert "16 videos, 96 images" in (results / "logs/release/release.log").read_text()
     files = [path for path in release.rglob("[!.]*") if path.is_file()]  # not Snakemake's own
     assert files and all(path.stat().st_mode & 0o222 == 0 for path in files)
 
@@ -276,4 +272,17 @@ def test_audit_of_the_release_finds_nothing_and_a_clip_can_be_made_again(chain, 
     clip = f"{simulations(config)[0].id}_t01_v01"
     answer = chain.run("slipstitch", "audit", "results/release", "--rebuild", clip)
     assert answer.returncode == 0, answer.stdout + answer.stderr
-    assert "the same motion, bit by bit; all 8 images have equal pixels" in answer.stdout
+    assert "the same motion, bit by bit; all 6 images have equal pixels" in answer.stdout
+
+
+@pytest.mark.slow
+def test_the_anisotropy_hidden_in_shapes_of_cloth_is_named_and_simulated_again(workflow):
+    """The surrogate case of the demo: its runs, simulated with the law found, are closer."""
+    target = "results/criticise/surrogate_anisotropic/verdict.json"
+    answer = workflow.snakemake("--quiet", "all", "--", target)
+    assert answer.returncode == 0, answer.stderr[-5000:]
+    folder = workflow.folder / "results/criticise/surrogate_anisotropic"
+    verdict = json.loads((folder / "verdict.json").read_text())
+    assert (verdict["verdict"], verdict["causes"]) == ("cause", ["anisotropy"])
+    again = json.loads((folder / "resimulation.json").read_text())
+    assert again["all"]["gain_ci95"][0] > 0.3

@@ -13,7 +13,7 @@ ONE = "m00_f0100_r00"
 PACKS = [f"results/render/shading/{ONE}_v00.parquet", f"results/render/shading/{ONE}_v01.parquet"]
 SHARDS = [f"results/render/{ONE}_v00.parquet", f"results/render/{ONE}_v01.parquet"]
 CONFIG = ["--config", "results/config.json"]
-MODEL = "results/train/by_video/friction_baseline/seed0"
+MODEL = "results/train/by_simulation/friction_baseline/seed0"
 
 
 def truncated(content: bytes) -> bytes:
@@ -73,12 +73,12 @@ READERS = {
     "train": (
         f"results/sample/{ONE}.parquet",
         ["train", *CONFIG, "--dataset", "results/sample", "--network", "material_baseline",
-         "--split", "by_video", "--seed", "0", "--out-dir", "{out}/model"],
+         "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}/model"],
     ),
     "train manifest": (
         "results/sample/manifest.parquet",
         ["train", *CONFIG, "--dataset", "results/sample", "--network", "material_baseline",
-         "--split", "by_video", "--seed", "0", "--out-dir", "{out}/model"],
+         "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}/model"],
     ),
     "evaluate weights": (
         f"{MODEL}/model.safetensors",

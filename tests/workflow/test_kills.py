@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from support import equal_results, kills
 
-pytestmark = pytest.mark.xdist_group("chain")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
 
 
 def test_five_kills_on_the_way_and_the_result_is_the_same(undisturbed, reference):
@@ -28,7 +28,6 @@ def test_five_kills_on_the_way_and_the_result_is_the_same(undisturbed, reference
     assert equal_results.leftovers(undisturbed.folder / "results") == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["simulate_one", "render_shading", "train_one"])
 @pytest.mark.parametrize("victim", ["worker", "snakemake"])
 def test_whoever_is_killed_the_same_command_goes_on(undisturbed, pristine, reference, rule, victim):

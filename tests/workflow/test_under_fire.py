@@ -62,11 +62,11 @@ WRITERS = {
                 "{out}/x.mp4", f"results/render/{ONE}_v00.parquet"],
     "sample": ["slipstitch", "sample", *CONFIG, "--out-dir", "{out}", "{shards}"],
     "train": ["slipstitch", "train", *CONFIG, "--dataset", "results/sample", "--network",
-              "material_baseline", "--split", "by_video", "--seed", "0", "--out-dir", "{out}"],
+              "material_baseline", "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}"],
     "evaluate": ["slipstitch", "evaluate", *CONFIG, "--dataset", "results/sample", "--models",
                  "results/train", "--out", "{out}/m.json", "--predictions", "{out}/p.parquet"],
     "instrument": ["slipstitch", "instrument", *CONFIG, "--dataset", "results/sample", "--split",
-                   "by_video", "--seed", "0", "--out-dir", "{out}"],
+                   "by_simulation", "--seed", "0", "--out-dir", "{out}"],
     "capture": ["slipstitch", "capture", "surrogate", *CONFIG, "--bench", "{out}"],
     "criticise": ["slipstitch", "criticise", "{project}/data/cases/surrogate_anisotropic",
                   "--replicates", "50", "--out", "{out}/v.json", "--report", "{out}/v.html"],
@@ -152,10 +152,10 @@ def test_the_configuration_may_be_edited_during_a_run(undisturbed, reference):
     file = undisturbed.project / "config/smoke.yaml"
     before = file.read_text()
     try:
-        file.write_text(before.replace("frames: 8", "frames: 7"))
+        file.write_text(before.replace("frames: 6", "frames: 5"))
         assert process.wait(timeout=1200) == 0
         assert kills.differences(undisturbed.folder, reference, partial=False) == []
-        assert load_config(undisturbed.folder / "results/config.json").sample.frames == 8
+        assert load_config(undisturbed.folder / "results/config.json").sample.frames == 6
         assert any(name.startswith("sample/") for name in undisturbed.pending())
     finally:
         file.write_text(before)
