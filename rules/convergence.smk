@@ -33,11 +33,7 @@ rule convergence_run:
         *settings("simulation"),
         case=lambda wildcards: str(CASES[wildcards.case]),
         fabric=lambda wildcards: fabrics(CASES[wildcards.case].material),
-        window=(
-            CONFIG.convergence.window_s,
-            CONFIG.convergence.frame_rate_hz,
-            CONFIG.convergence.seed,
-        ),
+        window=CONFIG.convergence.window_s,
         code=code_of("convergence.case_run"),
         config=CONFIG_FILE,
     message:

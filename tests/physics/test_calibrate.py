@@ -7,14 +7,12 @@ import pytest
 
 from slipstitch.base.errors import NotConverged, SlipstitchError
 from slipstitch.base.page.figures import save_figure
-from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import theory
 from slipstitch.physics.calibration.calibration import DemandNotMet, calibrate, write_calibration
 from slipstitch.physics.calibration.calibration_figure import calibration_figure
 from slipstitch.physics.calibration.experiments import compare, experiments
 
-SETTINGS = CalibrateSettings()
 SIMULATION = SimulationSettings()
 
 
@@ -52,7 +50,7 @@ def spoiled(protocol, key, change):
 
 
 def test_a_perfect_simulator_meets_every_demand():
-    calibration = calibrate(SETTINGS, SIMULATION, answers_of_theory)
+    calibration = calibrate(SIMULATION, answers_of_theory)
     assert calibration["met"]
     names = {check["name"] for check in calibration["checks"]}
     assert names == {
@@ -84,7 +82,7 @@ def test_a_perfect_simulator_meets_every_demand():
 def test_every_demand_can_fail_and_then_nothing_is_written(
     protocol, key, change, name, tmp_path, capsys
 ):
-    calibration = calibrate(SETTINGS, SIMULATION, spoiled(protocol, key, change))
+    calibration = calibrate(SIMULATION, spoiled(protocol, key, change))
     assert not calibration["met"]
     path = tmp_path / "calibration.json"
     with pytest.raises(DemandNotMet, match=rf"^{name}.* measured .* theory .* allowed"):
@@ -95,24 +93,22 @@ def test_every_demand_can_fail_and_then_nothing_is_written(
 
 def test_small_errors_within_the_demand_pass():
     run = spoiled("strip-drag", "holder_ahead_of_tail_m", lambda value: value + 0.9e-3)
-    assert calibrate(SETTINGS, SIMULATION, run)["met"]
+    assert calibrate(SIMULATION, run)["met"]
 
 
 def test_the_written_file_holds_settings_checks_and_raw_results(tmp_path):
     path = tmp_path / "calibration.json"
-    write_calibration(
-        calibrate(SETTINGS, SIMULATION, answers_of_theory), path, {"stage": "calibrate"}
-    )
+    write_calibration(calibrate(SIMULATION, answers_of_theory), path, {"stage": "calibrate"})
     written = json.loads(path.read_text())
     assert {"settings", "checks", "experiments", "met"} <= set(written)
-    assert len(written["experiments"]) == len(experiments(SETTINGS)) == 17
+    assert len(written["experiments"]) == len(experiments()) == 17
     assert (tmp_path / "calibration.json.provenance.json").exists()
 
 
 def test_experiments_straddle_the_angle_of_friction():
     slopes = [
         math.tan(math.radians(one.options["slope_deg"])) / one.options["friction"]
-        for one in experiments(SETTINGS)
+        for one in experiments()
         if one.protocol == "incline" and one.options["friction"] == 0.5
     ]
     assert slopes == pytest.approx([0.999, 1.001, 1.5])
@@ -123,12 +119,12 @@ def test_an_experiment_that_fails_is_named():
         raise NotConverged("step 7: residual 0.1")
 
     with pytest.raises(NotConverged, match=r"incline friction=0\.1 .*: step 7"):
-        calibrate(SETTINGS, SIMULATION, run)
+        calibrate(SIMULATION, run)
 
 
 def test_a_result_without_a_key_is_said():
     with pytest.raises(SlipstitchError, match="no 'sticks' in its result"):
-        calibrate(SETTINGS, SIMULATION, lambda name, options, settings: {})
+        calibrate(SIMULATION, lambda name, options, settings: {})
 
 
 def test_relative_error_where_theory_is_zero_needs_exactly_zero():
@@ -137,7 +133,7 @@ def test_relative_error_where_theory_is_zero_needs_exactly_zero():
 
 
 def test_picture_is_the_same_every_time_and_survives_what_was_not_run(tmp_path):
-    calibration = calibrate(SETTINGS, SIMULATION, answers_of_theory)
+    calibration = calibrate(SIMULATION, answers_of_theory)
     save_figure(calibration_figure(calibration), tmp_path / "a.svg", "svg")
     save_figure(calibration_figure(calibration), tmp_path / "b.svg", "svg")
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

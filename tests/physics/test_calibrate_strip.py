@@ -15,6 +15,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics.calibration import choice
 from slipstitch.physics.calibration.calibration import (
     DemandNotMet,
     calibrate_to_file,
@@ -61,9 +62,13 @@ def trials(settings=SETTINGS, runner=answer):
     return [one for key in (BASE, *KEYS) for one in sweep(key, settings, SIMULATION, runner)]
 
 
-def calibrated(**demands):
-    settings = SETTINGS.model_copy(update=demands)
-    return strip_calibration(settings, SIMULATION, trials(settings), answer)
+def calibrated():
+    return strip_calibration(SETTINGS, SIMULATION, trials(), answer)
+
+
+def demand(monkeypatch, slip_strain, friction=choice.STRIP_FRICTION):
+    monkeypatch.setattr(choice, "STRIP_SLIP_STRAIN", slip_strain)
+    monkeypatch.setattr(choice, "STRIP_FRICTION", friction)
 
 
 def test_the_configured_settings_are_chosen_where_they_meet_the_demand():
@@ -86,8 +91,9 @@ def test_where_the_configured_settings_fail_the_cheapest_that_meet_the_demand_ar
     assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
 
 
-def test_looser_settings_than_configured_are_shown_but_never_chosen():
-    strip = calibrated(strip_slip_strain=0.02, strip_friction=0.02)
+def test_looser_settings_than_configured_are_shown_but_never_chosen(monkeypatch):
+    demand(monkeypatch, 0.02, 0.02)
+    strip = calibrated()
     coarse = next(one for one in strip["trials"] if one["settings"]["time_step_s"] == 0.1)
     assert coarse["meets"]
     assert not coarse["may_be_chosen"]
@@ -95,13 +101,15 @@ def test_looser_settings_than_configured_are_shown_but_never_chosen():
     assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
 
 
-def test_a_closer_demand_chooses_a_smaller_step():
-    assert calibrated(strip_slip_strain=1e-3)["chosen"]["settings"]["time_step_s"] == 0.005
+def test_a_closer_demand_chooses_a_smaller_step(monkeypatch):
+    demand(monkeypatch, 1e-3)
+    assert calibrated()["chosen"]["settings"]["time_step_s"] == 0.005
 
 
-def test_a_demand_that_nothing_meets_says_what_came_closest():
+def test_a_demand_that_nothing_meets_says_what_came_closest(monkeypatch):
+    demand(monkeypatch, 1e-6)
     with pytest.raises(DemandNotMet) as caught:
-        calibrated(strip_slip_strain=1e-6)
+        calibrated()
     said = str(caught.value.args[0])
     assert said.startswith("no settings meet the requirements (slip strain within 1e-06")
     assert "closest: time_step_s = 0.005 with slip strain within 0.0005" in said
@@ -211,14 +219,15 @@ def test_sweeps_settings_and_pictures_name_the_code_that_their_rules_compare(con
     assert set(stages.values()) == set(re.findall(r'code_of\("(.*?)"\)', rules))
 
 
-def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed(config, tmp_path):
+def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed(
+    config, tmp_path, monkeypatch
+):
     paths = sweeps(config, tmp_path)
-    demand = config.calibrate.model_copy(update={"strip_friction": 1e-9})
-    impossible = config.model_copy(update={"calibrate": demand})
+    demand(monkeypatch, choice.STRIP_SLIP_STRAIN, 1e-9)
     out = tmp_path / "calibration.json"
     draw = partial(draw_pictures, {"settings": tmp_path / "settings.svg"})
     with pytest.raises(DemandNotMet, match="closest: "):
-        calibrate_to_file(impossible, out, paths, draw)
+        calibrate_to_file(config, out, paths, draw)
     assert not out.exists()
     assert (tmp_path / "settings.failed.svg").exists()
     assert not (tmp_path / "settings.svg").exists()

@@ -98,7 +98,7 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
     """calibrate/calibration.json; `chosen`: settings that it chose instead of the configured."""
     path = folder / "calibrate" / "calibration.json"
     path.parent.mkdir(parents=True)
-    result = calibrate(config.calibrate, config.simulation, protocol_answer)
+    result = calibrate(config.simulation, protocol_answer)
     both = config.calibrate, config.simulation
     trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
     result["strip"] = strip_calibration(*both, trials, protocol_answer)

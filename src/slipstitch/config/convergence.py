@@ -58,15 +58,6 @@ class ConvergenceSettings(Section):
         description="simulated part of the protocol; 56 s cover the drop, the first stroke and the "
         "first reversal",
     )
-    frame_rate_hz: float = Field(12.0, gt=0, le=100, description="comparison times per second")
-    seed: int = Field(
-        0, ge=0, description="seed of the perturbation of the bench, the same for all runs"
-    )
-    mean_distance_m: float = Field(
-        1.0e-3,
-        gt=0,
-        description="converged: the mean distance of the vertices is within this at all times",
-    )
 
     @field_validator("vertices_per_side")
     @classmethod

@@ -20,7 +20,24 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "rho": 0.95,
         "epsilon": 1e-7,
         "gradient_norm_max": None,
-    }
+    },
+    "calibrate": {
+        "strip_slip_strain": 6e-3,
+        "strip_friction": 5e-3,
+        "strip_young_moduli_Pa": [6.5e8, 6.5e9],
+        "incline_frictions": [0.1, 0.5, 1.2],
+        "incline_margin": 1e-3,
+        "incline_steep": 1.5,
+        "incline_creep_m": 1e-6,
+        "incline_acceleration": 1e-3,
+        "flat_drag_frictions": [0.1, 0.5, 1.0],
+        "flat_drag_pull": 5e-3,
+        "strip_drag_frictions": [0.1, 0.3, 0.6, 1.0, 1.5],
+        "strip_drag_gravity_length_m": 0.02,
+        "strip_drag_pull": 0.01,
+        "strip_drag_tail_m": 1e-3,
+    },
+    "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3},
 }
 
 

@@ -13,6 +13,8 @@ from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.model import Config
 from slipstitch.design.grid import films, simulations
 
+STRIP_FABRICS = 2  # that the pushed strip is made of
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -167,7 +169,7 @@ def _simulation_cpu_s(config: Config) -> float:
 def _strip_cpu_s(config: Config) -> float:
     """The pushes of the calibration: every setting, fabric and friction coefficient."""
     calibrate, step_s = config.calibrate, config.simulation.time_step_s
-    pushes = len(calibrate.strip_frictions) * len(calibrate.strip_young_moduli_Pa)
+    pushes = len(calibrate.strip_frictions) * STRIP_FABRICS
     of_one_value = [len(getattr(calibrate, f"sweep_{key}")) for key in KEYS if key != "time_step_s"]
     steps = [step_s] * (1 + sum(of_one_value)) + list(calibrate.sweep_time_step_s)
     return _cost("strip_s") * pushes * sum(max(1.0, 0.02 / step) for step in steps)

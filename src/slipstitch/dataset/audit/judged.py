@@ -68,9 +68,9 @@ def check_judged(
 
 def _calibration(content: Mapping[str, Any], config: Config) -> Iterator[str]:
     """Checks and choice, from the runs that the calibration holds."""
-    settings, simulation = config.calibrate, config.simulation
+    simulation = config.simulation
     runs = content["experiments"]
-    planned = experiments(settings)
+    planned = experiments()
     options = [(one.protocol, one.options) for one in planned]
     if [(run["protocol"], run["options"]) for run in runs] != options:
         yield "its experiments do not match the configuration"
@@ -128,7 +128,7 @@ def _strip(strip: Mapping[str, Any], config: Config) -> Iterator[str]:
         return
     base = trials[0]["settings"]
     for trial in trials:
-        again = judge(trial, settings)
+        again = judge(trial)
         again["distance"] = again["distance"] if math.isfinite(again["distance"]) else None
         again["may_be_chosen"] = may_be_chosen(trial, base)
         if again != trial:

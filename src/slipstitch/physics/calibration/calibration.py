@@ -15,6 +15,8 @@ from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.calibration.choice import (
     COMBINATION,
+    STRIP_FRICTION,
+    STRIP_SLIP_STRAIN,
     DemandNotMet,
     choose,
     describe,
@@ -52,15 +54,11 @@ RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, A
 Draw = Callable[[Mapping[str, Any], Mapping[str, Any], bool], None]
 
 
-def calibrate(
-    settings: CalibrateSettings, simulation: SimulationSettings, run_protocol: RunProtocol
-) -> dict[str, Any]:
-    """Run every configured experiment with the configured numerical settings.
+def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict[str, Any]:
+    """Run every experiment with the configured numerical settings.
 
     Parameters
     ----------
-    settings : CalibrateSettings
-        Experiments and tolerances.
     simulation : SimulationSettings
         Settings to verify.
     run_protocol : callable
@@ -79,7 +77,7 @@ def calibrate(
         If an experiment fails altogether.
     """
     checks, runs = [], []
-    planned = experiments(settings)
+    planned = experiments()
     for experiment in tqdm(planned, unit="experiment", disable=not sys.stderr.isatty()):
         began = time.perf_counter()
         judged, result = experiment.run(
@@ -172,20 +170,20 @@ def strip_calibration(
     DemandNotMet
         If no eligible settings meet the requirements; ``trials`` is its second argument.
     """
-    judged = [judge(trial, settings) for trial in trials]
+    judged = [judge(trial) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
 
     def run(tried: Mapping[str, Any]) -> dict[str, Any]:
         trial = {"key": COMBINATION} | run_settings(tried, settings, simulation, run_protocol)
-        judged.append(judge(trial, settings))
+        judged.append(judge(trial))
         return judged[-1]
 
     try:
-        chosen = choose(judged, settings, run)
+        chosen = choose(judged, run)
     except DemandNotMet as error:
         raise DemandNotMet(str(error), judged) from None
     return {
-        "demand": {"slip_strain": settings.strip_slip_strain, "friction": settings.strip_friction},
+        "demand": {"slip_strain": STRIP_SLIP_STRAIN, "friction": STRIP_FRICTION},
         "trials": [
             _without_shapes(trial) | {"may_be_chosen": may_be_chosen(trial, base["settings"])}
             for trial in judged
@@ -262,7 +260,7 @@ def calibrate_to_file(
             draw({"strip": {"trials": error.args[1]}}, record, True)
         raise DemandNotMet(error.args[0]) from None
     print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
-    calibration = calibrate(settings, chosen_simulation(simulation, strip), run_protocol)
+    calibration = calibrate(chosen_simulation(simulation, strip), run_protocol)
     calibration["strip"] = strip
     calibration |= _known_convergence(chosen_simulation(simulation, strip))
     if draw is not None:

@@ -5,12 +5,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from slipstitch.base.errors import SlipstitchError
-from slipstitch.config.calibrate import BASE, CalibrateSettings
+from slipstitch.config.calibrate import BASE
 
 # Looser values than the configured ones are tried and shown, but never chosen: the strip does not
 # tell what they do to the cloth (docs/how/physics.md). The strip's own mesh is not the cloth's.
 NEVER_LOOSER = ("time_step_s", "friction_tolerance", "damping_s")
 FREE = ("newton_iterations_max",)
+
+# Largest errors of the strain at slip, and of the friction coefficient inferred from that strain.
+STRIP_SLIP_STRAIN = 6e-3
+STRIP_FRICTION = 5e-3
 
 COMBINATION = "combination"  # of changes that may be chosen
 
@@ -21,15 +25,13 @@ class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the 
     """The simulator deviates from theory by more than the tolerances; exit code 1."""
 
 
-def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
+def judge(trial: Mapping[str, Any]) -> Trial:
     """Sum up the runs with one choice of settings.
 
     Parameters
     ----------
     trial : mapping
         What `slipstitch.physics.calibration.sweep.run_settings` returns, with its ``key``.
-    settings : CalibrateSettings
-        The requirements.
 
     Returns
     -------
@@ -46,8 +48,7 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
     friction = [abs((run["friction_read_from_strain"] or 0.0) - run["friction"]) for run in slipped]
     wrong = len(runs) - len(right)
     distance = max(
-        max(strain, default=0.0) / settings.strip_slip_strain,
-        max(friction, default=0.0) / settings.strip_friction,
+        max(strain, default=0.0) / STRIP_SLIP_STRAIN, max(friction, default=0.0) / STRIP_FRICTION
     )
     return {
         **trial,
@@ -61,9 +62,7 @@ def judge(trial: Mapping[str, Any], settings: CalibrateSettings) -> Trial:
     }
 
 
-def choose(
-    trials: Sequence[Trial], settings: CalibrateSettings, run: Callable[[Mapping[str, Any]], Trial]
-) -> Trial:
+def choose(trials: Sequence[Trial], run: Callable[[Mapping[str, Any]], Trial]) -> Trial:
     """The configured settings if they meet the requirements, else the cheapest that do.
 
     What may be chosen instead of the configured settings is tighter, so that the grid costs more
@@ -76,8 +75,6 @@ def choose(
     ----------
     trials : sequence of dict
         What `judge` returns, for the configured settings and for each change.
-    settings : CalibrateSettings
-        The requirements.
     run : callable
         Settings to a judged trial; called at most once, for a combination.
 
@@ -97,7 +94,7 @@ def choose(
     allowed = [trial for trial in trials if may_be_chosen(trial, base["settings"])]
     meeting = [trial for trial in allowed if trial["meets"]]
     if not meeting:
-        raise DemandNotMet(_closest(allowed, settings))
+        raise DemandNotMet(_closest(allowed))
     cheapest = min(meeting, key=lambda trial: trial["work"])
     changes = {}
     for trial in sorted(meeting, key=lambda trial: -trial["work"]):
@@ -118,11 +115,8 @@ def may_be_chosen(trial: Mapping[str, Any], base: Mapping[str, Any]) -> bool:
     return key in NEVER_LOOSER and trial["settings"][key] < base[key]
 
 
-def _closest(allowed: Sequence[Trial], settings: CalibrateSettings) -> str:
-    demand = (
-        f"slip strain within {settings.strip_slip_strain:g}, friction within "
-        f"{settings.strip_friction:g}"
-    )
+def _closest(allowed: Sequence[Trial]) -> str:
+    demand = f"slip strain within {STRIP_SLIP_STRAIN:g}, friction within {STRIP_FRICTION:g}"
     best = min(allowed, key=lambda trial: (trial["wrong_regimes"], trial["distance"]))
     shown = describe(best)
     if best["strain_error"] is None:

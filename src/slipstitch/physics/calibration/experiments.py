@@ -6,7 +6,19 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from slipstitch.base.errors import SlipstitchError
-from slipstitch.config.calibrate import CalibrateSettings
+
+# What is demanded of the simulator: beyond what rounding and mesh explain, an error is a bug.
+INCLINE_FRICTIONS = (0.1, 0.5, 1.2)
+INCLINE_MARGIN = 1e-3  # a body sticks so much below tan(slope) = mu, and slides so much above
+INCLINE_STEEP = 1.5  # acceleration is compared at tan(slope) = this times mu
+INCLINE_CREEP_M = 1e-6  # in 1 s, of a body that must stick
+INCLINE_ACCELERATION = 1e-3  # relative
+FLAT_DRAG_FRICTIONS = (0.1, 0.5, 1.0)
+FLAT_DRAG_PULL = 5e-3  # relative
+STRIP_DRAG_FRICTIONS = (0.1, 0.3, 0.6, 1.0, 1.5)
+STRIP_DRAG_GRAVITY_LENGTH_M = 0.02  # (B/w)^(1/3)
+STRIP_DRAG_PULL = 0.01  # relative
+STRIP_DRAG_TAIL_M = 1e-3
 
 Runner = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
 
@@ -164,7 +176,7 @@ class Experiment:
             raise SlipstitchError(f"{self.describe()}: no {error} in its result") from error
 
 
-def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:
+def _incline(friction: float) -> list[Experiment]:
     def at(multiple: float, judge) -> Experiment:
         options = {"friction": friction, "slope_deg": math.degrees(math.atan(multiple * friction))}
         return Experiment("incline", options, lambda result: judge(options, result))
@@ -178,7 +190,7 @@ def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:
                 options,
                 result["creep_m"],
                 0.0,
-                settings.incline_creep_m,
+                INCLINE_CREEP_M,
                 unit="m",
             ),
         ]
@@ -194,20 +206,20 @@ def _incline(friction: float, settings: CalibrateSettings) -> list[Experiment]:
                 options,
                 result["acceleration_m_s2"],
                 result["theory_acceleration_m_s2"],
-                settings.incline_acceleration,
+                INCLINE_ACCELERATION,
                 relative=True,
                 unit="m/s²",
             )
         ]
 
     return [
-        at(1.0 - settings.incline_margin, sticks),
-        at(1.0 + settings.incline_margin, slides),
-        at(settings.incline_steep, accelerates),
+        at(1.0 - INCLINE_MARGIN, sticks),
+        at(1.0 + INCLINE_MARGIN, slides),
+        at(INCLINE_STEEP, accelerates),
     ]
 
 
-def _flat_drag(friction: float, settings: CalibrateSettings) -> Experiment:
+def _flat_drag(friction: float) -> Experiment:
     options = {"friction": friction}
 
     def judge(result):
@@ -218,7 +230,7 @@ def _flat_drag(friction: float, settings: CalibrateSettings) -> Experiment:
                 options,
                 result["pull_over_weight"],
                 result["theory_pull_over_weight"],
-                settings.flat_drag_pull,
+                FLAT_DRAG_PULL,
                 relative=True,
             )
         ]
@@ -226,8 +238,8 @@ def _flat_drag(friction: float, settings: CalibrateSettings) -> Experiment:
     return Experiment("flat-drag", options, judge)
 
 
-def _strip_drag(friction: float, settings: CalibrateSettings) -> Experiment:
-    options = {"friction": friction, "gravity_length_m": settings.strip_drag_gravity_length_m}
+def _strip_drag(friction: float) -> Experiment:
+    options = {"friction": friction, "gravity_length_m": STRIP_DRAG_GRAVITY_LENGTH_M}
 
     def judge(result):
         return [
@@ -237,7 +249,7 @@ def _strip_drag(friction: float, settings: CalibrateSettings) -> Experiment:
                 options,
                 result["pull_over_w_m"],
                 result["theory_pull_over_w_m"],
-                settings.strip_drag_pull,
+                STRIP_DRAG_PULL,
                 relative=True,
                 unit="m",
             ),
@@ -247,7 +259,7 @@ def _strip_drag(friction: float, settings: CalibrateSettings) -> Experiment:
                 options,
                 result["holder_ahead_of_tail_m"],
                 result["theory_holder_ahead_of_tail_m"],
-                settings.strip_drag_tail_m,
+                STRIP_DRAG_TAIL_M,
                 unit="m",
             ),
         ]
@@ -255,19 +267,11 @@ def _strip_drag(friction: float, settings: CalibrateSettings) -> Experiment:
     return Experiment("strip-drag", options, judge)
 
 
-def experiments(settings: CalibrateSettings) -> list[Experiment]:
-    """The configured experiments, the cheap ones first.
-
-    Parameters
-    ----------
-    settings : CalibrateSettings
-        Friction coefficients and tolerances.
-    """
-    inclines = [
-        item for friction in settings.incline_frictions for item in _incline(friction, settings)
-    ]
+def experiments() -> list[Experiment]:
+    """Return the experiments, the cheap ones first."""
+    inclines = [item for friction in INCLINE_FRICTIONS for item in _incline(friction)]
     return [
         *inclines,
-        *(_flat_drag(friction, settings) for friction in settings.flat_drag_frictions),
-        *(_strip_drag(friction, settings) for friction in settings.strip_drag_frictions),
+        *(_flat_drag(friction) for friction in FLAT_DRAG_FRICTIONS),
+        *(_strip_drag(friction) for friction in STRIP_DRAG_FRICTIONS),
     ]

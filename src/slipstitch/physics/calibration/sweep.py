@@ -15,6 +15,7 @@ from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
+STRIP_YOUNG_MODULI_PA = (6.5e8, 6.5e9)  # of its fabrics: Γ = 2.4 and 0.24
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
 
@@ -91,7 +92,7 @@ def sweep_inputs(
     return {
         "tried": variations(key, settings, simulation),
         "frictions": settings.strip_frictions,
-        "young_moduli_Pa": settings.strip_young_moduli_Pa,
+        "young_moduli_Pa": STRIP_YOUNG_MODULI_PA,
         "simulation": verified_settings(simulation),
     }
 
@@ -114,7 +115,7 @@ def run_settings(
     with_them = simulation.model_copy(update=numerical)
     runs = [
         _run(modulus, friction, int(tried["vertices"]), with_them, run_protocol)
-        for modulus in settings.strip_young_moduli_Pa
+        for modulus in STRIP_YOUNG_MODULI_PA
         for friction in settings.strip_frictions
     ]
     return {"settings": dict(tried), "runs": runs}

@@ -33,6 +33,8 @@ SUMMARISED = (
     "steady_largest_m",
     "worst_shift_s",
 )
+# Converged: the mean distance of the vertices is within this at all times.
+MEAN_DISTANCE_M = 1e-3
 SHIFT_MAX_S = 2.0  # how far apart in time two runs are compared
 SHIFTED_PLACES = 21  # a side, of the places compared at other times
 CURVE_POINTS_MAX = 120
@@ -308,7 +310,7 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
     return found
 
 
-def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
     Returns
@@ -321,7 +323,6 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
         their own, or are None where not studied. The verdict of both is the worse one, None if
         nothing speaks against convergence and not both were studied.
     """
-    demand_m = config.convergence.mean_distance_m
     rows: dict[tuple[str, float], dict] = {}
     for comparison in compared:
         row = rows.setdefault(
@@ -338,7 +339,7 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
                 "event_shift_s": max(known, default=0.0),
                 "events_missing": [name for name, shift in shifts.items() if shift is None],
             }
-            found["verdict"] = _verdict(found, demand_m)
+            found["verdict"] = _verdict(found)
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
         row["verdict"] = worst_verdict([found["verdict"] for found in studied])
@@ -347,15 +348,15 @@ def summary(config: Config, compared: list[dict[str, Any]]) -> list[dict[str, An
     return list(rows.values())
 
 
-def _verdict(found: Mapping[str, Any], demand_m: float) -> str:
+def _verdict(found: Mapping[str, Any]) -> str:
     """Of one kind of refinement: the same; but for when or how it rolls over; something else."""
-    if found["mean_largest_m"] <= demand_m:
+    if found["mean_largest_m"] <= MEAN_DISTANCE_M:
         return CONVERGED
     steady_m, shifted_m = found["steady_largest_m"], found["shifted_largest_m"]
-    if steady_m is None or steady_m > demand_m or found["events_missing"]:
+    if steady_m is None or steady_m > MEAN_DISTANCE_M or found["events_missing"]:
         return NOT_CONVERGED
     shift_s = max(found["event_shift_s"], abs(found["worst_shift_s"]))
-    if shifted_m <= demand_m:
+    if shifted_m <= MEAN_DISTANCE_M:
         return BUT_FOR_ITS_MOMENT.format(shift_s)
     return BUT_FOR_ITS_COURSE.format(shift_s, 1e3 * shifted_m)
 
@@ -375,7 +376,8 @@ def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
     chosen = runs[here[0].id].metadata
     return {
         "settings": {
-            "convergence": config.convergence.model_dump(mode="json"),
+            "convergence": config.convergence.model_dump(mode="json")
+            | {"mean_distance_m": MEAN_DISTANCE_M},
             "time_step_s": chosen["step_s"],
             "simulation": chosen["settings"],
         },
@@ -389,6 +391,6 @@ def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
             for case in here
         ],
         "missing": [case.id for case in cases(config) if case.id not in runs],
-        "summary": summary(config, compared),
+        "summary": summary(compared),
         "comparisons": compared,
     }
