@@ -1,6 +1,6 @@
 """Videos of a bench, or surrogates, evaluated with the trained networks; not part of `all`."""
 
-from slipstitch.film.ingest.captures_table import files_named
+from slipstitch.film.captures_table import files_named
 
 CAPTURES_TABLE = CONFIG.captures.table or "results/captures/bench/captures.csv"
 SLIP_ANGLES = CONFIG.captures.angles or (

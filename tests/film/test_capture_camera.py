@@ -12,10 +12,10 @@ from support import board_photographs as bench
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
-from slipstitch.film.camera.board import Board, Sighting
-from slipstitch.film.camera.lens_calibration import FloorPlace
-from slipstitch.film.camera.residuals_figure import draw_residuals
-from slipstitch.film.camera.views import View, read_views
+from slipstitch.film.board import Board, Sighting
+from slipstitch.film.board_views import BoardView, read_views
+from slipstitch.film.residuals_figure import draw_residuals
+from slipstitch.film.stage_pose import FloorPlace
 from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.mean_cloth import stage_plane
@@ -109,7 +109,7 @@ def test_the_picture_of_the_residuals_is_one(work):
 
 def test_names_of_views_with_dollars_are_drawn_as_they_are(tmp_path):
     corners = np.array([[1.0, 2.0], [3.0, 4.0]])
-    view = View("views/$5_$6_.png", (8, 6), Sighting(np.zeros((2, 3)), corners))
+    view = BoardView("views/$5_$6_.png", (8, 6), Sighting(np.zeros((2, 3)), corners))
     result = SimpleNamespace(views=[view], residuals_px=[corners / 10], size_px=(8, 6), rms_px=0.1)
     draw_residuals(result, tmp_path / "a.svg", "svg")
     assert "<!-- $5_$6_.png -->" in (tmp_path / "a.svg").read_text()

@@ -15,8 +15,8 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.dataset.videos import read_videos
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.ingest.dataset import read_known
-from slipstitch.film.videos import read_stage_video
+from slipstitch.film.ingest_videos import read_known
+from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.mean_cloth import stage_plane
 from slipstitch.images.rectification import rectify, source_pixels

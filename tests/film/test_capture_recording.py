@@ -11,9 +11,10 @@ from support import analytic_stage as stage
 
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film import recording as recording_module
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import Recording
-from slipstitch.film.videos import read_stage_video
+from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 
 RATE_HZ = 12.5
@@ -34,20 +35,17 @@ OPEN = {"x264-params": "open-gop=1:keyint=9:bframes=2:b-adapt=0:scenecut=0"}
 
 
 @pytest.mark.parametrize("options", [CLOSED, OPEN, {"g": "1"}, {}], ids=["closed", "open", "1", ""])
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".ts"])
 def test_needed_frames_are_those_of_the_whole_video(tmp_path, options, suffix):
-    path = written(tmp_path / f"a{suffix}", **options)
-    whole = [(one.number, one.time_s, one.image()) for one in Recording(path).moments()]
-    recording = Recording(path)
-    assert [time_s for _, time_s, _ in whole] == pytest.approx(recording.index.time_s, abs=1e-9)
-    needed = {3, 11, 12, 38}
-    some = list(recording.moments(needed))
-    assert [(one.number, one.time_s) for one in some] == [(n, t) for n, t, _ in whole]
-    for moment, (number, _, image) in zip(some, whole, strict=True):
-        if number in needed:
-            assert moment.has_image
-        if moment.has_image:
-            np.testing.assert_array_equal(moment.image(), image)
+    recording = Recording(written(tmp_path / f"a{suffix}", **options))
+    whole = [(one.time_s, one.image()) for one in recording.moments()]
+    index = recording.listed
+    assert [time_s for time_s, _ in whole] == pytest.approx(index.time_s, abs=1e-9)
+    some = dict(recording.some(index, {3, 11, 12, 38}))
+    assert list(some) == [3, 11, 12, 38]
+    for number, moment in some.items():
+        assert moment.time_s == pytest.approx(whole[number][0], abs=1e-9)
+        np.testing.assert_array_equal(moment.image(), whole[number][1])
 
 
 def test_a_cover_picture_is_not_the_film(tmp_path):
@@ -65,24 +63,23 @@ def test_a_cover_picture_is_not_the_film(tmp_path):
             file.mux(stream.encode(None))
     recording = Recording(tmp_path / "a.mkv")
     assert recording.size_px == (64, 64)
-    assert len(list(recording.moments())) == len(recording.index.time_s) == 20
+    assert len(list(recording.moments())) == len(recording.listed.time_s) == 20
 
 
-def test_between_two_entries_nothing_is_decoded_that_is_not_needed(tmp_path):
+def test_between_two_key_frames_nothing_is_decoded_that_is_not_needed(tmp_path, monkeypatch):
     recording = Recording(written(tmp_path / "a.mp4", **CLOSED, sc_threshold="0"))
-    assert list(np.flatnonzero(recording.index.is_entry)) == list(range(0, 60, 10))
-    decoded = [one.number for one in recording.moments({20, 43}) if one.has_image]
-    assert decoded[0] == 20 and set(decoded) >= {20, 40, 43}
-    assert set(decoded) <= {20, *range(40, 47)}  # frames that 43 rests on may come after it
+    assert list(np.flatnonzero(recording.listed.is_key)) == list(range(0, 60, 10))
+    decoded = []
+    frames = recording_module._frames
 
+    def watched(video):
+        for frame in frames(video):
+            decoded.append(frame.pts)
+            yield frame
 
-def test_an_entry_after_which_earlier_frames_follow_is_none(tmp_path):
-    """In an open group the frames shown before its key frame rest on the group before."""
-    recording = Recording(written(tmp_path / "a.mp4", **OPEN))
-    with av.open(str(recording.path)) as video:
-        keys = sum(packet.is_keyframe for packet in video.demux(video=0) if packet.size)
-    assert keys > 3
-    assert list(np.flatnonzero(recording.index.is_entry)) == [0]
+    monkeypatch.setattr(recording_module, "_frames", watched)
+    assert [number for number, _ in recording.some(recording.listed, {20, 43})] == [20, 43]
+    assert set(decoded) == set(recording.listed.timestamp[[20, 40, 41, 42, 43]])
 
 
 def test_the_pixels_are_those_that_opencv_reads(tmp_path):
@@ -119,15 +116,16 @@ def test_colours_are_those_filmed_by_the_standard_that_the_file_names(
 
 def test_a_stated_frame_rate_counts_in_place_of_the_files_times(tmp_path):
     recording = Recording(written(tmp_path / "a.mp4"), frame_rate_hz=20.0)
-    assert recording.index.time_s == pytest.approx(np.arange(60) / 20)
+    assert recording.listed.time_s == pytest.approx(np.arange(60) / 20)
     assert [one.time_s for one in recording.moments()] == pytest.approx(np.arange(60) / 20)
 
 
 def test_frames_without_times_have_no_index(tmp_path):
     path = tmp_path / "a.h264"
     stage.write_video(path, noise(), TIMES_S, bf="2")
-    assert Recording(path, frame_rate_hz=20.0).index is None
-    assert len(list(Recording(path, frame_rate_hz=20.0).moments())) == 60
+    recording = Recording(path, frame_rate_hz=20.0)
+    assert recording.listed is None
+    assert len(recording.decoded.time_s) == 60
 
 
 # A video of the stage
@@ -160,7 +158,7 @@ def long_schedule():
 def test_the_stage_is_read_alike_from_some_frames_and_from_all(film, monkeypatch):
     schedule = long_schedule()
     some = read_stage_video(film, LENS, schedule)
-    monkeypatch.setattr(Recording, "index", None)
+    monkeypatch.setattr(Recording, "listed", None)
     whole = read_stage_video(film, LENS, schedule)
     np.testing.assert_array_equal(some.frames, whole.frames)
     np.testing.assert_array_equal(some.time_s, whole.time_s)
@@ -186,7 +184,7 @@ def test_where_a_needed_frame_is_damaged_all_are_read(film, tmp_path, monkeypatc
     path = tmp_path / "damaged.mp4"
     path.write_bytes(content)
     read = read_stage_video(path, LENS, schedule)
-    monkeypatch.setattr(Recording, "index", None)
+    monkeypatch.setattr(Recording, "listed", None)
     np.testing.assert_array_equal(read.frames, read_stage_video(path, LENS, schedule).frames)
     apart_s = np.abs(read.time_s - sound.time_s)
     assert apart_s[[0, 1, 3]].max() < 0.01

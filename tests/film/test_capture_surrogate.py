@@ -11,11 +11,11 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.stage_path import StagePath
-from slipstitch.film.ingest.captures_table import read_captures
-from slipstitch.film.ingest.dataset import read_known
+from slipstitch.film.captures_table import read_captures
+from slipstitch.film.ingest_videos import read_known
 from slipstitch.film.reference.angles import read_angles
 from slipstitch.film.reference.estimate import estimate
-from slipstitch.film.surrogate.bench import (
+from slipstitch.film.surrogate_bench import (
     calibrated_camera,
     film_size,
     films,

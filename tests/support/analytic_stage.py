@@ -13,7 +13,7 @@ import numpy as np
 
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_file import write_camera_file
+from slipstitch.images.camera_file import camera_record, write_camera_file
 
 PATH = StagePath()
 SIZE = (320, 240)
@@ -42,17 +42,7 @@ def lens_camera(
 
 def camera_file(camera: Camera, path: Path) -> Path:
     """The camera file of a camera."""
-    write_camera_file(
-        path,
-        {
-            "image_size_px": list(camera.size_px),
-            "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
-            "principal_point_px": camera.matrix[:2, 2].tolist(),
-            "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True)),
-            "rotation": camera.rotation.tolist(),
-            "translation_m": camera.translation_m.tolist(),
-        },
-    )
+    write_camera_file(path, camera_record(camera))
     return path
 
 

@@ -37,12 +37,12 @@ from slipstitch.dataset.release.records import read_artefact
 from slipstitch.dataset.shards import read_shard
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.film.camera import views
+from slipstitch.film import board_views
+from slipstitch.film.captures_table import read_captures, read_references
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.ingest.captures_table import read_captures, read_references
 from slipstitch.film.reference.angles import read_angles
 from slipstitch.film.reference.estimate import estimate
-from slipstitch.film.videos import read_stage_video
+from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file
 from slipstitch.images.preview import decode_image, read_images
@@ -252,7 +252,7 @@ def _pictures(add, folder: Path) -> None:
     for suffix in ("png", "jpg", "bmp", "tiff", "webp"):
         path = folder / f"picture.{suffix}"
         cv2.imwrite(str(path), image)
-        add(f"picture ({suffix})", path, lambda path=path: views.read_image(path))
+        add(f"picture ({suffix})", path, lambda path=path: board_views.read_image(path))
         add(f"texture ({suffix})", path, lambda path=path: read_texture(path))
     for suffix, code in (("mp4", "mp4v"), ("avi", "MJPG")):
         path = folder / f"film.{suffix}"
@@ -260,7 +260,7 @@ def _pictures(add, folder: Path) -> None:
         for _ in range(5):
             film.write(image)
         film.release()
-        add(f"film ({suffix})", path, lambda path=path: list(views._frames(path)))
+        add(f"film ({suffix})", path, lambda path=path: list(board_views._frames(path)))
     camera = folder / "camera.json"
     whole = {
         "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],

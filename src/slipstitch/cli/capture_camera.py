@@ -15,16 +15,21 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "views", nargs="+", type=Path, metavar="FILE", help="images of the board, or one video"
+        "views", nargs="*", type=Path, metavar="FILE", help="images of the board, or one video"
+    )
+    parser.add_argument(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FILE",
+        help="take the lens from a calibration of OpenCV (YAML, XML, JSON) or ROS (camera_info) "
+        "in place of images of the board",
     )
     parser.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
     parser.add_argument(
-        "--squares",
-        required=True,
-        metavar="MxN",
-        help="number of squares along the board's width and height",
+        "--squares", metavar="MxN", help="number of squares along the board's width and height"
     )
-    parser.add_argument("--square-mm", required=True, type=float, help="side length of a square")
+    parser.add_argument("--square-mm", type=float, help="side length of a square")
     parser.add_argument("--marker-mm", type=float, help="ChArUco: side length of a marker")
     parser.add_argument(
         "--dictionary",
@@ -66,9 +71,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.base.errors import BadInput
-    from slipstitch.film.camera.board import Board
-    from slipstitch.film.camera.calibration_files import calibrate_to_file
-    from slipstitch.film.camera.lens_calibration import FloorPlace
+    from slipstitch.film.board import Board
+    from slipstitch.film.calibration_files import calibrate_to_file, import_to_file
+    from slipstitch.film.stage_pose import FloorPlace
 
     for name in ("place_mm", "angle_deg", "thickness_mm"):
         if getattr(arguments, name) is not None:
@@ -78,18 +83,29 @@ def run(arguments: argparse.Namespace) -> None:
         for value in given if isinstance(given, list) else [given]:
             if not abs(value) <= most:
                 raise BadInput(f"{flag(name)}: {value:g}; must be from {-most} to {most}")
+    if bool(arguments.source) == bool(arguments.views):
+        raise BadInput("give images of the board, or the calibration of another program by --from")
+    if arguments.source:
+        refuse(arguments, ("picture",), "--from")
+    is_board_seen = bool(arguments.views or arguments.stage_view)
+    if is_board_seen:
+        require(arguments, ["squares", "square_mm"], "an image of a board")
     if arguments.board == "checkerboard":
         refuse(arguments, ("dictionary",), "--board checkerboard")
-    board = Board.named(
-        arguments.board,
-        arguments.squares,
-        arguments.square_mm,
-        arguments.marker_mm,
-        arguments.dictionary or "DICT_5X5_100",
-    )
+    board = None
+    if is_board_seen:
+        board = Board.named(
+            arguments.board,
+            arguments.squares,
+            arguments.square_mm,
+            arguments.marker_mm,
+            arguments.dictionary or "DICT_5X5_100",
+        )
     x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
     place = FloorPlace(x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0)
-    line = calibrate_to_file(
-        board, arguments.views, arguments.stage_view, place, arguments.out, arguments.picture
-    )
+    stage_view, out = arguments.stage_view, arguments.out
+    if board and arguments.views:
+        line = calibrate_to_file(board, arguments.views, stage_view, place, out, arguments.picture)
+    else:
+        line = import_to_file(arguments.source, board, stage_view, place, out)
     print(f"{arguments.out}: {line}")

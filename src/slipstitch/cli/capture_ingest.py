@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Ingest all videos of the table; say of each where it starts."""
     from slipstitch.base.progress import progress
     from slipstitch.config import load_config
-    from slipstitch.film.ingest.dataset import ingest
+    from slipstitch.film.ingest_videos import ingest
 
     bar = partial(progress, unit="video")
     config = load_config(*arguments.config)

@@ -37,14 +37,14 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.bench:
         if arguments.out:
             raise BadInput("--out requires --film")
-        from slipstitch.film.surrogate.bench import write_bench
+        from slipstitch.film.surrogate_bench import write_bench
 
         write_bench(config, arguments.bench)
         print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
         return
     from slipstitch.base.progress import progress
-    from slipstitch.film.surrogate.bench import find_film
-    from slipstitch.film.surrogate.film import make_film
+    from slipstitch.film.surrogate_bench import find_film
+    from slipstitch.film.surrogate_film import make_film
 
     if not arguments.out:
         raise BadInput("--film requires --out FILE.mp4")

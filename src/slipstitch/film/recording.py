@@ -1,7 +1,7 @@
 """Reading a video frame by frame, with its timestamps and without trusting its header."""
 
 import functools
-import math
+import itertools
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -13,58 +13,40 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 
 _FIRST_BYTES = 4096
+# Timestamps that step back by more than this are those of another recording. Packets come in the
+# order in which they are decoded, and frames are shown a few later at most.
+_STEP_BACK_S = 1.0
 
 
+@dataclass(frozen=True)
 class Moment:
-    """A frame of a video, not yet converted.
+    """A decoded frame of a video, not yet converted, and its time since the first frame."""
 
-    Attributes
-    ----------
-    number : int
-        Of the frame in the file, from 0.
-    time_s : float
-        Since the first frame.
-    """
+    time_s: float
+    frame: av.VideoFrame
 
-    def __init__(
-        self, number: int, time_s: float, frame: av.VideoFrame | None, size_px: tuple[int, int]
-    ):
-        self.number, self.time_s, self._frame = number, time_s, frame
-        if frame is not None and (frame.width, frame.height) != size_px:
-            self._frame = None
-
-    @property
-    def has_image(self) -> bool:
-        """False for a frame that is damaged, or was not decoded because nobody needs it."""
-        return self._frame is not None
-
-    def image(self) -> np.ndarray | None:
-        """The frame (rows, columns, 3) uint8, blue first; None if it has no image."""
-        if self._frame is None:
-            return None
-        return np.asarray(self._frame.to_ndarray(format="bgr24"))
+    def image(self) -> np.ndarray:
+        """The frame (rows, columns, 3) uint8, blue first."""
+        return np.asarray(self.frame.to_ndarray(format="bgr24"))
 
 
 @dataclass(frozen=True)
 class FrameIndex:
-    """The frames of a video as its container lists them, by number.
+    """The frames of a video in turn.
 
     Attributes
     ----------
     time_s : ndarray (n,)
         Since the first frame.
-    is_entry : ndarray (n,) bool
-        Whether no other frame is needed to decode this one, and none before it for later ones.
-    timestamp : ndarray (n,) int
-        In the stream's unit.
-    packet_number : ndarray (n,) int
-        The frames' numbers in the order of the packets.
+    is_key : ndarray (n,) bool
+        Whether decoding can begin at the frame.
+    timestamp : ndarray (n,) int, optional
+        In the stream's unit; None where only decoding all frames tells which one is which.
     """
 
     time_s: np.ndarray
-    is_entry: np.ndarray
-    timestamp: np.ndarray
-    packet_number: np.ndarray
+    is_key: np.ndarray
+    timestamp: np.ndarray | None
 
 
 class Recording:
@@ -80,6 +62,8 @@ class Recording:
     ----------
     size_px : tuple of int
         Width, height, as the sensor has it: no orientation tag is followed.
+    rotation_deg : int
+        By how much a player turns the film, as its orientation tag says.
     frames_claimed : int
         By the file's header, which may be wrong.
 
@@ -100,10 +84,11 @@ class Recording:
         if not first or _is_text(first):
             raise BadInput(f"{path}: {'a text file' if first else 'empty'}, not a video")
         with self._open() as video:
-            frame = next(_all_frames(video), None)
+            frame = next(_frames(video), None)
             if frame is None:
                 raise self._unreadable()
             self.size_px: tuple[int, int] = (frame.width, frame.height)
+            self.rotation_deg = round(frame.rotation) % 360
             self.frames_claimed = _frames_claimed(video)
 
     def _unreadable(self) -> BadInput:
@@ -128,132 +113,119 @@ class Recording:
         return video
 
     @functools.cached_property
-    def index(self) -> FrameIndex | None:
+    def listed(self) -> FrameIndex | None:
         """The frames, known without decoding them; None if the container does not list them."""
-        timestamps, keys = [], []
+        stamps, keys = [], []
         with self._open() as video:
+            unit_s = _unit_s(_stream(video))
             for packet in _packets(video):
                 if packet.pts is None or packet.is_corrupt or packet.is_discard:
                     return None
-                timestamps.append(packet.pts)
+                stamps.append(packet.pts)
                 keys.append(packet.is_keyframe)
-            unit_s = _unit_s(_stream(video))
-        stamp = np.array(timestamps, np.int64)
+        stamp = np.array(stamps, np.int64)
+        back_s = (np.maximum.accumulate(stamp) - stamp).max(initial=0) * unit_s
         order = np.argsort(stamp)
         if not len(stamp) or not unit_s or (np.diff(stamp[order]) == 0).any():
             return None
-        number = np.empty(len(stamp), int)
-        number[order] = np.arange(len(stamp))
-        # In every packet before an entry there is an earlier frame, in all from it on a later one.
-        before = np.concatenate([[-1], np.maximum.accumulate(number)[:-1]])
-        after = np.minimum.accumulate(number[::-1])[::-1]
-        entry = np.array(keys) & (before < number) & (after >= number)
-        if not entry[0]:
+        if back_s > _STEP_BACK_S or not keys[order[0]]:
             return None
-        is_entry = np.zeros(len(stamp), bool)
-        is_entry[number[entry]] = True
         time_s = (stamp[order] - stamp[order[0]]) * unit_s
         if self.frame_rate_hz:
             time_s = np.arange(len(stamp)) / self.frame_rate_hz
-        return FrameIndex(time_s, is_entry, stamp[order], number)
+        return FrameIndex(time_s, np.array(keys)[order], stamp[order])
 
-    def moments(self, needed: Collection[int] | None = None) -> Iterator[Moment]:
+    @functools.cached_property
+    def decoded(self) -> FrameIndex:
+        """The frames that can be decoded; it takes as long as decoding all of them."""
+        time_s = np.array([moment.time_s for moment in self.moments()])
+        return FrameIndex(time_s, np.zeros(len(time_s), bool), None)
+
+    def moments(self) -> Iterator[Moment]:
         """Every frame in turn; frames whose time does not advance are left out.
-
-        Parameters
-        ----------
-        needed : collection of int, optional
-            Numbers of frames in `index` that are to have images; others may have none, which saves
-            the decoding of all that comes between two entries and is not needed. By default all.
 
         Raises
         ------
         BadInput
-            If the file gives no times and no frame rate was stated.
+            If the file gives no times, or times that start again, and no frame rate was stated.
         """
+        first = last = None
         with self._open() as video:
-            if needed is None or self.index is None:
-                yield from self._all_moments(video)
-            else:
-                yield from self._indexed_moments(video, self.index, needed)
+            unit_s = _unit_s(_stream(video))
+            for number, frame in enumerate(_frames(video)):
+                stamp = frame.dts if frame.pts is None else frame.pts
+                time_s = (stamp or 0) * unit_s
+                if self.frame_rate_hz:
+                    time_s = number / self.frame_rate_hz
+                first = time_s if first is None else first
+                if last is not None and time_s < last - _STEP_BACK_S:
+                    raise BadInput(
+                        f"{self.path}: its timestamps start again after {last - first:.1f} s, as "
+                        "where parts were joined: join them with new timestamps, or give the frame "
+                        "rate of the camera (--frame-rate-hz, or frame_rate_hz in a captures table)"
+                    )
+                if (last is None or time_s > last) and self._is_whole(frame):
+                    last = time_s
+                    yield Moment(time_s - first, frame)
+                elif number == 25 and last == first:
+                    raise BadInput(
+                        f"{self.path}: its frames have no timestamps; give the frame rate of the "
+                        "camera"
+                    )
 
-    def _all_moments(self, video: av.container.InputContainer) -> Iterator[Moment]:
-        first, last = None, -math.inf
-        unit_s = _unit_s(_stream(video))
-        for number, frame in enumerate(_all_frames(video)):
-            stamp = frame.dts if frame.pts is None else frame.pts
-            time_s = (stamp or 0) * unit_s
-            if self.frame_rate_hz:
-                time_s = number / self.frame_rate_hz
-            first = time_s if first is None else first
-            if time_s > last:
-                last = time_s
-                yield Moment(number, time_s - first, frame, self.size_px)
-            elif number == 25 and last <= first:
-                raise BadInput(
-                    f"{self.path}: its frames have no timestamps; give the frame rate of the camera"
-                )
+    def _is_whole(self, frame: av.VideoFrame) -> bool:
+        return (frame.width, frame.height) == self.size_px
 
-    def _indexed_moments(
-        self, video: av.container.InputContainer, index: FrameIndex, needed: Collection[int]
-    ) -> Iterator[Moment]:
-        number_of = {int(stamp): number for number, stamp in enumerate(index.timestamp)}
-        wanted = np.zeros(len(index.time_s), np.bool_)
-        wanted[list(needed)] = True
-        fed = _packets_to_decode(index, wanted)
-        number = 0
+    def some(self, index: FrameIndex, needed: Collection[int]) -> Iterator[tuple[int, Moment]]:
+        """The frames of these numbers in turn, those of them that can be decoded.
 
-        def moment(frame: av.VideoFrame | None) -> Moment:
-            return Moment(number, float(index.time_s[number]), frame, self.size_px)
-
-        for frame in _fed_frames(video, fed):
-            at = -1 if frame.pts is None else number_of.get(frame.pts, -1)
-            while number < at:
-                yield moment(None)
-                number += 1
-            if number == at:
-                yield moment(frame)
-                number += 1
-        while number < len(index.time_s):
-            yield moment(None)
-            number += 1
-
-
-def _packets_to_decode(index: FrameIndex, wanted: np.ndarray) -> np.ndarray:
-    """Which packets are to be decoded for the frames wanted (both bool, shape (n,)).
-
-    From the entry before a frame up to the frame: a frame's packet comes after those of the frames
-    that it rests on.
-    """
-    starts = np.flatnonzero(index.is_entry[index.packet_number])
-    fed = np.zeros(len(wanted), bool)
-    for start, stop in zip(starts, [*starts[1:], len(wanted)], strict=True):
-        of_group = np.flatnonzero(wanted[index.packet_number[start:stop]])
-        if len(of_group):
-            fed[start : start + of_group[-1] + 1] = True
-    return fed
+        Beside a frame, only what comes between a key frame and the frame is decoded.
+        """
+        if index.timestamp is None:
+            yield from (one for one in enumerate(self.moments()) if one[0] in needed)
+            return
+        keys, timestamp = np.flatnonzero(index.is_key), index.timestamp
+        with self._open() as video:
+            frames, last = _frames(video), -1
+            for number in sorted(needed):
+                stamp = int(timestamp[number])
+                group = int(np.searchsorted(keys, number, side="right")) - 1
+                frame = None
+                if keys[group] <= last + 1:
+                    frame = _first_from(frames, stamp)
+                else:
+                    # A container seeks by decoding times: aim within the group, else before it.
+                    end = keys[group + 1] if group + 1 < len(keys) else len(timestamp)
+                    within = max(number, min(keys[group] + 2, end - 1))
+                    for aim in (within, keys[group], 0):
+                        frames = _frames_from(video, int(timestamp[aim]))
+                        frame = _first_from(frames, stamp)
+                        if frame is not None and frame.pts == stamp:
+                            break
+                last = number
+                if frame is not None and frame.pts == stamp and self._is_whole(frame):
+                    yield number, Moment(float(index.time_s[number]), frame)
 
 
-def _fed_frames(video: av.container.InputContainer, fed: np.ndarray) -> Iterator[av.VideoFrame]:
-    """Frames of the packets for which `fed` (n,) is true."""
+def _frames_from(video: av.container.InputContainer, stamp: int) -> Iterator[av.VideoFrame]:
+    """Frames from a key frame on."""
+    video.seek(stamp, stream=_stream(video))
+    return _frames(video)
+
+
+def _first_from(frames: Iterator[av.VideoFrame], stamp: int) -> av.VideoFrame | None:
+    """The first of these frames that is shown at a timestamp or later; None if there is none."""
+    return next((one for one in frames if one.pts is not None and one.pts >= stamp), None)
+
+
+def _frames(video: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """What can be decoded from here on; damaged frames are left out."""
     decoder = _stream(video).codec_context
-    waiting = False
-    for packet, feed in zip(_packets(video), fed, strict=False):
-        if feed:
-            waiting = True
-            yield from _frames(decoder, packet)
-        elif waiting:
-            waiting = False
-            yield from _frames(decoder, None)
-            decoder.flush_buffers()
-    yield from _frames(decoder, None)
-
-
-def _all_frames(video: av.container.InputContainer) -> Iterator[av.VideoFrame]:
-    decoder = _stream(video).codec_context
-    for packet in _packets(video):
-        yield from _frames(decoder, packet)
-    yield from _frames(decoder, None)
+    for packet in itertools.chain(_packets(video), [None]):
+        try:
+            yield from decoder.decode(packet)
+        except av.FFmpegError:
+            continue
 
 
 def _packets(video: av.container.InputContainer) -> Iterator[av.Packet]:
@@ -264,16 +236,6 @@ def _packets(video: av.container.InputContainer) -> Iterator[av.Packet]:
                 yield packet
     except av.FFmpegError:
         return
-
-
-def _frames(
-    decoder: av.video.codeccontext.VideoCodecContext, packet: av.Packet | None
-) -> list[av.VideoFrame]:
-    """What the decoder has after a packet, or after the last one (None); nothing if damaged."""
-    try:
-        return decoder.decode(packet)
-    except av.FFmpegError:
-        return []
 
 
 def _stream(video: av.container.InputContainer) -> av.video.stream.VideoStream:

@@ -7,7 +7,7 @@ the time between two frames.
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -144,25 +144,45 @@ def find_start(
         Of the calibrated viewpoint at the start.
     path : StagePath
     """
-    followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]
-    last = -np.inf
-    starts: list[StageStart] = []
+    search = Search(lens, crop, path)
     for moment in moments:
-        if moment.time_s - last < 1 / _RATE_HZ - 1e-3:
-            continue
-        image = moment.image()
-        if image is None:
-            continue
-        last = moment.time_s
-        for follower in followers:
-            follower.follow(last, image)
-        starts = [one.start for one in followers if one.start is not None]
-        waited = starts and last - min(one.time_s for one in starts) > 2 * (_LAG_S + _LATER_S)
-        first = followers[0].start
-        if waited or (first is not None and first.speed_is_right):
+        if search.add(moment.time_s, moment.image):
             break
-    # What stands still slows a strip down: one that moves as the stage does is believed first.
-    return next((one for one in starts if one.speed_is_right), starts[0] if starts else None)
+    return search.start
+
+
+class Search:
+    """A search for the start of the stage's motion, frame by frame.
+
+    Parameters
+    ----------
+    lens, crop, path
+        As for `find_start`.
+    """
+
+    def __init__(self, lens: Camera, crop: Camera, path: StagePath):
+        self._followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]
+        self._last_s = -np.inf
+
+    def add(self, time_s: float, image: Callable[[], np.ndarray]) -> bool:
+        """Look at a frame at a time, if one is due; return whether the search is over."""
+        if time_s - self._last_s < 1 / _RATE_HZ - 1e-3:
+            return False
+        self._last_s, seen = time_s, image()
+        for follower in self._followers:
+            follower.follow(time_s, seen)
+        starts_s = [one.start.time_s for one in self._followers if one.start]
+        if starts_s and time_s - min(starts_s) > 2 * (_LAG_S + _LATER_S):
+            return True
+        first = self._followers[0].start
+        return first is not None and first.speed_is_right
+
+    @property
+    def start(self) -> StageStart | None:
+        """What was found so far."""
+        starts = [one.start for one in self._followers if one.start]
+        # What stands still slows a strip down: one that moves as the stage does is believed first.
+        return next((one for one in starts if one.speed_is_right), starts[0] if starts else None)
 
 
 class _Follower:

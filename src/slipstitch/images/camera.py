@@ -23,6 +23,25 @@ POSE = ("yaw_deg", "pitch_deg", "roll_deg", "log_distance")
 
 
 @dataclass(frozen=True)
+class Lens:
+    """A lens that distorts, before a sensor.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width, height.
+    matrix : ndarray (3, 3)
+        As of `Camera`.
+    distortion : ndarray (5,)
+        k1, k2, p1, p2, k3 of OpenCV.
+    """
+
+    size_px: tuple[int, int]
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+
+@dataclass(frozen=True)
 class Camera:
     """A camera: x_camera = rotation @ x_world + translation_m, z forward, y down.
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import reading, write_json
-from slipstitch.images.camera import AIM_M, Camera
+from slipstitch.images.camera import AIM_M, Camera, Lens
+from slipstitch.images.foreign_camera import check_principal_point, looks_foreign
 
 FORMAT = "slipstitch camera 1"
 CONVENTION = (
@@ -23,6 +24,27 @@ CONVENTION = (
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 # From the middle of the track: at it no direction is defined, and a bench stands in a room.
 _NEAREST_M, _FARTHEST_M = 0.1, 100.0
+
+
+def lens_record(lens: Lens) -> dict[str, Any]:
+    """A lens as a camera file has it."""
+    matrix = lens.matrix
+    return {
+        "image_size_px": list(lens.size_px),
+        "focal_px": [matrix[0, 0], matrix[1, 1]],
+        "principal_point_px": [matrix[0, 2], matrix[1, 2]],
+        "distortion": dict(zip(DISTORTION, lens.distortion, strict=True)),
+    }
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """A camera at its place as a camera file has it."""
+    distortion = np.zeros(len(DISTORTION)) if camera.distortion is None else camera.distortion
+    return {
+        **lens_record(Lens(camera.size_px, camera.matrix, distortion)),
+        "rotation": camera.rotation.tolist(),
+        "translation_m": camera.translation_m.tolist(),
+    }
 
 
 def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> None:
@@ -40,6 +62,12 @@ def read_camera_file(path: str | os.PathLike) -> Camera:
         If the file is missing, no camera file, or does not say where the camera stands, or a place
         that no camera of a bench has.
     """
+    if looks_foreign(path):
+        raise BadInput(
+            f"{path}: a camera calibration of another program, which does not say where the camera "
+            "stands: slipstitch capture camera --from FILE --stage-view IMAGE ... makes a camera "
+            "file of it"
+        )
     with reading(path, "JSON file"):
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -54,6 +82,7 @@ def read_camera_file(path: str | os.PathLike) -> Camera:
     rotation = _numbers(path, content, "rotation", (3, 3))
     if (size < 1).any() or (size % 1 != 0).any() or (focal <= 0).any():
         raise BadInput(f"{path}: image_size_px or focal_px is not positive")
+    check_principal_point(path, (int(size[0]), int(size[1])), middle)
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
         raise BadInput(f"{path}: rotation is not a rotation matrix")
     terms = content.get("distortion")

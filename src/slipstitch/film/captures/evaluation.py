@@ -19,7 +19,7 @@ from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import read_videos
 from slipstitch.film.captures.page import captures_page
 from slipstitch.film.captures.scores import capture_metrics
-from slipstitch.film.ingest.dataset import CAPTURES, read_known
+from slipstitch.film.ingest_videos import CAPTURES, read_known
 from slipstitch.learning.evaluation.scores import MATERIAL, entries_of
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.lrcn_model import LrcnModel

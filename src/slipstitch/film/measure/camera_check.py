@@ -11,7 +11,7 @@ from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring import trained_with
-from slipstitch.film.videos import problem_of_view, seen_shares
+from slipstitch.film.stage_video import problem_of_view, seen_shares
 from slipstitch.images.bench_camera import BenchCamera
 from slipstitch.images.camera import AIM_M, POSE, relative_pose
 from slipstitch.images.camera_file import read_camera_file

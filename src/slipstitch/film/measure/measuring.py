@@ -17,7 +17,7 @@ from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.videos import StageVideo, problem_of_view, read_stage_video, seen_shares
+from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.images.camera import POSE, Camera, relative_pose
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.learning.instrument.distribution import quantiles
@@ -187,7 +187,7 @@ class MeasuringBench:
         ----------
         path : path
         start_s, frame_rate_hz : float, optional
-            See `slipstitch.film.videos.read_stage_video`.
+            See `slipstitch.film.stage_video.read_stage_video`.
 
         Raises
         ------

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipstitch.base.page.figures import plain_text, save_figure
-from slipstitch.film.camera.lens_calibration import Calibration
+from slipstitch.film.lens_calibration import Calibration
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import image_bytes
-from slipstitch.film.camera.board import Board, Sighting
+from slipstitch.film.board import Board, Sighting
+from slipstitch.film.board_diagnosis import check_size, what_is_seen
 from slipstitch.film.recording import Recording
 
 VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
@@ -20,7 +21,7 @@ _FRAMES_CLAIMED_MAX = 1_000_000
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """A board in one image, the image's name and its size (width, height) in pixels."""
 
     name: str
@@ -43,13 +44,12 @@ def _frames(path: str | os.PathLike) -> Iterator[tuple[str, np.ndarray]]:
     recording = Recording(path, frame_rate_hz=1.0)  # when a frame was taken does not matter
     claimed = min(max(recording.frames_claimed, 1), _FRAMES_CLAIMED_MAX)
     step = -(-claimed // _FRAMES_TRIED)
-    for moment in recording.moments():
-        image = moment.image() if moment.number % step == 0 else None
-        if image is not None:
-            yield f"{path}#{moment.number}", cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    for number, moment in enumerate(recording.moments()):
+        if number % step == 0:
+            yield f"{path}#{number}", cv2.cvtColor(moment.image(), cv2.COLOR_BGR2GRAY)
 
 
-def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:
+def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[BoardView]:
     """The views in which the board is seen.
 
     Parameters
@@ -69,7 +69,7 @@ def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:
     if any(is_video) and len(names) > 1:
         raise BadInput(f"{names[is_video.index(True)]}: a video must be the only file")
     images = _frames(names[0]) if is_video[0] else ((str(path), read_image(path)) for path in names)
-    views: list[View] = []
+    views: list[BoardView] = []
     looked_at = 0
     for name, grey in images:
         looked_at += 1
@@ -83,21 +83,33 @@ def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[View]:
                 f"{views[0].size_px[0]}x{views[0].size_px[1]}: all images of a camera must have "
                 "the same size"
             )
-        views.append(View(name, size, sighting))
+        if not views:
+            check_size(board, grey, name)
+        views.append(BoardView(name, size, sighting))
     if not views:
         where = str(names[0]) if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+        seen = what_is_seen(board, _spread(names, is_video[0], looked_at))
         raise BadInput(
             f"{where}: no {'ChArUco ' if board.marker_m else 'checker'}board of "
             f"{board.squares[0]}x{board.squares[1]} squares in any of {looked_at} "
-            f"{'frame' if is_video[0] else 'image'}(s)"
+            f"{'frame' if is_video[0] else 'image'}(s){f'; {seen}' if seen else ''}"
         )
     return _most_different(views, _FRAMES_KEPT) if is_video[0] else views
 
 
-def _most_different(views: list[View], count: int) -> list[View]:
+def _spread(names: Sequence[Path], is_video: bool, count: int) -> Iterator[np.ndarray]:
+    """Five images at most, spread over all that were looked at."""
+    step = -(-count // 5)
+    if is_video:
+        yield from (grey for k, (_, grey) in enumerate(_frames(names[0])) if k % step == 0)
+    else:
+        yield from map(read_image, names[::step])
+
+
+def _most_different(views: list[BoardView], count: int) -> list[BoardView]:
     """Views chosen one by one, each the farthest from those chosen before it."""
 
-    def place(view: View) -> np.ndarray:
+    def place(view: BoardView) -> np.ndarray:
         points, corners = view.sighting.points_m[:, :2], view.sighting.corners_px
         # Where the board's middle and its unit vectors appear, whichever corners were found.
         design = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])

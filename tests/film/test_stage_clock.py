@@ -12,9 +12,9 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.ingest.dataset import ingest
-from slipstitch.film.time_base import StageFollower, TimeBase
-from slipstitch.film.videos import read_stage_video
+from slipstitch.film.ingest_videos import ingest
+from slipstitch.film.stage_clock import StageFollower, TimeBase
+from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 
 CONFIG = resolve_config({"simulation": {"frames": 300}, "sample": {"frames": 8}})
@@ -32,6 +32,12 @@ def bench(viewpoint="calibrated"):
     return stage.Bench(lens(viewpoint))
 
 
+def chosen(follower, until_s):
+    """Times of the frames that a follower chooses of a film without key frames."""
+    times_s = np.arange(6.3, until_s, 0.34)
+    return times_s[follower.choose(times_s, np.zeros(len(times_s), bool))]
+
+
 def follower_of(
     rate=1.0,
     viewpoint="calibrated",
@@ -45,12 +51,11 @@ def follower_of(
     schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
     follower = StageFollower(lens(viewpoint), schedule.crop(0.0), schedule.path)
     random = np.random.default_rng(4)
-    for time_s in np.arange(6.3, until_s, 0.34):
-        if follower.wants(time_s):
-            image = seen(bench(viewpoint).image(clock(rate * time_s)), time_s)[..., ::-1]
-            lamp = 1 + flicker * random.standard_normal()
-            noisy = lamp * image + random.normal(0, noise, image.shape)
-            follower.add(time_s, np.ascontiguousarray(np.clip(noisy, 0, 255).astype(np.uint8)))
+    for time_s in chosen(follower, until_s):
+        image = seen(bench(viewpoint).image(clock(rate * time_s)), time_s)[..., ::-1]
+        lamp = 1 + flicker * random.standard_normal()
+        noisy = lamp * image + random.normal(0, noise, image.shape)
+        follower.add(time_s, np.ascontiguousarray(np.clip(noisy, 0, 255).astype(np.uint8)))
     return follower
 
 
@@ -120,9 +125,8 @@ def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
 def test_a_stage_out_of_sight_tells_nothing():
     follower = StageFollower(lens(), SCHEDULE.crop(0.0), SCHEDULE.path)
     random = np.random.default_rng(5)
-    for time_s in np.arange(6.3, 100.0, 0.34):
-        if follower.wants(time_s):
-            follower.add(time_s, random.integers(0, 255, (240, 320, 3), dtype=np.uint8))
+    for time_s in chosen(follower, 100.0):
+        follower.add(time_s, random.integers(0, 255, (240, 320, 3), dtype=np.uint8))
     assert follower.time_base() is None
 
 

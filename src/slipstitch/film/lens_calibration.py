@@ -1,18 +1,17 @@
-"""From views of a board to a camera: lens, reprojection error, and position at the stage.
+"""From views of a board to a lens and its reprojection error.
 
 The model is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole with two focal
 lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from slipstitch.base.errors import BadInput
-from slipstitch.film.camera.board import Board
-from slipstitch.film.camera.views import View
-from slipstitch.images.camera_file import DISTORTION
+from slipstitch.film.board_views import BoardView
+from slipstitch.images.camera import Lens
 
 FEWEST_VIEWS = 5
 # With less tilt, or an uncertainty (relative) above this, the views are too much alike.
@@ -33,74 +32,16 @@ _MODELS = {
 
 
 @dataclass(frozen=True)
-class FloorPlace:
-    """Position of the board on the floor: its first corner, its width's direction, its height."""
-
-    x_mm: float
-    y_mm: float
-    angle_deg: float
-    thickness_mm: float
-
-    def record(self) -> dict:
-        return asdict(self)
-
-    def on_stage(self, points_m: np.ndarray) -> np.ndarray:
-        """Points of the board (N, 3) in the stage's coordinates; the board's face looks up."""
-        angle = np.radians(self.angle_deg)
-        across = np.array([np.cos(angle), np.sin(angle), 0.0])
-        # Seen from above, y of the board is a quarter turn clockwise from its x.
-        down = np.array([np.sin(angle), -np.cos(angle), 0.0])
-        origin = np.array([self.x_mm, self.y_mm, self.thickness_mm]) / 1e3
-        return origin + points_m[:, :1] * across + points_m[:, 1:2] * down
-
-
-@dataclass(frozen=True)
-class StagePose:
-    """The camera's place at the stage.
-
-    Attributes
-    ----------
-    rotation : ndarray (3, 3)
-        Stage to camera.
-    translation_m : ndarray (3,)
-    position_uncertainty_m : float
-        Standard deviation of the camera's place, from the scatter of the residuals.
-    rms_px : float
-    view : str
-    place : FloorPlace
-    """
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
-    position_uncertainty_m: float
-    rms_px: float
-    view: str
-    place: FloorPlace
-
-    def summary(self) -> str:
-        x, y, z = -self.rotation.T @ self.translation_m * 1e3
-        return (
-            f"; position ({x:.0f}, {y:.0f}, {z:.0f}) mm, "
-            f"to {1e3 * self.position_uncertainty_m:.1g} mm"
-        )
-
-
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(Lens):
     """A camera's lens and how well it explains the views.
 
     Attributes
     ----------
-    size_px : tuple of int
-        Width, height.
-    matrix : ndarray (3, 3)
-    distortion : ndarray (5,)
-        k1, k2, p1, p2, k3.
     uncertainty : ndarray (9,)
         Standard deviations of fx, fy, cx, cy and of the distortion.
     model : str
         Which distortion coefficients are not zero.
-    views : list of View
+    views : list of BoardView
         Those that were used.
     residuals_px : list of ndarray (N, 2)
         Found minus reprojected corners, view by view.
@@ -110,12 +51,9 @@ class Calibration:
         Name -> rms (px) of views that fitted no camera.
     """
 
-    size_px: tuple[int, int]
-    matrix: np.ndarray
-    distortion: np.ndarray
     uncertainty: np.ndarray
     model: str
-    views: list[View]
+    views: list[BoardView]
     residuals_px: list[np.ndarray]
     tilt_deg: float
     left_out: dict[str, float]
@@ -134,54 +72,12 @@ class Calibration:
             f"distortion {self.model}"
         )
 
-    def stand(self, grey: np.ndarray, board: Board, place: FloorPlace, name: str) -> StagePose:
-        """Position of the camera, from one image of the board lying on the floor.
-
-        Raises
-        ------
-        BadInput
-            If the image has another size, or no board found in it.
-        """
-        if grey.shape[::-1] != self.size_px:
-            raise BadInput(
-                f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels; the other images have "
-                f"{self.size_px[0]}x{self.size_px[1]}"
-            )
-        seen = board.find(grey)
-        if seen is None:
-            raise BadInput(f"{name}: no board found in it")
-        points = place.on_stage(seen.points_m.astype(np.float64))
-        lens = (self.matrix, self.distortion)
-        corners = seen.corners_px.astype(np.float64)
-        _, rvec, tvec = cv2.solvePnP(points, corners, *lens, flags=cv2.SOLVEPNP_ITERATIVE)
-        projected, jacobian = cv2.projectPoints(points, rvec, tvec, *lens)
-        residuals = corners - projected.reshape(-1, 2)
-        rotation, translation = cv2.Rodrigues(rvec)[0], tvec.ravel()
-        if (-rotation.T @ translation)[2] <= 0:
-            raise BadInput(f"{name}: the camera would be below the floor; is the image mirrored?")
-        variance = (residuals**2).sum() / (residuals.size - 6)
-        covariance = variance * np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
-        moved = _place_derivative(rvec, tvec)
-        spread = moved @ covariance @ moved.T
-        return StagePose(
-            rotation, translation, float(np.sqrt(np.trace(spread))), _rms(residuals), name, place
-        )
-
 
 def _rms(residuals_px: np.ndarray) -> float:
     return float(np.sqrt((residuals_px**2).sum(axis=1).mean()))
 
 
-def _place_derivative(rvec: np.ndarray, tvec: np.ndarray) -> np.ndarray:
-    """Derivatives (3, 6) of the camera's place with respect to rotation vector and translation."""
-    rotation, turn = cv2.Rodrigues(rvec)
-    # OpenCV gives the derivative of the nine entries of R, row by row.
-    by_entry = turn.reshape(3, 3, 3)
-    by_turn = -np.einsum("kij,il->jk", by_entry, tvec)
-    return np.hstack([by_turn, -rotation.T])
-
-
-def calibrate(views: list[View]) -> Calibration:
+def calibrate(views: list[BoardView]) -> Calibration:
     """The camera that saw these views.
 
     Of three lens models the simplest is taken that predicts views it was not fitted to within 0.1 %
@@ -212,7 +108,7 @@ def calibrate(views: list[View]) -> Calibration:
     return best
 
 
-def _need(views: list[View], left_out: dict[str, float]) -> None:
+def _need(views: list[BoardView], left_out: dict[str, float]) -> None:
     if len(views) < FEWEST_VIEWS:
         mistaken = f" (excluded as outliers: {', '.join(left_out)})" if left_out else ""
         raise BadInput(
@@ -221,7 +117,7 @@ def _need(views: list[View], left_out: dict[str, float]) -> None:
         )
 
 
-def _simplest(views: list[View]) -> str:
+def _simplest(views: list[BoardView]) -> str:
     """The simplest lens model that predicts unseen views about as well as any."""
     everything = set(range(len(views)))
     errors = {}
@@ -240,7 +136,7 @@ def _simplest(views: list[View]) -> str:
     return next(name for name in _MODELS if errors[name] <= _AS_GOOD * min(errors.values()))
 
 
-def _fit(views: list[View], model: str) -> Calibration:
+def _fit(views: list[BoardView], model: str) -> Calibration:
     """The camera with one lens model."""
     size = views[0].size_px
     points = [view.sighting.points_m for view in views]
@@ -260,32 +156,19 @@ def _fit(views: list[View], model: str) -> Calibration:
     )
 
 
-def camera_file(result: Calibration, board: Board, stage: StagePose | None) -> dict:
-    """The content for `slipstitch.images.camera_file.write_camera_file`."""
+def calibration_record(result: Calibration) -> dict:
+    """What a camera file says of a calibration beside the lens."""
     per_view = {
         view.name: _rms(residuals)
         for view, residuals in zip(result.views, result.residuals_px, strict=True)
     }
-    matrix, spread = result.matrix, result.uncertainty
+    spread = result.uncertainty
     return {
-        "image_size_px": list(result.size_px),
-        "focal_px": [matrix[0, 0], matrix[1, 1]],
-        "principal_point_px": [matrix[0, 2], matrix[1, 2]],
-        "distortion": dict(zip(DISTORTION, result.distortion, strict=True)),
-        "rotation": stage and stage.rotation.tolist(),
-        "translation_m": stage and stage.translation_m.tolist(),
         "uncertainty": {
             "focal_px": spread[:2].tolist(),
             "principal_point_px": spread[2:4].tolist(),
             "distortion": spread[4:].tolist(),
-            "position_m": stage and stage.position_uncertainty_m,
         },
-        "reprojection_error_px": {
-            "rms": result.rms_px,
-            "views": per_view,
-            "stage_view": stage and stage.rms_px,
-        },
+        "reprojection_error_px": {"rms": result.rms_px, "views": per_view},
         "views_left_out": result.left_out,
-        "board": board.record(),
-        "board_on_floor": stage and stage.place.record(),
     }

@@ -9,7 +9,7 @@ import numpy as np
 
 from slipstitch.base.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.config import Config
-from slipstitch.film.surrogate.bench import (
+from slipstitch.film.surrogate_bench import (
     Film,
     film_size,
     surrogate_simulation,

@@ -13,9 +13,9 @@ from slipstitch.config import Config
 from slipstitch.dataset.images import pixels_digest, write_frames
 from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
 from slipstitch.design.grid import material_id
+from slipstitch.film.captures_table import Capture, read_captures
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.ingest.captures_table import Capture, read_captures
-from slipstitch.film.videos import StageVideo, read_stage_video
+from slipstitch.film.stage_video import StageVideo, read_stage_video
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.encoding import encode_png
 from slipstitch.physics.fabric import fabric_names
@@ -61,7 +61,7 @@ def ingest(
     config : Config
         Of the dataset that the networks were trained on: frames, pixels, crop, viewpoint.
     table, reference : path
-        See `slipstitch.film.ingest.captures_table.read_captures`.
+        See `slipstitch.film.captures_table.read_captures`.
     out_dir : path
         ``{capture}.parquet``, ``manifest.parquet`` as `slipstitch sample` writes them, and
         ``captures.parquet``.

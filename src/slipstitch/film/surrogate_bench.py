@@ -22,7 +22,7 @@ from slipstitch.design.grid import simulation_seed
 from slipstitch.images.bench_camera import draw_bench_camera
 from slipstitch.images.calibrated_view import viewpoint_pose
 from slipstitch.images.camera import Camera, turned
-from slipstitch.images.camera_file import DISTORTION, write_camera_file
+from slipstitch.images.camera_file import camera_record, write_camera_file
 from slipstitch.images.surroundings import LAMP_POSITION_M, Surroundings, draw_look, generator
 
 # With this focal length (in image widths) the whole travel is in the image.
@@ -142,7 +142,7 @@ def calibrated_camera(config: Config, film: str) -> Camera:
         rotation=rotation,
         translation_m=-rotation @ eye,
         matrix=matrix,
-        distortion=true.distortion * (1 + 2 * error_m * rng.standard_normal(5)),
+        distortion=np.asarray(true.distortion) * (1 + 2 * error_m * rng.standard_normal(5)),
     )
 
 
@@ -213,20 +213,9 @@ def write_bench(config: Config, folder: str | os.PathLike) -> None:
     settings = config.captures
     of_file = dict(zip(settings.camera_files(), settings.surrogate_ids(), strict=True))
     for name, film in of_file.items():
-        write_camera_file(folder / name, _camera_file(calibrated_camera(config, film)))
+        record_of = camera_record(calibrated_camera(config, film))
+        write_camera_file(folder / name, record_of | {"surrogate": True})
         write_sidecar(folder / name, record)
     for name, rows in tables.items():
         with recorded_path(folder / name, record) as temporary:
             pandas.DataFrame(rows).to_csv(temporary, index=False)
-
-
-def _camera_file(camera: Camera) -> dict:
-    return {
-        "image_size_px": list(camera.size_px),
-        "focal_px": [camera.matrix[0, 0], camera.matrix[1, 1]],
-        "principal_point_px": camera.matrix[:2, 2].tolist(),
-        "distortion": dict(zip(DISTORTION, camera.distortion, strict=True)),
-        "rotation": camera.rotation.tolist(),
-        "translation_m": camera.translation_m.tolist(),
-        "surrogate": True,
-    }

@@ -104,9 +104,7 @@ class Board:
 
     def _find_checkerboard(self, grey: np.ndarray) -> Sighting | None:
         columns, rows = self.squares[0] - 1, self.squares[1] - 1
-        # The thorough search takes seconds on a large image without a board: look in a small one.
-        shrink = min(1.0, _SEARCH_PX / grey.shape[1])
-        small = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+        small, shrink = small_image(grey)
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
         found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=flags)
         if not found:
@@ -135,14 +133,29 @@ class Board:
                 f"--dictionary: {self.dictionary} has too few markers for "
                 f"{self.squares[0]}x{self.squares[1]} squares"
             ) from None
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-        if ids is None or len(ids) < _FEWEST_CORNERS:
+        ids = None
+        # Before OpenCV 4.6, and from most shops, boards of an even number of rows begin otherwise.
+        for is_legacy in (False, True)[: 2 - self.squares[1] % 2]:
+            board.setLegacyPattern(is_legacy)
+            corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+            if ids is not None and len(ids) >= _FEWEST_CORNERS:
+                break
+        else:
             return None
         points = np.asarray(board.getChessboardCorners())[ids.ravel()]
         # This detector, unlike the rest of OpenCV, counts from the first pixel's corner.
         margin = (1 - marker_m / self.square_m) / 2
         corners = _refine(grey, corners.reshape(-1, 2) - 0.5, margin)
         return Sighting(points.astype(np.float32), corners)
+
+
+def small_image(grey: np.ndarray) -> tuple[np.ndarray, float]:
+    """An image no wider than is needed to see a board in it, and its share of the width.
+
+    The thorough search takes seconds on a large image without a board.
+    """
+    shrink = min(1.0, _SEARCH_PX / grey.shape[1])
+    return cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), shrink
 
 
 def _refine(grey: np.ndarray, corners: np.ndarray, share: float) -> np.ndarray:

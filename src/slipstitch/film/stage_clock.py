@@ -110,24 +110,14 @@ class StageFollower:
         self._seen: list[tuple[float, np.ndarray]] = []
         self._thumbnails: list[np.ndarray] = []
 
-    def wants(self, time_s: float) -> bool:
-        """Whether a frame at a time from the start is to be added."""
-        rest_s = time_s - self._path.drop_duration_s
-        if rest_s < -_REST_S:
-            return False
-        if abs(rest_s) <= _REST_S:
-            return len(self._rest) < _REST_FRAMES
-        last_s = self._seen[-1][0] if self._seen else -np.inf
-        return bool(self._rest) and time_s - last_s >= INTERVAL_S - 1e-3
-
-    def choose(self, time_s: np.ndarray, is_entry: np.ndarray) -> list[int]:
+    def choose(self, time_s: np.ndarray, is_key: np.ndarray) -> list[int]:
         """Which of a film's frames to add, where all their times are known: few to be decoded.
 
         Parameters
         ----------
         time_s : ndarray (n,)
             From the start.
-        is_entry : ndarray (n,) bool
+        is_key : ndarray (n,) bool
             Whether a frame can be decoded without those before it: such a one is taken in place of
             the frame that is due, if it is near.
         """
@@ -135,11 +125,11 @@ class StageFollower:
         chosen = list(map(int, rest[:_REST_FRAMES]))
         if not chosen:
             return []
-        last_s, entries = float(time_s[rest[-1]]), np.flatnonzero(is_entry)
+        last_s, keys = float(time_s[rest[-1]]), np.flatnonzero(is_key)
         while (due := int(np.searchsorted(time_s, last_s + INTERVAL_S - 1e-3))) < len(time_s):
-            entry = np.searchsorted(time_s[entries], last_s + _EARLIEST * INTERVAL_S)
-            if entry < len(entries) and time_s[entries[entry]] < last_s + _LATEST * INTERVAL_S:
-                due = int(entries[entry])
+            key = np.searchsorted(time_s[keys], last_s + _EARLIEST * INTERVAL_S)
+            if key < len(keys) and time_s[keys[key]] < last_s + _LATEST * INTERVAL_S:
+                due = int(keys[key])
             last_s = float(time_s[due])
             if last_s > self._path.duration_s:
                 break

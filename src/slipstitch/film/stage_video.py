@@ -8,9 +8,16 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.recording import Recording
-from slipstitch.film.stage_start import StageStart, find_start
-from slipstitch.film.time_base import StageFollower, TimeBase
+from slipstitch.film.recording import FrameIndex, Recording
+from slipstitch.film.stage_clock import StageFollower, TimeBase
+from slipstitch.film.stage_start import StageStart
+from slipstitch.film.start_and_clock import (
+    checked_rate,
+    clock_notes,
+    found_start,
+    is_followed,
+    start_is_seen,
+)
 from slipstitch.images.camera import AIM_M, Camera, relative_pose
 from slipstitch.images.mean_cloth import cloth_surface
 from slipstitch.images.rectification import fine_source_pixels, in_image, rectify, source_pixels
@@ -19,23 +26,10 @@ from slipstitch.images.rectification import fine_source_pixels, in_image, rectif
 # than the second number is of another moment.
 _NEAR_S = 0.25
 _LARGEST_GAP_S = 1.0
-# A start is found to 0.03 s. In the example that ships, one stated this much too early or too late
-# moves friction by its error bar or little more, one 0.45 s too early by four times as much.
-_NEAR_START_S = 0.2
 _FAR_VIEW_DEG = 5.0
 _LEAST_INSIDE = 0.8
 # Instruments learn from 1.25 camera pixels for each of theirs (render.bench_camera.oversampling).
 _LEAST_SAMPLING = 0.8
-# A film's clock: corrected from here on if it is told that closely, noted, refused; and how far the
-# stage may stand from the path at any time.
-_CORRECTED_RATE, _NOTED_RATE, _REFUSED_RATE = 0.001, 0.005, 0.02
-_CERTAIN = 3.0
-_NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.004, 0.008
-# A shorter part of the drag does not tell a clock, and is not spoilt by a wrong one.
-_SHORTEST_DRAG_S = 15.0
-# How a user gives what cannot be found: to `measure`, and in the table of `capture ingest`.
-_GIVE_START = "--start-s, or start_s in a captures table"
-_GIVE_RATE = "--frame-rate-hz, or frame_rate_hz in a captures table"
 
 
 @dataclass(frozen=True)
@@ -114,15 +108,14 @@ def read_stage_video(
     notes = []
     if start_s is not None:
         start = StageStart(start_s, False)
-        if not _start_is_seen(recording, lens, schedule, start_s):
+        if not start_is_seen(recording, lens, schedule, start_s):
             notes.append(
                 "the stated start could not be verified: no start was found in the frames; a wrong "
                 "start makes the friction wrong"
             )
     else:
-        found = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
-        start = _checked_start(path, found)
-    followed = schedule.time_s[-1] >= schedule.path.drop_duration_s + _SHORTEST_DRAG_S
+        start = found_start(recording, lens, schedule)
+    followed = is_followed(schedule)
     chosen, intervals, follower = _choose(
         recording,
         schedule.time_s,
@@ -135,7 +128,7 @@ def read_stage_video(
             f"{path}: about {still_s:.0f} s after the start on nothing moves for several seconds: "
             "did the stage stop?"
         )
-    rate = _checked_rate(path, time_base)
+    rate = checked_rate(path, time_base)
     if rate != 1.0:
         chosen, intervals, _ = _choose(recording, schedule.time_s / rate, start.time_s)
     frames, inside, time_s = [], [], []
@@ -238,62 +231,8 @@ def _check_size(recording: Recording, lens: Camera) -> None:
     )
 
 
-def _checked_start(path, start: StageStart | None) -> StageStart:
-    if start is None:
-        raise BadInput(
-            f"{path}: no start of the stage's motion found: the cloth must hang still for 2 s, "
-            f"then descend as in the protocol; if it does, give the start ({_GIVE_START})"
-        )
-    if not start.speed_is_right:
-        raise BadInput(
-            f"{path}: the stage descends {start.speed:.2f} times as fast as in the protocol; if "
-            f"the frame rate is wrong, give the correct one ({_GIVE_RATE})"
-        )
-    return start
-
-
-def _start_is_seen(recording: Recording, lens: Camera, schedule: Schedule, start_s: float) -> bool:
-    """Whether the stage starts where it is stated to; BadInput if only elsewhere.
-
-    A film may show another start before the one that counts.
-    """
-    moments, seen_s = recording.moments(), []
-    while found := find_start(moments, lens, schedule.crop(0.0), schedule.path):
-        if found.speed_is_right:
-            seen_s.append(found.time_s)
-        if found.time_s > start_s:
-            break
-    if not seen_s:
-        return False
-    nearest_s = min(seen_s, key=lambda time_s: abs(time_s - start_s))
-    if abs(nearest_s - start_s) > _NEAR_START_S:
-        raise BadInput(
-            f"{recording.path}: the stage is seen to start at {nearest_s:.2f} s, but {start_s:.2f} "
-            f"s is stated; at most {_NEAR_START_S:g} s difference is allowed: leave the start out"
-        )
-    return True
-
-
-def _checked_rate(path, time_base: TimeBase | None) -> float:
-    """The stage's speed in the video's time, to select frames by; BadInput if it is wrong."""
-    if time_base is None:
-        return 1.0
-    off = time_base.rate - 1
-    if abs(off) > _REFUSED_RATE:
-        raise BadInput(
-            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as "
-            f"fast as in the protocol; at most {100 * _REFUSED_RATE:g} % deviation is allowed; "
-            f"if the frame rate is wrong, give the correct one ({_GIVE_RATE})"
-        )
-    worst_m = time_base.worst_offset_m()
-    if worst_m > _REFUSED_OFFSET_M:
-        raise BadInput(
-            f"{path}: for 10 s the stage is {1e3 * worst_m:.0f} mm from its path in the "
-            f"protocol; at most {1e3 * _REFUSED_OFFSET_M:g} mm are allowed: was the video cut, "
-            "or did the stage stop?"
-        )
-    certain = abs(off) > max(_CERTAIN * time_base.rate_sd, _CORRECTED_RATE)
-    return time_base.rate if certain else 1.0
+class _DamagedFrameError(Exception):
+    """A frame that the container lists cannot be decoded."""
 
 
 def _choose(
@@ -304,78 +243,63 @@ def _choose(
 ) -> tuple[list[tuple[float, np.ndarray]], np.ndarray, StageFollower | None]:
     """The frame nearest to each wanted time, and the times between frames from the start on.
 
-    A follower is shown the frames that it wants on the way. Only what these need is decoded, where
-    the container lists its frames and all of them turn out to be sound.
+    A follower is shown the frames that it chooses on the way. Only what these need is decoded,
+    where the container lists its frames and all of them turn out to be sound.
     """
-    wanted_s = start_s + protocol_s
-    follower, index = new_follower(), recording.index
-    if index is not None:
-        nearest = [int(np.abs(index.time_s - one_s).argmin()) for one_s in wanted_s]
-        shown = follower.choose(index.time_s - start_s, index.is_entry) if follower else []
+    wanted_s, follower = start_s + protocol_s, new_follower()
+    if recording.listed is not None:
         try:
-            return *_chosen(recording, wanted_s, start_s, follower, nearest, shown), follower
+            return *_chosen(recording, recording.listed, wanted_s, start_s, follower), follower
         except _DamagedFrameError:
             follower = new_follower()
-    return *_chosen(recording, wanted_s, start_s, follower), follower
-
-
-class _DamagedFrameError(Exception):
-    """A frame that the container lists has no image."""
+    return *_chosen(recording, recording.decoded, wanted_s, start_s, follower), follower
 
 
 def _chosen(
     recording: Recording,
+    index: FrameIndex,
     wanted_s: np.ndarray,
     start_s: float,
     follower: StageFollower | None,
-    nearest: Sequence[int] = (),
-    shown: Sequence[int] = (),
 ) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
-    """As `_choose`; of all frames, or of those alone whose numbers are known."""
-    needed = {*nearest, *shown} if nearest else None
-    chosen: list[tuple[float, np.ndarray]] = []
-    best: tuple[float, np.ndarray] | None = None
-    last_s, intervals = None, []
-    for moment in recording.moments(needed):
-        now_s = moment.time_s
-        if last_s is not None and now_s >= start_s:
-            intervals.append(now_s - last_s)
-        last_s = now_s
-        if needed and moment.number in needed and not moment.has_image:
-            raise _DamagedFrameError
-        if follower and moment.has_image:
-            at_s = now_s - start_s
-            is_shown = moment.number in shown if needed else follower.wants(at_s)
-            image = moment.image() if is_shown else None
-            if image is not None:
-                follower.add(at_s, image)
-        while len(chosen) < len(wanted_s):
-            target_s = wanted_s[len(chosen)]
-            near_s = np.inf if best is None else abs(best[0] - target_s)
-            if now_s - target_s < near_s:
-                break
-            # From here on frames only get farther away.
-            if best is None or near_s >= _LARGEST_GAP_S:
-                raise BadInput(
-                    f"{recording.path}: a frame is needed at {target_s:.2f} s; the nearest usable "
-                    f"one is {near_s:.1f} s away, at most {_LARGEST_GAP_S:g} s is allowed"
-                )
-            chosen.append(best)
-        if len(chosen) == len(wanted_s):
-            break
-        left_s = wanted_s[len(chosen)] - now_s
-        # The nearer the wanted time, the more frames are converted, every one in the end.
-        if left_s < _LARGEST_GAP_S and (best is None or now_s - best[0] >= left_s / 4):
-            image = moment.image()
-            best = best if image is None else (now_s, image)
-    while best and len(chosen) < len(wanted_s) and wanted_s[len(chosen)] - best[0] <= _NEAR_S:
-        chosen.append(best)
-    if len(chosen) < len(wanted_s):
+    """As `_choose`, of the frames in an index."""
+    time_s = index.time_s
+    nearest = [_nearest(recording, time_s, one_s, start_s, wanted_s[-1]) for one_s in wanted_s]
+    shown = set(follower.choose(time_s - start_s, index.is_key)) if follower else set()
+    shown = {number for number in shown if number <= nearest[-1]}
+    needed, images = {*nearest, *shown}, {}
+    for number, moment in recording.some(index, needed):
+        needed.remove(number)
+        image = moment.image()
+        if follower and number in shown:
+            follower.add(moment.time_s - start_s, image)
+        if number in nearest:
+            images[number] = image
+    if needed:
+        raise _DamagedFrameError
+    passed_s = time_s[time_s <= max(time_s[nearest[-1]], start_s)]
+    intervals = np.diff(passed_s)[passed_s[1:] >= start_s]
+    chosen = [(float(time_s[number]), images[number]) for number in nearest]
+    return chosen, intervals if len(intervals) else np.zeros(1)
+
+
+def _nearest(
+    recording: Recording, time_s: np.ndarray, wanted_s: float, start_s: float, end_s: float
+) -> int:
+    """The number of the frame that is nearest to a time; BadInput if it is far from it."""
+    if not len(time_s) or wanted_s - time_s[-1] > _NEAR_S:
         raise BadInput(
-            f"{recording.path}: ends after {last_s or 0.0:.1f} s; the stage starts at "
-            f"{start_s:.1f} s and {wanted_s[-1] - start_s:.1f} s from there are needed"
+            f"{recording.path}: ends after {time_s[-1] if len(time_s) else 0:.1f} s; the stage "
+            f"starts at {start_s:.1f} s and {end_s - start_s:.1f} s from there are needed"
         )
-    return chosen, np.array(intervals or [0.0])
+    number = int(np.abs(time_s - wanted_s).argmin())
+    away_s = abs(time_s[number] - wanted_s)
+    if away_s >= _LARGEST_GAP_S:
+        raise BadInput(
+            f"{recording.path}: a frame is needed at {wanted_s:.2f} s; the nearest usable one is "
+            f"{away_s:.1f} s away, at most {_LARGEST_GAP_S:g} s is allowed"
+        )
+    return number
 
 
 def _view_angle_deg(lens: Camera, schedule: Schedule) -> float:
@@ -394,33 +318,10 @@ def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
             f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s from the "
             "required time, because frames are missing"
         )
-    notes += _clock_notes(video.time_base, schedule, corrected)
+    notes += clock_notes(video.time_base, schedule, corrected)
     if video.inside.min() < 0.999:
         notes.append(
             f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest repeats "
             "its border"
         )
-    return notes
-
-
-def _clock_notes(time_base: TimeBase | None, schedule: Schedule, corrected: bool) -> list[str]:
-    if time_base is None:
-        if schedule.time_s[-1] < schedule.path.drop_duration_s + _SHORTEST_DRAG_S:
-            return []
-        return [
-            "the clock of the video could not be verified: the cloth's upper edge was detected "
-            "in too few frames; a wrong frame rate makes the friction wrong"
-        ]
-    notes = []
-    # As far off as it may well be.
-    if abs(time_base.rate - 1) + time_base.rate_sd >= _NOTED_RATE:
-        notes.append(
-            f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as in "
-            f"the protocol; the frame times were {'' if corrected else 'not '}corrected for it: "
-            "check "
-            "the frame rate"
-        )
-    worst_m = time_base.worst_offset_m()
-    if worst_m > _NOTED_OFFSET_M:
-        notes.append(f"for 10 s the stage is {1e3 * worst_m:.1f} mm from its path in the protocol")
     return notes

@@ -1,0 +1,122 @@
+"""Camera calibration as files: the camera file and the plot of its residuals."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_sidecar
+from slipstitch.film.board import Board
+from slipstitch.film.board_views import read_image, read_views
+from slipstitch.film.lens_calibration import Calibration, calibrate, calibration_record
+from slipstitch.film.stage_pose import FloorPlace, StagePose, stage_pose
+from slipstitch.images.camera import Lens
+from slipstitch.images.camera_file import lens_record, write_camera_file
+from slipstitch.images.foreign_camera import read_foreign_lens
+
+
+def calibrate_to_file(
+    board: Board,
+    views: Sequence[Path],
+    stage_view: Path | None,
+    place: FloorPlace,
+    out: Path,
+    picture: Path | None,
+) -> str:
+    """Calibrate a camera, write what is asked for, and say in a line how good it is.
+
+    Parameters
+    ----------
+    board : Board
+    views : sequence of path
+        Images of the board, or one video.
+    stage_view : path, optional
+        The board on the floor, seen by the camera in its place on the bench.
+    place : FloorPlace
+        Where the board lies then.
+    out : path
+        Camera file.
+    picture : path, optional
+        PNG or SVG.
+
+    Raises
+    ------
+    BadInput
+        If the views cannot be used.
+    """
+    started = start_clock()
+    result = calibrate(read_views(views, board))
+    stage = _stage(result, board, stage_view, place)
+    record = _write(out, result, board, stage, [*views, stage_view], started)
+    if picture:
+        from slipstitch.film.residuals_figure import draw_residuals
+
+        with recorded_path(picture, record) as temporary:
+            draw_residuals(result, temporary, picture.suffix[1:])
+    return f"{result.summary()}{stage.summary() if stage else ''}"
+
+
+def import_to_file(
+    source: Path, board: Board | None, stage_view: Path | None, place: FloorPlace, out: Path
+) -> str:
+    """Take a lens from another program's calibration, write a camera file, say what was read.
+
+    Parameters
+    ----------
+    source : path
+        See `slipstitch.images.foreign_camera.read_foreign_lens`.
+    board, stage_view, place, out
+        As for `calibrate_to_file`; without a stage view, the file does not say where the camera
+        stands.
+
+    Raises
+    ------
+    BadInput
+        If the calibration or the stage view cannot be used.
+    """
+    started = start_clock()
+    lens = read_foreign_lens(source)
+    stage = _stage(lens, board, stage_view, place)
+    _write(out, lens, board, stage, [source, stage_view], started)
+    focal_x, focal_y = lens.matrix[0, 0], lens.matrix[1, 1]
+    return (
+        f"lens of {source}: {lens.size_px[0]}x{lens.size_px[1]} pixels, focal length "
+        f"{focal_x:.1f} x {focal_y:.1f} px{stage.summary() if stage else ''}"
+    )
+
+
+def _stage(
+    lens: Lens, board: Board | None, stage_view: Path | None, place: FloorPlace
+) -> StagePose | None:
+    if stage_view is None or board is None:
+        return None
+    return stage_pose(lens, read_image(stage_view), board, place, str(stage_view))
+
+
+def _write(
+    out: Path,
+    lens: Lens,
+    board: Board | None,
+    stage: StagePose | None,
+    inputs: Sequence[Path | None],
+    started: tuple[float, float],
+) -> dict:
+    """Write a camera file and its record; return the record."""
+    on_floor = stage and stage.place.record()
+    content = {
+        **lens_record(lens),
+        "rotation": stage and stage.rotation.tolist(),
+        "translation_m": stage and stage.translation_m.tolist(),
+        "board": board and board.record(),
+        "board_on_floor": on_floor,
+    }
+    known = calibration_record(lens) if isinstance(lens, Calibration) else {}
+    known.setdefault("uncertainty", {})["position_m"] = stage and stage.position_uncertainty_m
+    known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
+    record = provenance_record(
+        "capture",
+        inputs=list(filter(None, inputs)),
+        config={"board": content["board"], "place": on_floor},
+        started=started,
+    )
+    write_camera_file(out, content | known)
+    write_sidecar(out, record)
+    return record

@@ -1,1 +1,0 @@
-"""Camera calibration from images of a board."""

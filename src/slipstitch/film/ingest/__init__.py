@@ -1,1 +1,0 @@
-"""Videos of a bench, converted to the format of the dataset."""
