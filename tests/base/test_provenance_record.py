@@ -1,7 +1,9 @@
 """The record that goes with every artefact."""
 
 import json
+import subprocess
 import time
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -100,3 +102,12 @@ def test_file_without_record_says_so(tmp_path):
     assert read_metadata(tmp_path / "x.parquet") == {}
     with pytest.raises(FileNotFoundError):
         read_provenance(tmp_path / "x.parquet")
+
+
+def test_the_record_names_the_commit_of_the_checkout():
+    root = Path(__file__).parents[2]
+    words = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    answer = subprocess.run(words, capture_output=True, text=True)
+    if answer.returncode:
+        pytest.skip("no checkout")
+    assert provenance_record("grid")["git_commit"] == answer.stdout.strip()

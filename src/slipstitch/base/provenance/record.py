@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch import __version__
+from slipstitch.base.project import PACKAGE
 from slipstitch.base.provenance.code import code_digest
 from slipstitch.base.provenance.files import atomic_path, file_digest
 from slipstitch.base.provenance.reading import SIDECAR_SUFFIX, open_parquet, record_beside
@@ -75,7 +76,7 @@ _PROCESS_START = (time.perf_counter(), 0.0)
 @functools.cache
 def _git() -> tuple[str | None, bool | None]:
     """Commit of the checkout that the running sources lie in, and whether they differ from it."""
-    root = Path(__file__).resolve().parents[3]
+    root = PACKAGE.parents[1]
 
     def ask(*words: str) -> str | None:
         try:
