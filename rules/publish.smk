@@ -1,4 +1,4 @@
-"""Scores, curves, page, costs, models and origin of a run, without its images; not part of `all`."""
+"""Scores, predictions, curves, costs, model and origin of a run, not its images; not part of `all`."""
 
 PUBLISHED = f"results/published/{CONFIG.publish.name}"
 
@@ -15,7 +15,6 @@ rule publish_folder:
         networks=rules.train.input,
         instruments=rules.instrument.input,
         evaluation=rules.evaluate.input,
-        page=rules.report.input,
     output:
         directory(PUBLISHED),
     log:
@@ -32,7 +31,6 @@ rule publish_folder:
         optional=digests_if_there(
             "results/captures/metrics.json",
             "results/captures/predictions.parquet",
-            "results/captures/index.html",
             "results/ablate/ablate.json",
         ),
         code=code_of("publish"),

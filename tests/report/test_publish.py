@@ -23,14 +23,13 @@ from slipstitch.base.provenance import (
 from slipstitch.cli.main import main
 from slipstitch.config import load_config, write_config
 from slipstitch.dataset.audit.published import audit_published
-from slipstitch.dataset.audit.scored import SCORES
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.design.grid import simulations
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.page import write_report
-from slipstitch.report.publishing import INDEX, OPTIONAL, finished_files, publish
+from slipstitch.report.publishing import INDEX, OPTIONAL, SCORES, finished_files, publish
 
 CONFIG = synthetic_results.config()
+SHIPS = "ensemble" if len(CONFIG.instrument.seeds) > 1 else "seed0"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,6 @@ def run(tmp_path_factory):
             write_sidecar(
                 render, {"stage": "render", "inputs": {simulated: file_digest(simulated)}}
             )
-    write_report(CONFIG, folder, folder / "report" / "index.html")
     for name in finished_files(CONFIG):
         if name.endswith(".safetensors"):
             train(folder / name)
@@ -70,13 +68,26 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
         index = publish(CONFIG, run.name, out)
     assert not index["partial"] and index == json.loads((out / INDEX).read_text())
     there = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    assert {"metrics.json", "details.json", "predictions.parquet", "index.html"} < there
+    assert {"metrics.json", "details.json", "predictions.parquet"} < there
     assert there - {INDEX, f"{INDEX}.provenance.json"} == set(index["files"])
     for name, digest in index["files"].items():
         assert file_digest(out / name) == digest
+    calibrated = json.loads((run / "calibrate/calibration.json").read_text())
+    assert json.loads((out / "calibration.json").read_text())["checks"] == calibrated["checks"]
+    assert '"runs"' not in (out / "calibration.json").read_text()
     for name, to in finished_files(CONFIG).items():
-        assert file_digest(out / to) == file_digest(run / name)
-    assert "models/by_video/friction_conditional/seed0/history.csv" in there
+        if to.endswith("predictions.parquet"):  # stored more compactly
+            assert pq.read_table(out / to).equals(pq.read_table(run / name), check_metadata=True)
+        elif to in there and to != "calibration.json":
+            assert file_digest(out / to) == file_digest(run / name)
+    # Of weights those of the model that ships; of the others card, record and training curve.
+    assert {name for name in there if name.endswith(".safetensors")} == {
+        f"models/{split}/instrument/{SHIPS}/instrument.safetensors" for split in CONFIG.train.splits
+    }
+    folder = "models/by_video/friction_conditional/seed0"
+    assert {path.name for path in (out / folder).iterdir()} == {
+        "history.csv", "model.json", "model.safetensors.provenance.json",
+    }  # fmt: skip
     digests = json.loads((out / "dataset" / "digests.json").read_text())
     rows, digest = read_manifest(run / "sample")
     assert (digests["digest"], digests["videos"]) == (digest, len(rows))
@@ -101,7 +112,6 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     assert set(solved) == {one.id for one in simulations(CONFIG)}
     one = read_trajectory(run / "simulate" / f"{next(iter(solved))}.parquet")
     assert float(next(iter(solved.values()))["simulated_s"]) == round(float(one.time_s[-1]), 3)
-    assert "Partial." not in (out / "index.html").read_text()
 
 
 def test_the_table_of_simulations_says_what_the_study_knows_of_each_now(run, tmp_path, monkeypatch):
@@ -118,14 +128,10 @@ def test_the_table_of_simulations_says_what_the_study_knows_of_each_now(run, tmp
         assert said[one.id] == wanted
 
 
-def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tmp_path, capsys):
+def test_an_unfinished_run_is_refused_and_marked_if_wanted(run, tmp_path, capsys):
     part = tmp_path / "results"
     shutil.copytree(run, part)
     (part / "evaluate" / "details.json").unlink()
-    (part / "captures").mkdir()
-    (part / "captures" / "index.html").write_text(
-        "<html><body class='x'><p>Films</p></body></html>"
-    )
     write_config(CONFIG, tmp_path / "config.json")
     words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(part)]
     words += ["--out-dir", str(tmp_path / "out")]
@@ -136,10 +142,6 @@ def test_an_unfinished_run_is_refused_and_marked_on_every_page_if_wanted(run, tm
     assert not (tmp_path / "out").exists()
     assert main([*words, "--partial"]) == 0
     assert "partial: 1 lacking" in capsys.readouterr().out
-    for page in ("index.html", "captures/index.html"):
-        body = (tmp_path / "out" / page).read_text().split("<body", 1)[1]
-        assert body.split("<p", 2)[1].startswith(" style") and "<b>Partial.</b>" in body
-        assert "evaluate/details.json lacking" in body
     index = json.loads((tmp_path / "out" / INDEX).read_text())
     assert index["partial"] and index["missing"] == ["evaluate/details.json"]
 
@@ -195,7 +197,6 @@ def _text(path):
         ("evaluate/predictions.parquet", _with_another_byte, "not a Parquet file"),
         ("sample/manifest.parquet", _with_another_byte, "not a Parquet file"),
         ("calibrate/calibration.json", _with_another_byte, "does not match its record"),
-        ("report/index.html", _with_another_byte, "does not match its record"),
     ],
 )
 def test_a_damaged_file_is_not_published(run, tmp_path, name, damage, why):
@@ -247,12 +248,11 @@ def test_models_trained_after_the_evaluation_are_refused_or_said_to_have_no_scor
     results, out = tmp_path / "results", tmp_path / "out"
     shutil.copytree(run, results)
     evaluate(results, without=[results / WEIGHTS])
-    with pytest.raises(BadInput, match=f"not include {WEIGHTS}; run slipstitch evaluate again"):
+    model = WEIGHTS.replace("train/", "models/")
+    with pytest.raises(BadInput, match=f"not include {model}; run slipstitch evaluate again"):
         publish(CONFIG, results, out)
     index = publish(CONFIG, results, out, partial=True)
-    said = f"scores of {WEIGHTS.replace('train/', 'models/')}"
-    assert index["partial"] and index["missing"] == [said]
-    assert f"{said} lacking" in (out / "index.html").read_text()
+    assert index["partial"] and index["missing"] == [f"scores of {model}"]
     assert not {one.where for one in audit_published(out).findings} & set(SCORES)
 
 
@@ -264,9 +264,9 @@ def test_only_a_folder_that_was_published_before_is_replaced(run, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     publish(CONFIG, run, out)
-    (out / "index.html").write_text("older")
+    (out / "metrics.json").write_text("older")
     publish(CONFIG, run, out)
-    assert (out / "index.html").read_bytes() == (run / "report" / "index.html").read_bytes()
+    assert file_digest(out / "metrics.json") == file_digest(run / "evaluate" / "metrics.json")
 
     (out / "notes.txt").write_text("mine")
     mine = tmp_path / "mine"
@@ -346,7 +346,7 @@ def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
     assert set(after["files"]) == set(kept) and not after["partial"]
     changed = {name for name, content in kept.items() if (out / name).read_bytes() != content}
     model = WEIGHTS.replace("train/", "models/")
-    assert {model, model.replace("safetensors", "json")} <= changed
+    assert {f"{model}.provenance.json", model.replace("safetensors", "json")} <= changed
     assert not changed & {"calibration.json", "simulations.csv", "cost.json"}
     assert not {name for name in changed if name.startswith("dataset/")}
     origin = json.loads((out / "origin.json").read_text())

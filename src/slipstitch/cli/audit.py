@@ -7,7 +7,10 @@ from pathlib import Path
 
 from slipstitch.cli.options import add_config, output_json, output_page, refuse, writing
 
-SUMMARY = "verify a release down to the pixels, trace the origin of a clip, regenerate a clip"
+SUMMARY = (
+    "verify a release down to the pixels, trace the origin of a clip, regenerate a clip; without "
+    "--verify or --expect, it finds accidents, not a deliberate forger"
+)
 EXAMPLE = "slipstitch audit results/release --json audit.json --page audit.html"
 
 
@@ -133,9 +136,12 @@ def _rebuild(arguments: argparse.Namespace) -> int:
 def _published(arguments: argparse.Namespace) -> int:
     import json
 
+    from slipstitch.base.provenance import file_digest
     from slipstitch.dataset.audit.published import audit_published
+    from slipstitch.film.measure import SHIPPED
 
-    audit = audit_published(arguments.release)
+    shipped = file_digest(SHIPPED / "instrument.safetensors")
+    audit = audit_published(arguments.release, shipped)
     _write(json.dumps(audit.as_json(), indent=1), arguments.json)
     if arguments.json != "-":
         print(audit.as_text())

@@ -4,7 +4,7 @@ import argparse
 
 from slipstitch.cli.options import add_config, output_folder
 
-SUMMARY = "copy scores, curves, page, costs, models and provenance of a run to a small folder"
+SUMMARY = "copy scores, predictions, curves, costs, the model that ships and provenance of a run"
 EXAMPLE = (
     "slipstitch publish --config results/config.json --results results "
     "--out-dir results/published/demo"
@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--partial",
         action="store_true",
-        help="publish an unfinished run; every page is marked as partial",
+        help="publish an unfinished run; the index names what it lacks",
     )
     parser.add_argument(
         "--update",

@@ -1,9 +1,8 @@
-"""A run's results as a small folder to keep: scores, curves, page, costs, models, origin."""
+"""A run's results as a small folder to keep: scores, predictions, curves, costs, model, origin."""
 
 import contextlib
 import json
 import os
-import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas
+import pyarrow.parquet as pq
 
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import (
@@ -27,75 +27,60 @@ from slipstitch.base.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.base.provenance.record import write_json
 from slipstitch.config import Config, load_config
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.dataset.audit.scored import SCORES, SCORES_OF, and_more, compare
+from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.results import STAGES, Results
 from slipstitch.report.status.state import read_benchmark
 
-INDEX = "published.json"
 # In the folder of the results, as records call files elsewhere by their names alone.
 _AGAIN = "run slipstitch evaluate again, in the folder that contains the results"
 # What the workflow keeps below the results beside its stages.
 _KEPT = (*STAGES, "ablate", "captures", "benchmarks", "logs")
-_PAGES = ("report/index.html", "captures/index.html")
 #: Beside what a finished run must have; there if the target `ablate` or `captures` was run.
-OPTIONAL = (
-    "ablate/ablate.json",
-    "captures/index.html",
-    "captures/metrics.json",
-    "captures/predictions.parquet",
-)
-
-#: Made from all images and trajectories: of an update, whose results may have no longer all.
+OPTIONAL = ("ablate/ablate.json", "captures/metrics.json", "captures/predictions.parquet")
+#: Files of an evaluation, each with the same record.
+SCORES = ("metrics.json", "details.json", "predictions.parquet")
+#: Before a model without scores, in the list of what a published run lacks.
+SCORES_OF = "scores of "
+_AVERAGE = ("instrument.safetensors", "instrument.json", "calibration.parquet", "readings.parquet")
+# Made from all images and trajectories: of an update, whose results may have no longer all.
 _OF_ALL = ("cost.json", "simulations.csv", "dataset/digests.json", "dataset/lineage.json")
+_OWN = (*_OF_ALL, "config.json", "origin.json")
 
 
 def finished_files(config: Config) -> dict[str, str]:
     """Files of a finished run, below its results -> where they are published."""
-    files = {
-        "evaluate/metrics.json": "metrics.json",
-        "evaluate/details.json": "details.json",
-        "evaluate/predictions.parquet": "predictions.parquet",
-        "report/index.html": "index.html",
-        "calibrate/calibration.json": "calibration.json",
-        f"sample/{MANIFEST}": f"dataset/{MANIFEST}",
-    }
+    files = {f"evaluate/{name}": name for name in SCORES}
+    files["calibrate/calibration.json"] = "calibration.json"
+    files[f"sample/{MANIFEST}"] = f"dataset/{MANIFEST}"
     for split in config.train.splits:
-        for network, seed in config.train.trainings(split):
-            folder = f"{split}/{network}/seed{seed}"
-            files |= _model(f"train/{folder}", f"models/{folder}", "model")
-        for seed in config.instrument.seeds:
-            folder = f"{split}/seed{seed}"
-            to = f"models/{split}/instrument/seed{seed}"
-            files |= _model(f"instrument/{folder}", to, "instrument")
-        if len(config.instrument.seeds) > 1:
-            to = f"models/{split}/instrument/ensemble"
-            files |= {
-                f"instrument/{split}/ensemble/{file}": f"{to}/{file}"
-                for file in (
-                    "instrument.safetensors",
-                    "instrument.json",
-                    "calibration.parquet",
-                    "readings.parquet",
-                )
-            }
+        models = [
+            (f"train/{split}/{network}/seed{seed}", f"{split}/{network}/seed{seed}", "model")
+            for network, seed in config.train.trainings(split)
+        ]
+        models += [
+            (f"instrument/{split}/seed{seed}", f"{split}/instrument/seed{seed}", "instrument")
+            for seed in config.instrument.seeds
+        ]
+        for folder, to, name in models:
+            for file in (f"{name}{WEIGHTS}", f"{name}.json", "history.csv"):
+                files[f"{folder}/{file}"] = f"models/{to}/{file}"
+        for file in _AVERAGE if len(config.instrument.seeds) > 1 else ():
+            to = f"models/{split}/instrument/ensemble/{file}"
+            files[f"instrument/{split}/ensemble/{file}"] = to
     return files
 
 
-def further_datasets(config: Config, results: Path) -> dict[str, Path]:
-    """Where datasets that calibrate an average besides are published -> their folders."""
-    return {
-        f"calibration_datasets/{number}": results.parent / folder
-        for number, folder in enumerate(config.instrument.calibration_datasets)
-    }
+def is_published(config: Config, to: str) -> bool:
+    """Whether a file of a run is published itself.
 
-
-def _model(folder: str, to: str, name: str) -> dict[str, str]:
-    """Weights, card and training curve."""
-    names = (f"{name}.safetensors", f"{name}.json", "history.csv")
-    return {f"{folder}/{file}": f"{to}/{file}" for file in names}
+    Of weights those of the model that ships are: of the average of the instruments, or of the only
+    instrument. Card, record and training curve of every other model are.
+    """
+    ships = "ensemble" if len(config.instrument.seeds) > 1 else "instrument"
+    return not to.endswith(WEIGHTS) or f"/{ships}/" in to
 
 
 def publish(
@@ -115,8 +100,8 @@ def publish(
     out : path
         Absent, empty, or a folder that was published before and is replaced.
     partial : bool
-        Publish an unfinished run, with what it lacks said at the head of every page: files, and
-        scores of models that were trained after the evaluation.
+        Publish an unfinished run; the index names what it lacks: files, and scores of models that
+        were trained after the evaluation.
     update : bool
         Keep what the folder has and the results have no longer, as images' digests whose files were
         deleted since: of the same dataset and configuration.
@@ -135,79 +120,70 @@ def publish(
         another dataset; with `update` if `out` is of another run.
     """
     started = start_clock()
-    found = Results(results, config)
-    _check_target(Path(out), found.folder)
-    wanted = finished_files(config)
-    further = further_datasets(config, found.folder)
-    kept = _kept(config, found, Path(out)) if update else set()
-    missing = sorted(
-        name
-        for name, to in wanted.items()
-        if not (found.folder / name).is_file() and to not in kept
-    )
-    missing += [
-        f"{place}/{MANIFEST}"
-        for place, sample in further.items()
-        if not (sample / MANIFEST).is_file() and f"{place}/{MANIFEST}" not in kept
-    ]
-    if not kept and not any((found.folder / name).is_file() for name in wanted):
-        raise BadInput(f"{results}: nothing of a run in it")
-    if missing and not partial:
+    found, out = Results(results, config), Path(out)
+    _check_target(out, found.folder)
+    kept = _kept(config, found, out) if update else {}
+    there, missing = _gathered(config, found, kept)
+    if not partial and missing:
         raise BadInput(
             f"{results}: not finished: {missing[0]} is missing ({len(missing)} of "
-            f"{len(wanted) + len(further)} files); --partial publishes what is there, marked on "
-            "every page"
+            f"{len(there) + len(missing)} files); --partial publishes what is there"
         )
-    there = {
-        name: to
-        for name, to in {**wanted, **{name: name for name in OPTIONAL}}.items()
-        if (found.folder / name).is_file()
-    }
-    for name in there:
-        _check_file(found.folder / name)
-    digests = {name: file_digest(found.folder / name) for name in there}
-    before = {name: file_digest(Path(out) / name) for name in kept}
-    unscored = [name for name in _unscored(found.folder, before | digests) if name in there]
+    digests = kept | {to: file_digest(path) for to, path in there.items()}
+    unscored = _unscored([there.get(name, out / name) for name in SCORES], digests)
     if unscored and not partial:
+        more = f" and {len(unscored) - 1} more" if unscored[1:] else ""
         raise BadInput(
-            f"{results}: the scores do not include {and_more(unscored)}; {_AGAIN}, or "
-            "publish with --partial, which says so on every page"
+            f"{results}: the scores do not include {unscored[0]}{more}; {_AGAIN}, or publish with "
+            "--partial"
         )
-    missing += [SCORES_OF + there[name] for name in unscored]
+    missing += [SCORES_OF + name for name in unscored]
     with atomic_path(out) as folder:
-        for name, to in there.items():
-            _copy(found.folder / name, folder / to, missing if name in _PAGES else [])
-        inputs = [found.folder / name for name in there]
-        record = provenance_record("publish", inputs=inputs, config=config, started=started)
+        record = provenance_record("publish", inputs=there.values(), config=config, started=started)
         write_json(folder / "config.json", config.model_dump(mode="json"))
-        write_json(folder / "cost.json", list(_costs(found)))
-        if solved := list(_simulations(found)):
-            pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
-        write_json(folder / "origin.json", dict(found.provenance()))
-        if "sample/" + MANIFEST in there:
-            _describe_dataset(found.folder / "sample", folder / "dataset")
-        for place, sample in further.items():
-            if (sample / MANIFEST).is_file():
-                _describe_dataset(sample, folder / place)
-                _copy(sample / MANIFEST, folder / place / MANIFEST, [])
+        _describe_run(found, folder)
+        for to, path in there.items():
+            _copy(path, folder / to, is_published(config, to))
+            if path.name == MANIFEST:
+                _describe_dataset(path.parent, (folder / to).parent)
         if update:
-            _keep(Path(out), folder, kept, there)
+            _keep(config, out, folder, there)
+            record["inputs"] = read_provenance(out / INDEX)["inputs"] | record["inputs"]
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
         index = {
             "name": config.publish.name,
             "partial": bool(missing),
             "missing": missing,
-            "files": {
-                path.relative_to(folder).as_posix(): file_digest(path)
-                for path in sorted(folder.rglob("*"))
-                if path.is_file()
-            },
+            "files": {path.relative_to(folder).as_posix(): file_digest(path) for path in files},
         }
         write_json(folder / INDEX, index, record)
     return index
 
 
-def _kept(config: Config, results: Results, out: Path) -> set[str]:
-    """What a folder published before keeps; BadInput if it is of another run."""
+def _gathered(
+    config: Config, results: Results, kept: Mapping[str, str]
+) -> tuple[dict[str, Path], list[str]]:
+    """What is published -> the file of the results; and what of a finished run is not there."""
+    wanted = {to: results.folder / name for name, to in finished_files(config).items()}
+    for number, dataset in enumerate(config.instrument.calibration_datasets):
+        place = f"{FURTHER}{number}/{MANIFEST}"
+        wanted[place] = results.folder.parent / dataset / MANIFEST
+    optional = {name: results.folder / name for name in OPTIONAL}
+    there = {to: path for to, path in (wanted | optional).items() if path.is_file()}
+    if not kept and not set(there) - set(optional):
+        raise BadInput(f"{results.folder}: nothing of a run in it")
+    for path in there.values():
+        _check_file(path)
+    lacking = [to for to in wanted if to not in there and to not in kept]
+    names = {to: name for name, to in finished_files(config).items()}
+    return there, sorted(names.get(to, to) for to in lacking)
+
+
+def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
+    """SHA-256 of what a folder published before keeps; BadInput if it is of another run.
+
+    Of weights that are not published, as their card names it.
+    """
     if not (out / INDEX).is_file():
         raise BadInput(f"{out}: nothing published there to update: publish without --update")
     if _of_run(load_config(out / "config.json")) != _of_run(config):
@@ -216,8 +192,20 @@ def _kept(config: Config, results: Results, out: Path) -> set[str]:
     before = out / "dataset" / MANIFEST
     if manifest.is_file() and before.is_file() and file_digest(manifest) != file_digest(before):
         raise BadInput(f"{out}: published of another dataset; publish without --update")
-    own = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    return own - {INDEX, INDEX + SIDECAR_SUFFIX}
+    kept = {}
+    for to in (*finished_files(config).values(), *OPTIONAL, *_OWN, *_of_further(out)):
+        card = (out / to).with_suffix(".json")
+        if (out / to).is_file():
+            kept[to] = file_digest(out / to)
+        elif to.endswith(WEIGHTS) and card.is_file():
+            kept[to] = read_json(card)["weights_sha256"]
+    return kept
+
+
+def _of_further(out: Path) -> list[str]:
+    """Files of a published folder that are of datasets of other benches."""
+    files = (path for path in (out / FURTHER).rglob("*") if path.is_file())
+    return [path.relative_to(out).as_posix() for path in files]
 
 
 def _of_run(config: Config) -> Config:
@@ -226,16 +214,20 @@ def _of_run(config: Config) -> Config:
     return config.model_copy(update={"instrument": instrument})
 
 
-def _keep(before: Path, folder: Path, kept: Iterable[str], there: Mapping[str, str]) -> None:
+def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> None:
     """Put into a new folder what the one before has of results that are gone."""
+    known = {to: name for name, to in finished_files(config).items()}
+    anew = {known.get(name) for name in there}
+    for to in (*known, *OPTIONAL, *_of_further(before)):
+        if to not in there and not (folder / to).exists():
+            _copy(before / to, folder / to, is_published(config, to))
+    for name in _OF_ALL:
+        if (before / name).is_file():
+            shutil.copyfile(before / name, folder / name)
     # Records of what is there again, but not published anew, are not those of the published files.
-    anew = {name: one for name, one in read_json(folder / "origin.json").items() if name in there}
-    for name in kept:
-        to = folder / name
-        if name in _OF_ALL or not to.exists():
-            to.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(before / name, to)
-    write_json(folder / "origin.json", read_json(before / "origin.json") | anew)
+    origin = read_json(folder / "origin.json").items()
+    renewed = {name: one for name, one in origin if name in anew}
+    write_json(folder / "origin.json", read_json(before / "origin.json") | renewed)
 
 
 def _check_target(out: Path, results: Path) -> None:
@@ -266,29 +258,38 @@ def _check_file(path: Path) -> None:
         _mapping(path)
     elif path.suffix == ".parquet":
         read_parquet(path)
-    elif path.suffix == ".safetensors":
+    elif path.suffix == WEIGHTS:
         card = _mapping(path.with_suffix(".json"))
         if card.get("weights_sha256") != file_digest(path):
             raise Damaged(path, f"not the weights that its card {path.stem}.json describes")
 
 
-def _unscored(results: Path, digests: Mapping[str, str]) -> list[str]:
+def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
     """Models that the scores do not include; BadInput if these are of what is not there.
 
-    `digests` has the SHA-256 of every file that is published.
+    `digests` has the SHA-256 of every file that is published, and of weights that are not.
     """
+    there = {name: one for name, one in digests.items() if name.endswith((WEIGHTS, MANIFEST))}
     found: set[str] = set()
-    for path in [results / "evaluate" / name for name in SCORES]:
+    for path in scores:
         if not path.is_file():
             continue
         try:
-            record = read_provenance(path)
+            inputs = read_provenance(path).get("inputs") or {}
         except FileNotFoundError:
             raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
-        others, unscored = compare(record, digests)
+        evaluated = {
+            name: one for name, one in inputs.items() if name.endswith((WEIGHTS, MANIFEST))
+        }
+        others = sorted(name for name, one in evaluated.items() if one not in there.values())
         if others:
-            raise BadInput(f"{path}: scores of another {and_more(others)} than is there; {_AGAIN}")
-        found.update(unscored)
+            raise BadInput(f"{path}: scores of another {others[0]} than is there; {_AGAIN}")
+        # Datasets of other benches calibrate; the scores are of the run's own.
+        found |= {
+            name
+            for name, one in there.items()
+            if not name.startswith(FURTHER) and one not in evaluated.values()
+        }
     return sorted(found)
 
 
@@ -334,30 +335,51 @@ def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
     return found if rendered <= set(found) else {}
 
 
-def _copy(source: Path, to: Path, missing: list[str]) -> None:
-    """Copy a file and its record; say at the head of a page what the run lacks."""
-    to.parent.mkdir(parents=True, exist_ok=True)
+def _copy(source: Path, to: Path, published: bool = True) -> None:
+    """Copy a file and its record; of weights that are not published the record alone.
+
+    Tables of numbers are stored more compactly, their rows the same; of a calibration's trials
+    their results are left, not their runs.
+    """
     record = source.with_name(source.name + SIDECAR_SUFFIX)
-    if missing:
-        text = source.read_text(encoding="utf-8")
-        note = (
-            '<p style="margin:0;padding:10px;background:#fff3cd;color:#000"><b>Partial.</b> This '
-            f"run is not finished: {and_more(missing)} lacking.</p>"
-        )
-        page, count = re.subn(r"(<body[^>]*>)", rf"\1{note}", text, count=1)
-        if not count:
-            raise BadInput(f"{source}: no page: it has no body to mark as partial")
-        to.write_text(page, encoding="utf-8")
-    else:
+    to.parent.mkdir(parents=True, exist_ok=True)
+    if source.name == "calibration.json" and source.is_file():
+        write_json(to, _without_runs(read_json(source)))
+        return
+    if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
+        _copy_table(source, to)
+    elif published and source.is_file():
         shutil.copyfile(source, to)
-        if record.is_file():
-            shutil.copyfile(record, to.with_name(record.name))
+    # The record of a model's card and curve is that of its weights.
+    if record.is_file() and (source.suffix == WEIGHTS or "models" not in to.parts):
+        shutil.copyfile(record, to.with_name(record.name))
 
 
-def _costs(results: Results) -> Iterator[dict[str, Any]]:
-    """A row a class of jobs: of the rendering, light, images, previews and comparison apart."""
-    for cost in results.benchmarks(job_classes=True):
-        yield json.loads(json.dumps(asdict(cost)).replace("NaN", "null"))
+def _copy_table(source: Path, to: Path) -> None:
+    table = read_parquet(source)
+    schema = pq.read_metadata(source).schema
+    columns = [schema.column(number) for number in range(len(schema))]
+    numbers = [one.path for one in columns if one.physical_type in ("FLOAT", "DOUBLE")]
+    others = [one.path for one in columns if one.path not in numbers]
+    pq.write_table(
+        table, to, compression="zstd", use_dictionary=others, use_byte_stream_split=numbers
+    )
+
+
+def _without_runs(content: Any) -> Any:
+    """A structure without its entries ``runs``."""
+    if isinstance(content, dict):
+        return {key: _without_runs(one) for key, one in content.items() if key != "runs"}
+    return [_without_runs(one) for one in content] if isinstance(content, list) else content
+
+
+def _describe_run(results: Results, folder: Path) -> None:
+    """Write what jobs and simulations cost, and the records of the stages."""
+    costs = [asdict(cost) for cost in results.benchmarks(job_classes=True)]
+    write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
+    if solved := list(_simulations(results)):
+        pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
+    write_json(folder / "origin.json", dict(results.provenance()))
 
 
 def _simulations(results: Results) -> Iterator[dict[str, Any]]:

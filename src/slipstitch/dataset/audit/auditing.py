@@ -3,12 +3,12 @@
 import time
 from pathlib import Path
 
+from slipstitch.base.project import PACKAGE
 from slipstitch.config import Config
 from slipstitch.dataset.audit.admission import limited_memory
 from slipstitch.dataset.audit.contents import read_contents
-from slipstitch.dataset.audit.derived import check_derived
 from slipstitch.dataset.audit.files import check_files
-from slipstitch.dataset.audit.findings import Audit, Finding, Kind, sorted_findings
+from slipstitch.dataset.audit.findings import NO_FORGER, Audit, Finding, Kind, sorted_findings
 from slipstitch.dataset.audit.lineage_check import check_lineage
 from slipstitch.dataset.audit.staleness import check_commits, check_staleness
 from slipstitch.dataset.release.checksums import SIGNATURE, SUMS
@@ -62,14 +62,10 @@ def _audit(
         else:
             notes.append(f"signed by {signer}")
     elif expected is None:
-        how = "--verify" if (folder / SIGNATURE).is_file() else "--expect"
-        notes.append(f"not compared with any external reference ({how}): see docs/dataset.md")
-    of_files, numbers, shards = check_files(contents, jobs)
-    parts = [
-        check_lineage(contents, shards),
-        check_derived(contents),
-        check_commits(contents, Path(__file__).resolve().parents[3]),
-    ]
+        notes.append(NO_FORGER)
+    of_files, others, numbers, shards = check_files(contents, jobs)
+    notes += others
+    parts = [check_lineage(contents, shards), check_commits(contents, PACKAGE.parents[1])]
     findings += [*of_files, *check_staleness(contents, config)]
     for found, noted in parts:
         findings += found

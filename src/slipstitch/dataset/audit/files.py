@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -24,12 +22,12 @@ from slipstitch.dataset.audit.admission import (
     text_columns,
 )
 from slipstitch.dataset.audit.contents import Contents
-from slipstitch.dataset.audit.findings import Finding, Kind
+from slipstitch.dataset.audit.findings import Finding, Kind, not_part
 from slipstitch.dataset.audit.lineage import Lineage
-from slipstitch.dataset.audit.png import png_problem
 from slipstitch.dataset.images import DATASET_SCHEMA
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.shards import FOLDER, shard_schema
+from slipstitch.dataset.shards import decode
 
 # Labels of an image that its video's row of the manifest repeats: column there -> column here.
 SHARED = {
@@ -46,14 +44,13 @@ _GROWS = "takes far more memory than it has bytes; not read"
 
 @dataclass
 class Shard:
-    """The content of a shard: by video, the digest of its pixels, its labels, a flaw of an image.
+    """The content of a shard: by video, the digest of its pixels, its columns, a flaw of an image.
 
     `problem` states why it could not be read, `odd` its deviations from the format.
     """
 
     pixels: dict[str, str] = field(default_factory=dict)
     first_row: dict[str, int] = field(default_factory=dict)
-    labels: dict[str, dict[str, Any]] = field(default_factory=dict)
     columns: dict[str, dict[str, list]] = field(default_factory=dict)
     images: int = 0
     problem: str | None = None
@@ -84,30 +81,22 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
     sums: dict[str, Any] = {}
     try:
         shard.odd = check_parquet(path, images=True)
-        expected, schema = shard_schema(DATASET_SCHEMA), pq.read_schema(path)
-        if not schema.equals(expected, check_metadata=True):
-            shard.odd = f"its columns are not those of a shard: {_difference(schema, expected)}"
+        if not pq.read_schema(path).equals(shard_schema(DATASET_SCHEMA), check_metadata=True):
+            shard.odd = "its columns are not those of a shard"
         for batch in _batches(path):
-            columns = {
-                name: batch.column(name).to_pylist()
-                for name in batch.schema.names
-                if name != "image"
-            }
+            names = [name for name in batch.schema.names if name != "image"]
+            columns = {name: batch.column(name).to_pylist() for name in names}
             images, paths = (batch.column("image").field(name) for name in ("bytes", "path"))
             for number, video in enumerate(columns["video"]):
                 if video not in sums:
                     sums[video] = hashlib.sha256()
                     shard.first_row[video] = shard.images
-                    shard.labels[video] = {name: values[number] for name, values in columns.items()}
                     shard.columns[video] = defaultdict(list)
-                data = images[number].as_py() or b""
-                problem, decoded = png_problem(data, (pixels, pixels) if pixels else None), None
-                if problem is None:
-                    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-                if decoded is None:
-                    shard.flaws.setdefault(video, problem or "cannot be decoded")
-                else:
-                    sums[video].update(np.ascontiguousarray(decoded[..., ::-1]))
+                try:
+                    image = decode(images[number].as_py() or b"", "an image", pixels)
+                    sums[video].update(image.tobytes())
+                except BadInput as problem:
+                    shard.flaws.setdefault(video, str(problem))
                 for name, values in columns.items():
                     shard.columns[video][name].append(values[number])
                 shard.columns[video]["path"].append(paths[number].as_py())
@@ -120,16 +109,6 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
         shard.problem = first_line(error)
     shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
     return shard
-
-
-def _difference(found: pa.Schema, expected: pa.Schema) -> str:
-    """What of a schema is not as expected, in a few words."""
-    more = [name for name in found.names if name not in expected.names]
-    fewer = [name for name in expected.names if name not in found.names]
-    if more or fewer:
-        return f"{more[0]!r} more" if more else f"{fewer[0]!r} is missing"
-    of_type = [f.name for f, e in zip(found, expected, strict=False) if f.type != e.type]
-    return f"{of_type[0]!r} has another type" if of_type else "order or metadata"
 
 
 def admit_shards(contents: Contents) -> dict[str, str]:
@@ -156,12 +135,14 @@ def admit_shards(contents: Contents) -> dict[str, str]:
 
 def check_files(
     contents: Contents, jobs: int
-) -> tuple[list[Finding], dict[str, int], dict[str, Shard]]:
+) -> tuple[list[Finding], list[str], dict[str, int], dict[str, Shard]]:
     """Hash every file and decode every shard.
 
     Returns
     -------
     findings : list of Finding
+    notes : list of str
+        Files that are not part of the release.
     numbers : dict
         ``files, bytes, images`` that were looked at.
     shards : dict
@@ -171,34 +152,20 @@ def check_files(
     unreadable = admit_shards(contents)
     lineage = Lineage(contents)
     there = files_below(folder)
-    findings = [
-        Finding(Kind.MISSING, name, "is missing", lineage.clips_of_file(name))
-        for name in sums
-        if name not in set(there)
-    ]
-    findings += [
-        Finding(Kind.MISSING, name, "listed in the manifest, but not in SHA256SUMS", clips)
-        for name in sorted({row["shard"] for row in contents.rows} - set(sums))
-        if (clips := lineage.clips_of_file(name))
-    ]
-    findings += [
-        Finding(Kind.UNEXPLAINED, name, "not listed in SHA256SUMS")
-        for name in there
-        if name not in sums
-    ]
+    findings, notes = _listing(lineage, there)
     present = [name for name in there if name in sums]
     # The largest first, so that no thread is left with one at the end.
     order = sorted(present, key=lambda name: -os.path.getsize(folder / name))
+    shards = [name for name in order if name.startswith(f"{FOLDER}/")]
+    side = contents.config.render.pixels if contents.config else None
+
+    def read(name: str) -> Shard:
+        if name in unreadable:
+            return Shard(problem=unreadable[name])
+        return read_shard(folder / name, side)
+
     with ThreadPoolExecutor(jobs) as pool:
         digests = dict(zip(order, pool.map(lambda n: file_digest(folder / n), order), strict=True))
-        shards = [name for name in order if name.startswith(f"{FOLDER}/")]
-        pixels = contents.config.render.pixels if contents.config else None
-
-        def read(name: str) -> Shard:
-            if name in unreadable:
-                return Shard(problem=unreadable[name])
-            return read_shard(folder / name, pixels)
-
         decoded = dict(zip(shards, pool.map(read, shards), strict=True))
     for name, shard in decoded.items():
         if shard.grows and digests[name] == sums[name]:
@@ -206,12 +173,11 @@ def check_files(
     owner = {digest: name for name, digest in sums.items()}
     stated = contents.release.get("files", {})
     for name in present:
-        clips = lineage.clips_of_file(name)
         if digests[name] != sums[name]:
             findings.append(_altered(lineage, name, digests[name], owner, decoded.get(name)))
         elif name in stated and stated[name] != digests[name]:
             what = "SHA256SUMS was rewritten: its digest differs from records/release.json"
-            findings.append(Finding(Kind.ALTERED, name, what, clips))
+            findings.append(Finding(Kind.ALTERED, name, what, lineage.clips_of_file(name)))
         if name in decoded and contents.rows:
             findings += _check_shard(lineage, name, decoded[name], digests[name] == sums[name])
     numbers = {
@@ -219,7 +185,28 @@ def check_files(
         "bytes": sum(os.path.getsize(folder / name) for name in present),
         "images": sum(shard.images for shard in decoded.values()),
     }
-    return findings, numbers, decoded
+    return findings, notes, numbers, decoded
+
+
+def _listing(lineage: Lineage, there: list[str]) -> tuple[list[Finding], list[str]]:
+    """Files that are missing, and those that are not part of the release."""
+    sums = lineage.contents.sums
+    findings = [
+        Finding(Kind.MISSING, name, "is missing", lineage.clips_of_file(name))
+        for name in sums
+        if name not in set(there)
+    ]
+    findings += [
+        Finding(Kind.MISSING, name, "listed in the manifest, but not in SHA256SUMS", clips)
+        for name in sorted({row["shard"] for row in lineage.contents.rows} - set(sums))
+        if (clips := lineage.clips_of_file(name))
+    ]
+    others = [name for name in there if name not in sums]
+    for name in others:
+        if name.startswith(f"{FOLDER}/") and name.endswith(".parquet"):
+            what = "not listed in SHA256SUMS, but loaded with the other shards"
+            findings.append(Finding(Kind.UNEXPLAINED, name, what))
+    return findings, [not_part("the release", others)] if others else []
 
 
 def _altered(
@@ -265,7 +252,7 @@ def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) ->
             findings.append(Finding(Kind.BROKEN, name, f"contains no image of {video}", (video,)))
             continue
         if video in shard.flaws:
-            what = f"an image of {video} {shard.flaws[video]}"
+            what = f"{video}: {shard.flaws[video]}"
             findings.append(Finding(Kind.ALTERED, name, what, (video,)))
         elif found != row["pixels_sha256"]:
             what = f"the decoded pixels of {video} do not match the manifest"

@@ -19,7 +19,7 @@ class Kind(StrEnum):
 MEANING = {
     Kind.ALTERED: "a file or its images do not match the release",
     Kind.MISSING: "a file of the release is missing",
-    Kind.UNEXPLAINED: "a file that is not part of the release",
+    Kind.UNEXPLAINED: "a shard that is not part of the release, but would be loaded with it",
     Kind.BROKEN: "a clip cannot be traced to its origin, or its record is inconsistent",
     Kind.STALE: "the current code or configuration would give different results",
 }
@@ -125,3 +125,19 @@ def in_words(clips: Sequence[str], all_clips: int) -> str:
         return f"all {all_clips} clips"
     named = ", ".join(clips[:3])
     return f"{named} and {len(clips) - 3} more" if len(clips) > 3 else named
+
+
+#: What an audit can promise to whoever checks neither signature nor published digest.
+NO_FORGER = (
+    "an audit finds accidents and careless changes. Whoever has no signature to check (--verify) "
+    "and no digest from the publisher (--expect) is not protected against a deliberate forger, "
+    "who makes all files and records agree"
+)
+
+
+def not_part(of: str, names: Sequence[str]) -> str:
+    """A note on files that hubs, desktops and others have added."""
+    hidden = {name: name.startswith(".") for name in names}
+    shown = list(dict.fromkeys(n.partition("/")[0] if hidden[n] else n for n in names))
+    more = f" and {len(shown) - 3} more" if len(shown) > 3 else ""
+    return f"not part of {of}, not looked at: {', '.join(shown[:3])}{more}"

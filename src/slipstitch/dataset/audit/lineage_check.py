@@ -1,13 +1,12 @@
-"""Tracing every clip to its origin: rendering, simulation, calibration, fabric, configuration.
+"""Tracing every clip to its origin, and recomputing its labels.
 
-Two sorts of evidence. Records are compared with each other: what a file was made from must be the
-file that the next record is about. And what follows from configuration and seed alone (labels,
-seeds, perturbations, stage positions, splits) is recomputed; no edit of the release can make
-that agree, short of editing the configuration and every record with it.
+Records are compared with each other: what a file was made from must be the file that the next
+record is about. Labels, times, stage positions and splits follow from configuration and seed, and
+are recomputed. Both find what went wrong or was changed carelessly; only a signature finds a
+release whose records were all rewritten to agree.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +15,21 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config
-from slipstitch.config.catalogue import FABRICS_FILE, VIEWPOINTS
+from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Finding, Kind
 from slipstitch.dataset.audit.lineage import SAMPLED_MANIFEST, Lineage
-from slipstitch.dataset.audit.recorded import check_recorded
-from slipstitch.dataset.dataset import manifest_sides
+from slipstitch.dataset.labels import video_labels
 from slipstitch.dataset.manifest import dataset_digest
-from slipstitch.dataset.release.code import SOURCES
+from slipstitch.dataset.release.code import PACKAGE_SOURCES, SOURCES
 from slipstitch.dataset.release.currency import (
     catalogue_changes,
     config_changes,
     current_digest,
     recorded_entries,
 )
-from slipstitch.dataset.release.manifest import MANIFEST, SAMPLED, sampled_rows
+from slipstitch.dataset.release.manifest import MANIFEST, sampled_rows
 from slipstitch.dataset.release.records import (
     RELEASE_RECORD,
     VERIFICATION,
@@ -42,8 +40,6 @@ from slipstitch.dataset.release.records import (
     record_file,
 )
 from slipstitch.dataset.release.splits import PREFIX, parts, split_columns
-from slipstitch.design.grid import films, simulations, textures, viewpoints
-from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest
@@ -72,25 +68,22 @@ def check_lineage(
     if not contents.rows:
         return [Finding(Kind.BROKEN, MANIFEST, "no clip can be traced without it")], []
     lineage = Lineage(contents)
-    findings = [
-        *_links(lineage),
-        *_configuration(lineage),
-        *_sampled(lineage),
-        *_release_record(contents),
-    ]
+    findings = [*_links(lineage), *_sampled(lineage), *_release_record(contents)]
     notes = []
+    sources = contents.folder / SOURCES
+    if (contents.folder / PACKAGE_SOURCES / "dataset").is_dir():
+        findings += _sources(lineage, sources)
+    elif sources.is_dir():
+        notes.append("code/src is of an older version of Slipstitch: code digests not compared")
     if contents.config is not None:
-        from slipstitch.dataset.audit.judged import check_judged  # and with it the theory: SciPy
-
+        findings += _configuration(lineage, contents.config)
         stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
         if stale:
             notes.append(
-                "seeds, perturbations, stage positions, labels and splits are checked with code "
-                f"that has changed since ({', '.join(stale)})"
+                "labels, times, stage positions and splits are checked with code that has changed "
+                f"since ({', '.join(stale)})"
             )
         findings += _recomputed(lineage, contents.config, shards, stale)
-        findings += check_recorded(lineage, contents.config, set(stale))
-        findings += check_judged(contents, contents.config, shards, set(stale))
     return findings, notes
 
 
@@ -132,42 +125,45 @@ def _links(lineage: Lineage) -> Iterator[Finding]:
                 what = f"was made from a {name} other than the one described by {record_file(name)}"
                 touched = min(lineage.clips(name), clips, key=len)
                 yield Finding(Kind.BROKEN, where, what, touched)
-    listed = (
-        lineage.artefacts[SAMPLED_MANIFEST].inputs if SAMPLED_MANIFEST in lineage.artefacts else {}
-    )
+    manifest = lineage.artefacts.get(SAMPLED_MANIFEST)
     for row in lineage.contents.rows:
-        if f"results/sample/{row['sampled_file']}" not in listed:
+        if manifest and f"results/sample/{row['sampled_file']}" not in manifest.inputs:
             what = f"the manifest was not made from {row['sampled_file']}"
             yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
+        stages = {one.stage for one in map(lineage.artefacts.get, lineage.behind(row)) if one}
+        if not {"simulate", "render"} <= stages:
+            what = f"{row['video']}: its rendering or simulation is missing"
+            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
     for path in sorted(set(lineage.artefacts) - starts):
-        yield Finding(
-            Kind.BROKEN, record_file(path), "no clip depends on the file that it describes"
-        )
+        what = "no clip depends on the file that it describes"
+        yield Finding(Kind.BROKEN, record_file(path), what)
 
 
-def _configuration(lineage: Lineage) -> Iterator[Finding]:
-    """Records against the configuration and the sources that the release carries."""
-    contents = lineage.contents
-    sources = contents.folder / SOURCES
+def _configuration(lineage: Lineage, config: Config) -> Iterator[Finding]:
+    """Records against the configuration that the release carries."""
+    for artefact in _ours(lineage):
+        if changes := config_changes(artefact, config, lineage.contents.calibrated):
+            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
+            clips = lineage.clips(artefact.path)
+            yield Finding(Kind.BROKEN, record_file(artefact.path), what, clips)
+
+
+def _sources(lineage: Lineage, sources: Path) -> Iterator[Finding]:
+    """Records against the sources that the release carries."""
     for artefact in _ours(lineage):
         where, clips = record_file(artefact.path), lineage.clips(artefact.path)
-        changes = (
-            config_changes(artefact, contents.config, contents.calibrated)
-            if contents.config
-            else []
-        )
-        if changes:
-            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
-            yield Finding(Kind.BROKEN, where, what, clips)
         digest = artefact.record.get("code_digest")
-        versions = artefact.versions
-        if sources.is_dir() and digest != current_digest(artefact.stage, sources, versions):
+        if digest != current_digest(artefact.stage, sources, artefact.versions):
             what = f"its code digest is not that of {artefact.stage} in code/src at its versions"
             yield Finding(Kind.BROKEN, where, what, clips)
         for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
-            if sources.is_dir() and digest != _carried_fabric(sources, name):
+            if digest != _carried_fabric(sources, name):
                 what = f"was made with a fabric {name} that differs from code/src"
                 yield Finding(Kind.BROKEN, where, what, clips)
+    digest = lineage.contents.release.get("provenance", {}).get("code_digest")
+    if lineage.contents.release and digest != current_digest("release", sources):
+        what = "its code digest differs from that of release in code/src"
+        yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
 
 
 def _carried_fabric(sources: Path, name: str) -> str | None:
@@ -182,158 +178,96 @@ def _sampled(lineage: Lineage) -> Iterator[Finding]:
     """The manifest against the digest that the sampling stage noted of its rows."""
     contents = lineage.contents
     record = lineage.artefacts.get(SAMPLED_MANIFEST)
-    try:
-        digest = dataset_digest(sampled_rows(contents.rows, contents.notes["sampled_columns"]))
-    except (KeyError, TypeError):
-        digest = None
-    if record is not None and digest != record.metadata.get("dataset_digest"):
+    rows = _sampled_rows(contents)
+    noted = record and record.metadata.get("dataset_digest")
+    if record is not None and rows and dataset_digest(rows) != noted:
         what = "labels, splits or pixel digests differ from those of the sampling stage"
         yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
-    if dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
+    if not rows or dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
         yield Finding(Kind.BROKEN, MANIFEST, "its rows do not match their digest")
 
 
+def _sampled_rows(contents: Contents) -> list[dict[str, Any]]:
+    """The sampling stage's rows; none where the manifest does not have its columns."""
+    try:
+        return sampled_rows(contents.rows, contents.notes["sampled_columns"])
+    except (KeyError, TypeError):
+        return []
+
+
 def _release_record(contents: Contents) -> Iterator[Finding]:
-    """The release's own record against SHA256SUMS, configuration and carried sources."""
-    stated = contents.release.get("files", {})
+    """The release's own list of files against SHA256SUMS."""
+    stated, sums = set(contents.release.get("files", {})), set(contents.sums) - {RELEASE_RECORD}
     if contents.release:
-        digest = contents.release["provenance"].get("code_digest")
-        sources = contents.folder / SOURCES
-        if sources.is_dir() and digest != current_digest("release", sources):
-            what = "its code digest differs from that of release in code/src"
-            yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
-        for name in sorted(set(stated) - set(contents.sums)):
-            yield Finding(
-                Kind.BROKEN, name, "listed in records/release.json, but not in SHA256SUMS"
-            )
-        for name in sorted(set(contents.sums) - set(stated) - {RELEASE_RECORD}):
-            yield Finding(
-                Kind.BROKEN, name, "listed in SHA256SUMS, but not in records/release.json"
-            )
+        for name in sorted(stated ^ sums):
+            lists = ("records/release.json", "SHA256SUMS")
+            there, lacking = lists if name in stated else lists[::-1]
+            yield Finding(Kind.BROKEN, name, f"listed in {there}, but not in {lacking}")
 
 
 def _recomputed(
     lineage: Lineage, config: Config, shards: Mapping[str, Shard], stale: Collection[str]
 ) -> Iterator[Finding]:
-    """Everything determined by configuration and seed, recomputed by unchanged code."""
+    """Everything determined by configuration and seed, recomputed."""
     contents = lineage.contents
-    expected = _labels(config)
-    frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
-    times_s = frames / config.simulation.frame_rate_hz
-    x_m, _ = StagePath(**dict(config.simulation.stage)).position_m(times_s)
-    for row in contents.rows:
-        video = row["video"]
-        if video not in expected:
-            yield Finding(Kind.BROKEN, MANIFEST, f"{video}: not in the configured grid", (video,))
-            continue
-        for name, value in expected[video].items():
-            if row.get(name) != value:
-                what = f"{name} is {row.get(name)!r}, the configuration gives {value!r}"
-                yield Finding(Kind.BROKEN, MANIFEST, f"{video}: {what}", (video,))
-        shard = shards.get(row["shard"])
-        columns = shard.columns.get(video) if shard else None
-        problem = _times(columns, frames, times_s, x_m) if columns else None
-        if problem:
-            yield Finding(Kind.BROKEN, row["shard"], f"{video}: {problem}", (video,))
-        if not lineage.of_stage(row, "render") or not lineage.of_stage(row, "simulate"):
-            what = f"{video}: its rendering or simulation is missing"
-            yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
-        for record in lineage.of_stage(row, "render"):
-            pose = record.metadata.get("pose")
-            if pose != {n[5:]: value for n, value in row.items() if n.startswith("pose_")}:
-                what = f"{video}: its pose is not the one its images were rendered from"
-                yield Finding(Kind.BROKEN, MANIFEST, what, (video,))
-        if "render" not in stale:
-            yield from _drawn(config, row)
-    missing = sorted(set(expected) - set(contents.clips))
-    if missing:
-        what = f"the clip {missing[0]} of the grid is missing ({len(missing)} are missing)"
-        yield Finding(Kind.BROKEN, MANIFEST, what)
-    if "sample" not in stale:
-        yield from _sides(contents, config)
-
-
-def _labels(config: Config) -> dict[str, dict[str, Any]]:
-    """Video -> its labels, as far as the grid gives them."""
-    calibrated = VIEWPOINTS["calibrated"].azimuth_deg
-    shown, between = films(config), interpolations(config)
-    return {
-        f"{simulation.id}_{texture['id']}_{view['id']}": {
-            "simulation": simulation.id,
-            **{
-                key: value for key, value in asdict(simulation).items() if key not in ("id", "seed")
-            },
-            "friction": filmed_friction(simulation, between.get((simulation.id, view["id"]))),
-            "interpolated": (simulation.id, view["id"]) in between,
-            **{f"texture{part}": texture[key] for part, key in _PARTS.items()},
-            **{f"viewpoint{part}": view[key] for part, key in _PARTS.items()},
-            "floor_role": view["floor_role"],
-            "viewpoint_turn_deg": VIEWPOINTS[view["name"]].azimuth_deg - calibrated,
-            "frames": config.sample.frames_kept,
-            "pixels": config.render.pixels,
-            f"{SAMPLED}file": f"{simulation.id}.parquet",
-        }
-        for simulation in simulations(config)
-        for texture in textures(config)
-        for view in viewpoints(config)
-        if texture["id"] in shown.get((simulation.id, view["id"]), ())
-    }
-
-
-_PARTS = {"": "name", "_id": "id", "_role": "role"}
-
-
-def _times(
-    columns: Mapping[str, list], frames: np.ndarray, times_s: np.ndarray, x_m: np.ndarray
-) -> str | None:
-    """Errors in frame numbers, times and stage positions of a clip."""
-    if columns.get("frame") != frames.tolist():
-        return "its frames are not the sampled ones"
-    for name, expected in (("time_s", times_s), ("stage_x_m", x_m)):
-        found = columns.get(name)
-        if found is None:
-            continue
-        if None in found or np.abs(np.array(found) - expected).max() > _STAGE_TOLERANCE_M:
-            return f"{name} differs from the protocol"
-    return None
-
-
-def _drawn(config: Config, row: Mapping[str, Any]) -> Iterator[Finding]:
-    """The labels of a clip's floor against what the seed draws."""
-    from slipstitch.images.surroundings import draw_surroundings
-
-    drawn = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint_id"])
-    labels = {
-        "floor": drawn.floor,
-        "floor_reflectance": drawn.reflectance,
-        "floor_roughness": drawn.roughness,
-    }
-    for name, value in labels.items():
-        if row.get(name) != value:
-            what = f"{row['video']}: {name} is {row.get(name)!r}, the seed draws {value!r}"
-            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-
-
-def _sides(contents: Contents, config: Config) -> Iterator[Finding]:
-    """Splits, redrawn."""
     try:
-        expected = manifest_sides(config)
+        expected = video_labels(config)
     except BadInput as error:
         yield Finding(Kind.BROKEN, "records/config.json", f"the splits cannot be drawn: {error}")
         return
-    try:
-        sampled = sampled_rows(contents.rows, contents.notes.get("sampled_columns") or [])
-    except (KeyError, TypeError):  # said above: its rows have another digest
-        return
-    for row in sampled:
-        found = row.get("split_by_video"), row.get("split_by_simulation")
-        if row["video"] in expected and found != expected[row["video"]]:
-            what = f"{row['video']}: its sides are {found}, redrawn {expected[row['video']]}"
-            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-    splits = split_columns(sampled, config)
-    for name, sides in splits.items():
-        yield from _differing(contents.rows, PREFIX + name, sides)
-    yield from _differing(contents.rows, "part", parts(splits))
+    rows = _sampled_rows(contents)
+    for row in rows:
+        for name, value in expected.get(row["video"], {}).items():
+            if name.startswith(PREFIX) and "sample" in stale:
+                continue
+            if name in row and row[name] != value:
+                what = f"{name} is {row[name]!r}, the configuration gives {value!r}"
+                yield Finding(Kind.BROKEN, MANIFEST, f"{row['video']}: {what}", (row["video"],))
+    odd = sorted(set(expected) ^ set(contents.clips))
+    if odd:
+        what = f"{odd[0]}: not in the configured grid"
+        if odd[0] in expected:
+            what = f"the clip {odd[0]} of the grid is missing ({len(odd)} differ from the grid)"
+        yield Finding(Kind.BROKEN, MANIFEST, what, tuple(set(odd) & set(contents.clips)))
+    yield from _timed(contents, config, shards)
+    for row in contents.rows:
+        yield from _rendered(lineage, row)
+    if rows and "sample" not in stale:
+        splits = split_columns(rows, config)
+        for name, sides in splits.items():
+            yield from _differing(contents.rows, PREFIX + name, sides)
+        yield from _differing(contents.rows, "part", parts(splits))
+
+
+def _timed(contents: Contents, config: Config, shards: Mapping[str, Shard]) -> Iterator[Finding]:
+    """Errors in frame numbers, times and stage positions of the clips' images."""
+    frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
+    times_s = frames / config.simulation.frame_rate_hz
+    x_m, _ = StagePath(**dict(config.simulation.stage)).position_m(times_s)
+    protocol = {"frame": frames, "time_s": times_s, "stage_x_m": x_m}
+    for row in contents.rows:
+        shard = shards.get(row["shard"])
+        columns = shard.columns.get(row["video"]) if shard else None
+        for name, values in protocol.items() if columns else ():
+            found = np.array(columns.get(name), np.float64)
+            same = found.shape == values.shape
+            if not same or not (np.abs(found - values) <= _STAGE_TOLERANCE_M).all():
+                what = f"{row['video']}: {name} differs from the protocol"
+                yield Finding(Kind.BROKEN, row["shard"], what, (row["video"],))
+
+
+def _rendered(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
+    """A clip's pose and floor against what its images were rendered with."""
+    for record in lineage.of_stage(row, "render"):
+        pose, floor = record.metadata.get("pose"), record.metadata.get("surroundings")
+        told = {f"pose_{name}": value for name, value in (pose or {}).items()}
+        if isinstance(floor, Mapping):
+            told["floor"] = floor.get("floor")
+            told |= {f"floor_{name}": floor.get(name) for name in ("reflectance", "roughness")}
+        for name, value in told.items():
+            if row.get(name) != value:
+                what = f"{row['video']}: {name} is {row.get(name)!r}, rendered with {value!r}"
+                yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
 
 
 def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:

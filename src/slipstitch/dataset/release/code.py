@@ -11,6 +11,7 @@ CODE = "code"
 SNAKEFILE = f"{CODE}/Snakefile"
 SOURCES = f"{CODE}/src"
 _PACKAGE = "src/slipstitch"
+PACKAGE_SOURCES = f"{CODE}/{_PACKAGE}"
 _NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff")
 _TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
 #: Files and folders of a checkout that a release carries.
