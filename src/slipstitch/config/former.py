@@ -37,6 +37,7 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "strip_drag_pull": 0.01,
         "strip_drag_tail_m": 1e-3,
     },
+    "compute": {"batch": 1},
     "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3},
 }
 
