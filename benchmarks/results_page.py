@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.learning.evaluation import paper as printed
-from slipstitch.physics.theory import flexible_strip_drag
+from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
 
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "results" / "published"

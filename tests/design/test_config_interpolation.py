@@ -8,7 +8,7 @@ from slipstitch.config import resolve_config
 from slipstitch.design.grid import find_simulation, simulations
 from slipstitch.design.interpolation import between, filmed_friction, interpolations
 from slipstitch.design.splits import sides_of_simulations
-from slipstitch.physics.theory.drag import flexible_strip_drag
+from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
 
 FABRICS = ["ivory-rib-knit", "pink-ribbon-brown", "white-dots-on-blk", "navy-sparkle-sweat"]
 FRICTIONS = [0.0, 0.1, 0.2, 0.4, 0.8, 1.5]

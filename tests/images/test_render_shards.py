@@ -24,6 +24,7 @@ from slipstitch.images import cloth_interpolation, image_shards
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import write_camera_file
 from slipstitch.images.view import View
+from slipstitch.physics.simulation.compact import rounded
 from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
 
 FRAMES, SAMPLED = 12, 4
@@ -73,6 +74,7 @@ def images(path):
 def test_a_trajectory_file_gives_back_what_was_written(work):
     motion = synthetic_cloth.motion(FRAMES, n=11, frame_rate_hz=0.15)
     read = read_trajectory(work / "m05_f0300_r00.parquet")
+    motion["positions_m"] = rounded(motion["positions_m"])
     for name, values in motion.items():
         np.testing.assert_array_equal(getattr(read, name), values)
 
@@ -320,7 +322,7 @@ def test_an_impossible_preview_is_one_clear_line(work, capsys, monkeypatch, word
 
 
 def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monkeypatch):
-    """Pixel for pixel as a film of the mean trajectory; its label is the coefficient between."""
+    """As a film of the mean trajectory, to one level; its label is the coefficient between."""
     monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
     settings = {
         "grid": {
@@ -369,8 +371,8 @@ def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monke
     words = ("--viewpoint", "v00")
     assert render(tmp_path, *words, out="mean.parquet", trajectory=f"{simulation}.parquet") == 0
     between, alone = (images(tmp_path / name) for name in ("out.parquet", "mean.parquet"))
-    for key, image in alone.items():
-        np.testing.assert_array_equal(between[key], image)
+    for key, image in alone.items():  # the mean that was written is rounded to a micrometre
+        assert np.abs(between[key].astype(int) - image).max() <= 1
 
 
 def test_trajectories_that_do_not_fit_one_another_are_refused(tmp_path):

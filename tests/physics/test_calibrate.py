@@ -8,10 +8,11 @@ import pytest
 from slipstitch.base.errors import NotConverged, SlipstitchError
 from slipstitch.base.page.figures import save_figure
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.calibration.calibration import DemandNotMet, calibrate, write_calibration
 from slipstitch.physics.calibration.calibration_figure import calibration_figure
-from slipstitch.physics.calibration.experiments import compare, experiments
+from slipstitch.physics.calibration.experiments import Quantity, experiments
+from slipstitch.physics.experiments.incline import incline_theory
+from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 
 SIMULATION = SimulationSettings()
 
@@ -20,7 +21,7 @@ def answers_of_theory(name, options, settings):
     """What a perfect simulator would return."""
     friction = options["friction"]
     if name == "incline":
-        result = theory.incline(friction, math.radians(options["slope_deg"]))
+        result = incline_theory(friction, math.radians(options["slope_deg"]))
         return {
             "sticks": result.sticks,
             "creep_m": 0.0,
@@ -29,7 +30,7 @@ def answers_of_theory(name, options, settings):
         }
     if name == "flat-drag":
         return {"pull_over_weight": friction, "theory_pull_over_weight": friction}
-    drag = theory.steady_strip_drag(
+    drag = steady_strip_drag(
         friction, 0.2, 0.15, options["gravity_length_m"], holder_angle_rad=None
     )
     keys = ("pull_over_w_m", "floor_load_over_w_m", "flat_tail_m", "holder_ahead_of_tail_m")
@@ -128,8 +129,9 @@ def test_a_result_without_a_key_is_said():
 
 
 def test_relative_error_where_theory_is_zero_needs_exactly_zero():
-    assert compare("x", "p", {}, 0.0, 0.0, 0.1, relative=True).met
-    assert not compare("x", "p", {}, 1e-9, 0.0, 0.1, relative=True).met
+    quantity = Quantity("x", "k", 0.1, relative=True, theory=0.0)
+    assert quantity.check("p", {}, {"k": 0.0}).met
+    assert not quantity.check("p", {}, {"k": 1e-9}).met
 
 
 def test_picture_is_the_same_every_time_and_survives_what_was_not_run(tmp_path):

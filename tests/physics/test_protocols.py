@@ -7,8 +7,9 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
+from slipstitch.physics.experiments.landed_strip import landed_strip_theory
 from slipstitch.physics.experiments.registry import run_protocol
+from slipstitch.physics.experiments.strip import strip_state
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
 FRICTIONS = (0.1, 0.5, 1.2)
@@ -109,7 +110,7 @@ def test_with_more_friction_the_foot_lies_flat_before_it_slips():
 def test_a_strip_pushed_less_far_is_pinned_and_has_the_shape_of_the_elastica():
     result = run_protocol("strip", {"friction": 0.3, "strain": 0.15}, SimulationSettings())
     assert (result["regime"], result["slip_strain"]) == ("pinned", None)
-    state = theory.strip_state(result["shape_strain"])
+    state = strip_state(result["shape_strain"])
     assert result["load_ratio"][-1] == pytest.approx(state.load_ratio, abs=1e-3)
     shape = np.array(result["shape_m"]) / 0.2
     # Compared at the same distance along the strip; both sides of the clamp are alike.
@@ -165,7 +166,7 @@ def test_a_landing_strip_slips_or_folds_under_on_either_side_of_the_threshold(fr
 @pytest.mark.parametrize("gravity_length_m", [0.015, 0.02, 0.043])
 @pytest.mark.parametrize("above", [-0.01, 0.01])
 def test_the_threshold_of_folding_follows_theory_at_other_stiffnesses(gravity_length_m, above):
-    threshold = theory.landed_strip((0.2 / gravity_length_m) ** 3).load_ratio
+    threshold = landed_strip_theory((0.2 / gravity_length_m) ** 3).load_ratio
     options = {"friction": threshold + above, "gravity_length_m": gravity_length_m}
     result = run_protocol("landed-strip", options, SimulationSettings(time_step_s=0.01))
     assert result["outcome"] == result["theory_outcome"] == ("folds" if above > 0 else "slips")

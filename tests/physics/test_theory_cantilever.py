@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.theory import cantilever_rule_gamma, heavy_cantilever
+from slipstitch.physics.experiments.cantilever import cantilever_rule_gamma, heavy_cantilever
 
 
 @pytest.mark.parametrize(("gamma", "ratio"), [(1.0, 0.12456), (10.0, 1.0668), (100.0, 5.888)])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.theory import flat_drag, flexible_strip_drag, steady_strip_drag
+from slipstitch.physics.experiments.flat_drag import flat_drag_theory
+from slipstitch.physics.experiments.strip_drag import flexible_strip_drag, steady_strip_drag
 
 LENGTH, HEIGHT = 0.20, 0.15
 
@@ -76,7 +77,7 @@ def test_a_strip_shorter_than_the_height_hangs_clear_of_the_floor():
 
 
 def test_flat_drag_pulls_friction_times_weight():
-    assert flat_drag(0.7) == 0.7
+    assert flat_drag_theory(0.7) == 0.7
 
 
 @pytest.mark.parametrize(

@@ -5,23 +5,27 @@ import pytest
 from scipy.integrate import trapezoid
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics import theory
-from slipstitch.physics.theory.landed import _flat_foot
+from slipstitch.physics.experiments.landed_strip import (
+    _flat_foot,
+    landed_strip_slip_strain,
+    landed_strip_theory,
+)
+from slipstitch.physics.experiments.strip import strip_slip_strain, strip_state_at_foot_angle
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.3])
 def test_without_weight_it_is_the_pushed_strip(friction):
-    expected = theory.strip_slip_strain(friction)
-    assert theory.landed_strip_slip_strain(friction, 0.0) == pytest.approx(expected, abs=1e-5)
-    flat = theory.strip_state_at_foot_angle(np.pi / 2)
-    assert theory.landed_strip(0.0).load_ratio == pytest.approx(flat.load_ratio, abs=1e-5)
+    expected = strip_slip_strain(friction)
+    assert landed_strip_slip_strain(friction, 0.0) == pytest.approx(expected, abs=1e-5)
+    flat = strip_state_at_foot_angle(np.pi / 2)
+    assert landed_strip_theory(0.0).load_ratio == pytest.approx(flat.load_ratio, abs=1e-5)
 
 
 @pytest.mark.parametrize("gamma, threshold", [(10.0, 0.3802), (100.0, 0.4272), (1000.0, 0.3960)])
 def test_thresholds_of_the_physics_page(gamma, threshold):
-    assert theory.landed_strip(gamma).load_ratio == pytest.approx(threshold, abs=2e-4)
-    assert theory.landed_strip_slip_strain(threshold + 1e-3, gamma) is None
-    assert theory.landed_strip_slip_strain(threshold - 1e-3, gamma) > 0
+    assert landed_strip_theory(gamma).load_ratio == pytest.approx(threshold, abs=2e-4)
+    assert landed_strip_slip_strain(threshold + 1e-3, gamma) is None
+    assert landed_strip_slip_strain(threshold - 1e-3, gamma) > 0
 
 
 def test_forces_and_moments_on_the_whole_strip_balance():
@@ -36,4 +40,4 @@ def test_forces_and_moments_on_the_whole_strip_balance():
 @pytest.mark.parametrize("gamma", [-1.0, 1e5, float("nan")])
 def test_weights_out_of_range_are_refused(gamma):
     with pytest.raises(BadInput, match="gamma must be at least 0 and at most 3000"):
-        theory.landed_strip(gamma)
+        landed_strip_theory(gamma)

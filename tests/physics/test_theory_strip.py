@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.theory import (
+from slipstitch.physics.experiments.strip import (
     strip_buckling_load,
     strip_slip_strain,
     strip_state,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state
-from slipstitch.physics import theory
+from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 from slipstitch.physics.experiments.tracked_drag import DragRun, Sheet, drag_tracked
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -26,7 +26,7 @@ def test_coulomb_friction_gives_the_elastica_at_rest_and_sliding(height_m, frict
     lag_mm, contact_mm, contact_at_rest_mm = steady(FrictionLaw(friction), height_m)
     length_m = (SHEET.bending_Nm / WEIGHT_N_M2) ** (1 / 3)
     sliding, rest = (
-        theory.steady_strip_drag(mu, SHEET.length_m, height_m, length_m, holder_angle_rad=None)
+        steady_strip_drag(mu, SHEET.length_m, height_m, length_m, holder_angle_rad=None)
         for mu in (friction, 1e-9)
     )
     expected = sliding.holder_ahead_of_tail_m - rest.holder_ahead_of_tail_m

@@ -21,13 +21,19 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import simulations
 from slipstitch.film.captures.scores import capture_metrics
 from slipstitch.learning.evaluation.metrics import entry, mean_over_seeds, spread_over_seeds
-from slipstitch.physics import theory
 from slipstitch.physics.calibration.calibration import (
     calibrate,
     strip_calibration,
     write_calibration,
 )
 from slipstitch.physics.calibration.sweep import sweep
+from slipstitch.physics.experiments.incline import incline_theory
+from slipstitch.physics.experiments.strip import (
+    strip_slip_strain,
+    strip_state,
+    strip_state_at_foot_angle,
+)
+from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_videos
 
@@ -57,9 +63,9 @@ def config(**sections) -> Config:
 @cache
 def strip_answer(friction, strain_error=1e-3, newton_iterations=1000):
     """A pushed strip as theory has it, its slip strain a little off."""
-    slips_at = theory.strip_slip_strain(friction)
-    flat = theory.strip_state_at_foot_angle(math.pi / 2)
-    state = flat if slips_at is None else theory.strip_state(slips_at)
+    slips_at = strip_slip_strain(friction)
+    flat = strip_state_at_foot_angle(math.pi / 2)
+    state = flat if slips_at is None else strip_state(slips_at)
     return {
         "slip_strain": None if slips_at is None else slips_at + strain_error,
         "flat_strain": flat.strain if slips_at is None else None,
@@ -77,7 +83,7 @@ def protocol_answer(name, options, settings):
     if name == "strip":
         return strip_answer(friction)
     if name == "incline":
-        result = theory.incline(friction, math.radians(options["slope_deg"]))
+        result = incline_theory(friction, math.radians(options["slope_deg"]))
         return {
             "sticks": result.sticks,
             "creep_m": 2e-7,
@@ -86,7 +92,7 @@ def protocol_answer(name, options, settings):
         }
     if name == "flat-drag":
         return {"pull_over_weight": 1.001 * friction, "theory_pull_over_weight": friction}
-    drag = theory.steady_strip_drag(
+    drag = steady_strip_drag(
         friction, 0.2, 0.15, options["gravity_length_m"], holder_angle_rad=None
     )
     keys = ("pull_over_w_m", "floor_load_over_w_m", "flat_tail_m", "holder_ahead_of_tail_m")

@@ -129,7 +129,7 @@ def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict
 
 
 def _ahead_of_tail_m(friction: float, length_m: float, height_m: float) -> float:
-    """From the tail's end of a dragged flexible strip to its holder (`physics.theory.drag`)."""
+    """From the tail's end of a dragged flexible strip to its holder, as theory gives it."""
     if height_m >= length_m:  # it hangs clear of the floor
         return 0.0
     reach = length_m + friction * height_m

@@ -62,19 +62,13 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
     simulation : SimulationSettings
         Settings to verify.
     run_protocol : callable
-        ``registry.run_protocol``: name, options and settings to a mapping of
-        results (SI units).
+        ``registry.run_protocol``: name, options and settings to a result (SI units).
 
     Returns
     -------
     dict
         ``settings`` (verified), ``met`` (all of them), ``checks`` (list of `Check` as mappings)
         and ``experiments`` (protocol, options, result and wall time in s of each run).
-
-    Raises
-    ------
-    SlipstitchError
-        If an experiment fails altogether.
     """
     checks, runs = [], []
     planned = experiments()
@@ -113,15 +107,6 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
 def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, record) -> None:
     """Write a calibration that met its requirements, with its provenance record.
 
-    Parameters
-    ----------
-    calibration : mapping
-        What `calibrate` returned.
-    path : path
-        The JSON file.
-    record : mapping
-        Its provenance.
-
     Raises
     ------
     DemandNotMet
@@ -132,13 +117,9 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
     if failed:
         json.dump(calibration, sys.stderr, indent=1, default=str)
         print(file=sys.stderr, flush=True)
-        raise DemandNotMet(_failure(failed))
+        others = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+        raise DemandNotMet(Check(**failed[0]).describe() + others)
     write_json(path, calibration, record)
-
-
-def _failure(failed: list[Mapping[str, Any]]) -> str:
-    others = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    return Check(**failed[0]).describe() + others
 
 
 def strip_calibration(
@@ -147,17 +128,7 @@ def strip_calibration(
     trials: list[dict[str, Any]],
     run_protocol: RunProtocol,
 ) -> dict[str, Any]:
-    """Choose settings by the pushed strip.
-
-    Parameters
-    ----------
-    settings : CalibrateSettings
-    simulation : SimulationSettings
-        The configured settings.
-    trials : list of dict
-        What `slipstitch.physics.calibration.sweep.sweep` returned, of all keys.
-    run_protocol : callable
-        As for `calibrate`; runs the combination of several changes.
+    """Choose settings by the pushed strip, from what `sweep.sweep` returned of all keys.
 
     Returns
     -------
@@ -216,20 +187,14 @@ def calibrate_to_file(
     Parameters
     ----------
     config : Config
-        The configuration.
     out : path
         The JSON file.
     sweeps : list of path, optional
         What `sweep.sweep_to_file` wrote, of all keys; made now if not given.
     draw : callable, optional
         Told what there is to draw, its record, and whether a requirement is not met; see
-        `pictures.draw_pictures`. Handed over, so that plots are no part of
-        the calibration: else another line width would simulate everything again.
-
-    Returns
-    -------
-    dict
-        The calibration.
+        `pictures.draw_pictures`. Handed over, so that plots are no part of the calibration: else
+        another line width would simulate everything again.
 
     Raises
     ------

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipstitch.base.page.palette import FAINT, MEASURED, THEORY
-from slipstitch.physics.theory import flexible_strip_drag, incline, steady_strip_drag
+from slipstitch.physics.experiments.incline import incline_theory
+from slipstitch.physics.experiments.strip_drag import flexible_strip_drag, steady_strip_drag
 
 # As the protocol holds it: by a hinge.
 STRIP_LENGTH_M, STRIP_HEIGHT_M = 0.20, 0.15
@@ -32,7 +33,8 @@ def draw_incline(axes: Axes, calibration: Mapping[str, Any]) -> bool:
     ratio = np.linspace(0.8, 1.05 * largest, 301)
     for friction in frictions:
         theory = [
-            incline(friction, math.atan(value * friction)).acceleration_m_s2 for value in ratio
+            incline_theory(friction, math.atan(value * friction)).acceleration_m_s2
+            for value in ratio
         ]
         axes.plot(ratio, theory, color=THEORY, lw=1.2)
         axes.annotate(

@@ -65,9 +65,12 @@ class Check:
         where = ", ".join(f"{key} {value:.6g}" for key, value in self.options.items())
         unit = f" {self.unit}" if self.unit else ""
         demand = f"{100 * self.demand:g} %" if self.relative else f"{self.demand:g}{unit}"
+        measured, theory = (
+            "nothing" if value is None else f"{value:.6g}" for value in (self.measured, self.theory)
+        )
         return (
-            f"{self.name} at {where}: measured {_shown(self.measured)}{unit}, "
-            f"theory {_shown(self.theory)}{unit}, allowed difference {demand}"
+            f"{self.name} at {where}: measured {measured}{unit}, theory {theory}{unit}, "
+            f"allowed difference {demand}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -75,54 +78,50 @@ class Check:
         return asdict(self)
 
 
-def _shown(value: float | None) -> str:
-    return "nothing" if value is None else f"{value:.6g}"
+@dataclass(frozen=True)
+class Quantity:
+    """A number of a protocol's result, and how far from theory it may be.
 
-
-def compare(
-    name: str,
-    protocol: str,
-    options: Mapping[str, float],
-    measured: Any,
-    theory: Any,
-    demand: float,
-    *,
-    relative: bool = False,
-    unit: str = "",
-) -> Check:
-    """Hold a measured number against theory's.
-
-    Parameters
+    Attributes
     ----------
-    name, protocol, options
+    name, demand, relative, unit
         As in `Check`.
-    measured, theory : float, bool or None
-        The two numbers; anything that is not finite counts as missing.
-    demand : float
-        Largest error allowed.
-    relative : bool
-        Whether the error is relative to theory's number.
-    unit : str
-        Unit of the numbers.
+    key : str
+        Of the result.
+    theory : float or None
+        None: what the result has under ``theory_<key>``.
     """
-    found, expected = _finite(measured), _finite(theory)
-    error = None
-    if found is not None and expected is not None:
-        error = abs(found - expected)
-        if relative:
-            error = error / abs(expected) if expected else (0.0 if error == 0.0 else None)
-    return Check(
-        name=name,
-        protocol=protocol,
-        options=dict(options),
-        measured=found,
-        theory=expected,
-        error=error,
-        demand=demand,
-        relative=relative,
-        unit=unit,
-        met=error is not None and error <= demand,
-    )
+
+    name: str
+    key: str
+    demand: float
+    relative: bool = False
+    unit: str = ""
+    theory: float | None = None
+
+    def check(self, protocol: str, options: dict[str, float], result: Mapping[str, Any]) -> Check:
+        """Compare a result with theory; what is not finite counts as missing."""
+        found = _finite(result[self.key])
+        expected = self.theory
+        if expected is None:
+            expected = _finite(result[f"theory_{self.key}"])
+        error = None
+        if found is not None and expected is not None:
+            error = abs(found - expected)
+            if self.relative:
+                error = error / abs(expected) if expected else (0.0 if error == 0.0 else None)
+        return Check(
+            name=self.name,
+            protocol=protocol,
+            options=dict(options),
+            measured=found,
+            theory=expected,
+            error=error,
+            demand=self.demand,
+            relative=self.relative,
+            unit=self.unit,
+            met=error is not None and error <= self.demand,
+        )
 
 
 def _finite(value: Any) -> float | None:
@@ -135,20 +134,19 @@ def _finite(value: Any) -> float | None:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run of a protocol and the checks made on its result."""
+    """One run of a protocol and the numbers of its result that are checked."""
 
     protocol: str
     options: dict[str, float]
-    judge: Callable[[Mapping[str, Any]], list[Check]]
+    quantities: tuple[Quantity, ...]
 
     def describe(self) -> str:
         """Protocol and options in one line."""
-        return " ".join(
-            [self.protocol, *(f"{key}={value:.6g}" for key, value in self.options.items())]
-        )
+        options = (f"{key}={value:.6g}" for key, value in self.options.items())
+        return " ".join([self.protocol, *options])
 
     def run(self, runner: Runner) -> tuple[list[Check], dict[str, Any]]:
-        """Run it and judge it.
+        """Run the experiment and check its result.
 
         Parameters
         ----------
@@ -171,107 +169,48 @@ class Experiment:
         except SlipstitchError as error:
             raise type(error)(f"{self.describe()}: {error}") from error
         try:
-            return self.judge(result), result
+            checks = [one.check(self.protocol, self.options, result) for one in self.quantities]
         except KeyError as error:
             raise SlipstitchError(f"{self.describe()}: no {error} in its result") from error
+        return checks, result
 
 
-def _incline(friction: float) -> list[Experiment]:
-    def at(multiple: float, judge) -> Experiment:
-        options = {"friction": friction, "slope_deg": math.degrees(math.atan(multiple * friction))}
-        return Experiment("incline", options, lambda result: judge(options, result))
-
-    def sticks(options, result):
-        return [
-            compare("incline sticks", "incline", options, result["sticks"], 1.0, 0.0),
-            compare(
-                "incline creep",
-                "incline",
-                options,
-                result["creep_m"],
-                0.0,
-                INCLINE_CREEP_M,
-                unit="m",
-            ),
-        ]
-
-    def slides(options, result):
-        return [compare("incline sticks", "incline", options, result["sticks"], 0.0, 0.0)]
-
-    def accelerates(options, result):
-        return [
-            compare(
-                "incline acceleration",
-                "incline",
-                options,
-                result["acceleration_m_s2"],
-                result["theory_acceleration_m_s2"],
-                INCLINE_ACCELERATION,
-                relative=True,
-                unit="m/s²",
-            )
-        ]
-
-    return [
-        at(1.0 - INCLINE_MARGIN, sticks),
-        at(1.0 + INCLINE_MARGIN, slides),
-        at(INCLINE_STEEP, accelerates),
-    ]
-
-
-def _flat_drag(friction: float) -> Experiment:
-    options = {"friction": friction}
-
-    def judge(result):
-        return [
-            compare(
-                "flat-drag pull over weight",
-                "flat-drag",
-                options,
-                result["pull_over_weight"],
-                result["theory_pull_over_weight"],
-                FLAT_DRAG_PULL,
-                relative=True,
-            )
-        ]
-
-    return Experiment("flat-drag", options, judge)
-
-
-def _strip_drag(friction: float) -> Experiment:
-    options = {"friction": friction, "gravity_length_m": STRIP_DRAG_GRAVITY_LENGTH_M}
-
-    def judge(result):
-        return [
-            compare(
-                "strip-drag pull",
-                "strip-drag",
-                options,
-                result["pull_over_w_m"],
-                result["theory_pull_over_w_m"],
-                STRIP_DRAG_PULL,
-                relative=True,
-                unit="m",
-            ),
-            compare(
-                "strip-drag tail",
-                "strip-drag",
-                options,
-                result["holder_ahead_of_tail_m"],
-                result["theory_holder_ahead_of_tail_m"],
-                STRIP_DRAG_TAIL_M,
-                unit="m",
-            ),
-        ]
-
-    return Experiment("strip-drag", options, judge)
+_STICKS, _SLIDES = (Quantity("incline sticks", "sticks", 0.0, theory=one) for one in (1.0, 0.0))
+_CREEP = Quantity("incline creep", "creep_m", INCLINE_CREEP_M, unit="m", theory=0.0)
+_ACCELERATES = Quantity(
+    "incline acceleration", "acceleration_m_s2", INCLINE_ACCELERATION, True, "m/s²"
+)
+_SLOPES = (
+    (1.0 - INCLINE_MARGIN, (_STICKS, _CREEP)),
+    (1.0 + INCLINE_MARGIN, (_SLIDES,)),
+    (INCLINE_STEEP, (_ACCELERATES,)),
+)
+_PULL = Quantity("flat-drag pull over weight", "pull_over_weight", FLAT_DRAG_PULL, True)
+_OF_THE_STRIP = (
+    Quantity("strip-drag pull", "pull_over_w_m", STRIP_DRAG_PULL, True, "m"),
+    Quantity("strip-drag tail", "holder_ahead_of_tail_m", STRIP_DRAG_TAIL_M, unit="m"),
+)
 
 
 def experiments() -> list[Experiment]:
-    """Return the experiments, the cheap ones first."""
-    inclines = [item for friction in INCLINE_FRICTIONS for item in _incline(friction)]
+    """All experiments, the cheap ones first."""
     return [
-        *inclines,
-        *(_flat_drag(friction) for friction in FLAT_DRAG_FRICTIONS),
-        *(_strip_drag(friction) for friction in STRIP_DRAG_FRICTIONS),
+        *(
+            Experiment(
+                "incline",
+                {"friction": mu, "slope_deg": math.degrees(math.atan(multiple * mu))},
+                quantities,
+            )
+            for mu in INCLINE_FRICTIONS
+            for multiple, quantities in _SLOPES
+        ),
+        *(Experiment("flat-drag", {"friction": mu}, (_PULL,)) for mu in FLAT_DRAG_FRICTIONS),
+        *(
+            Experiment(
+                "strip-drag",
+                {"friction": mu, "gravity_length_m": STRIP_DRAG_GRAVITY_LENGTH_M},
+                _OF_THE_STRIP,
+            )
+            for mu in STRIP_DRAG_FRICTIONS
+        ),
     ]

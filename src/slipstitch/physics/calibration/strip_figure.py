@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from slipstitch.base.page.figures import a_few
 from slipstitch.base.page.palette import BLUE, FAINT, MEASURED, THEORY
 from slipstitch.config.calibrate import BASE, KEYS
-from slipstitch.physics.theory import strip_state, strip_state_at_foot_angle
+from slipstitch.physics.experiments.strip import strip_state, strip_state_at_foot_angle
 
 LENGTH_M = 0.20
 FABRICS = ((MEASURED, "o"), (BLUE, "D"))

@@ -153,8 +153,7 @@ def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any
 
 @cache
 def _theory(friction: float) -> tuple[float | None, str]:
-    from slipstitch.physics.experiments.strip import theory_regime
-    from slipstitch.physics.theory import strip_slip_strain
+    from slipstitch.physics.experiments.strip import strip_slip_strain, theory_regime
 
     return strip_slip_strain(friction), theory_regime(friction)
 

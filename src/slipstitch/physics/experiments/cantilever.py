@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from math import sqrt
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.cloth import ClothSolver, rectangle
-from slipstitch.physics.experiments.rest import bring_to_rest
-from slipstitch.physics.experiments.specimen import AREAL_DENSITY_KG_M2, solver_settings
+from slipstitch.physics.experiments.demand import Demand
+from slipstitch.physics.experiments.specimen import (
+    AREAL_DENSITY_KG_M2,
+    bring_to_rest,
+    held,
+    require,
+    solver_settings,
+)
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -22,6 +30,138 @@ COLUMNS = 2
 THICKNESS_M = 2.0e-3  # thick against the sag across: the cross-section is free to curve
 GAMMA_RANGE = (0.05, 200.0)
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear to 4e-5
+DEMANDS = (Demand("height_over_width", 0.02),)
+THEORY_GAMMAS = (1.0e-3, 1.0e4)
+# Bounds of the shooting parameter that enclose that range of Γ.
+_PARAMETERS = (-10.0, 80.0)
+
+
+@dataclass(frozen=True)
+class HeavyCantilever:
+    """Shape of a heavy cantilever of length 1.
+
+    Attributes
+    ----------
+    gamma : float
+        Γ = ρ g L³ / B, dimensionless (areal density ρ, bending rigidity B of a unit width).
+    height_over_width : float
+        Sag of the tip over its horizontal distance from the clamp.
+    tip_angle_rad : float
+        Angle of the tip below the horizontal (rad).
+    curve : ndarray, shape (n, 2)
+        Points from the clamp to the tip: horizontal distance and height over the length
+        (heights ≤ 0).
+    """
+
+    gamma: float
+    height_over_width: float
+    tip_angle_rad: float
+    curve: np.ndarray
+
+    @property
+    def chord_angle_rad(self) -> float:
+        """Angle of the straight line from clamp to tip below the horizontal (rad)."""
+        return math.atan(self.height_over_width)
+
+
+def _from_the_tip(plumb_deficit: float, stations: int | None = None):
+    """Integrate from the free end, where two of the three unknowns are known.
+
+    With lengths in units of (B/ρg)^(1/3) and δ = π/2 − θ, the equation is δ'' = s sin δ from
+    δ(0) = δ₀, δ'(0) = 0; the clamp is where δ first reaches π/2. Every δ₀ is the tip of one strip
+    and Γ is the cube of its length, so that no other branch can be met by mistake.
+
+    Returns
+    -------
+    length : float
+        Distance from the tip to the clamp.
+    states : ndarray, shape (4, n)
+        δ, δ', horizontal and vertical distance from the tip, at the clamp or at n stations.
+    """
+
+    def slope(s, state):
+        deficit, curvature = state[0], state[1]
+        sine = math.sin(deficit)
+        return (curvature, s * sine, sine, math.cos(deficit))
+
+    def clamp(_, state):
+        return state[0] - math.pi / 2
+
+    clamp.terminal = True  # type: ignore[attr-defined]  # how SciPy is told to stop there
+    solution = solve_ivp(
+        slope,
+        (0.0, 50.0),
+        (plumb_deficit, 0.0, 0.0, 0.0),
+        method="DOP853",
+        events=clamp,
+        rtol=1e-11,
+        atol=1e-60,
+        dense_output=stations is not None,
+    )
+    length = solution.t_events[0][0]
+    if stations is None:
+        return length, solution.y_events[0].T
+    return length, solution.sol(np.linspace(0.0, length, stations))
+
+
+def _plumb_deficit(parameter: float) -> float:
+    """π/2 minus the tip's angle, for a parameter that grows with Γ without bound."""
+    return 0.5 * math.pi / (1.0 + math.exp(parameter))
+
+
+def _shape(parameter: float) -> HeavyCantilever:
+    deficit = _plumb_deficit(parameter)
+    length, states = _from_the_tip(deficit, 201)
+    across, down = states[2] / length, states[3] / length
+    curve = np.column_stack((across[-1] - across, down - down[-1]))[::-1]
+    ratio = float(down[-1] / across[-1])
+    return HeavyCantilever(length**3, ratio, 0.5 * math.pi - deficit, curve)
+
+
+def heavy_cantilever(gamma: float) -> HeavyCantilever:
+    """Sag of a strip clamped horizontally at one end.
+
+    Solves θ'' = −Γ (1 − s) cos θ with θ(0) = 0 at the clamp and θ'(1) = 0 at the tip (θ below the
+    horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip.
+
+    Parameters
+    ----------
+    gamma : float
+        Γ = ρ g L³ / B, dimensionless, 10⁻³ ≤ Γ ≤ 10⁴.
+
+    Returns
+    -------
+    HeavyCantilever
+        Height over width, tip angle (rad) and the shape.
+    """
+    gamma = require("gamma", gamma, *THEORY_GAMMAS)
+    parameter = brentq(
+        lambda x: math.log(_from_the_tip(_plumb_deficit(x))[0] ** 3 / gamma),
+        *_PARAMETERS,
+        xtol=1e-12,
+    )
+    return _shape(parameter)
+
+
+def cantilever_rule_gamma(chord_angle_rad: float = math.radians(41.5)) -> float:
+    """Γ at which the chord of a heavy cantilever has a given angle.
+
+    The textile bending test (Peirce 1930; ASTM D1388) feeds a strip over an edge until its chord
+    stands at 41.5°, and takes B = ρ g (L/2)³, that is Γ = 8.
+
+    Parameters
+    ----------
+    chord_angle_rad : float
+        Angle of the chord below the horizontal (rad), 0.001 ≤ angle ≤ 1.5.
+
+    Returns
+    -------
+    float
+        Γ, dimensionless.
+    """
+    angle = require("chord_angle_rad", chord_angle_rad, 1e-3, 1.5)
+    parameter = brentq(lambda x: _shape(x).chord_angle_rad - angle, *_PARAMETERS, xtol=1e-12)
+    return _shape(parameter).gamma
 
 
 def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
@@ -50,7 +190,7 @@ def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
     across_m, down_m = sag(settings, gamma, ratio)
     return {
         "height_over_width": down_m / across_m,
-        "theory_height_over_width": theory.heavy_cantilever(gamma).height_over_width,
+        "theory_height_over_width": heavy_cantilever(gamma).height_over_width,
         "hinge_stiffness_over_rigidity": ratio,
     }
 
@@ -74,8 +214,6 @@ def sag(
     start_m = np.column_stack(
         [mesh.rest_uv_m[:, ::-1], np.full(mesh.vertex_count, height_m)]
     ) - np.array([0.5 * spacing_m, 0.0, 0.0])
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[: 2 * COLUMNS] = True
     solver = ClothSolver(
         mesh,
         isotropic_tables(
@@ -85,11 +223,11 @@ def sag(
         ),
         start_m,
         friction=0.0,
-        fixed=fixed,
+        fixed=held(mesh, 2, cylindrical=False),
         # No friction here: the tolerance is relative to the lesser of weight and rigidity.
         settings=solver_settings(settings, friction_floor=min(1.0, 1.0 / gamma)),
     )
     solver.start()
-    bring_to_rest(solver, sqrt(gamma * LENGTH_M / GRAVITY_M_S2))
+    bring_to_rest(solver, math.sqrt(gamma * LENGTH_M / GRAVITY_M_S2))
     tip_m = solver.positions_m[-COLUMNS:].mean(axis=0)
     return float(tip_m[0]), float(height_m - tip_m[2])

@@ -12,9 +12,14 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.specimen import cylindrical_strip_tables, solver_settings
+from slipstitch.physics.experiments.demand import Demand
+from slipstitch.physics.experiments.specimen import (
+    cylindrical_strip_tables,
+    held,
+    require,
+    solver_settings,
+)
 
 RADIUS_M = 0.020
 TURN_A_VERTEX_RAD = radians(2.0)
@@ -26,6 +31,30 @@ LARGEST_WRAP = 1.5 * pi
 LARGEST_RATIO = 100.0
 PULL_S = 2.0
 ROUNDS_MAX = 20  # of that, until nothing sticks any more
+DEMANDS = (Demand("tension_ratio", 0.02),)
+
+
+def capstan_theory(friction: float, wrap_rad: float) -> float:
+    """Ratio of the tensions of a strip that slips around a fixed cylinder.
+
+    T₂/T₁ = exp(μ φ) (Euler 1769, Eytelwein 1808). A strip of bending rigidity B around radius R
+    follows it for B/(T R²) < 0.01.
+
+    Parameters
+    ----------
+    friction : float
+        Friction coefficient μ ≥ 0.
+    wrap_rad : float
+        Angle φ of contact (rad), ≥ 0.
+
+    Returns
+    -------
+    float
+        Pulling over holding tension, dimensionless.
+    """
+    friction = require("friction", friction, 0.0)
+    wrap = require("wrap_rad", wrap_rad, 0.0)
+    return exp(friction * wrap)
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
@@ -50,7 +79,7 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
         A step could not be solved, or part of the strip sticks however far it is pulled.
     """
     wrap = radians(wrap_deg)
-    expected = theory.capstan(friction, wrap)
+    expected = capstan_theory(friction, wrap)
     if not 0 < wrap <= LARGEST_WRAP:
         raise BadInput(
             f"protocol capstan: wrap_deg {wrap_deg:g}: must be above 0, at most "
@@ -118,9 +147,8 @@ def _wrapped(
     x = RADIUS_M * np.sin(on) + off_m * np.cos(on)
     z = RADIUS_M * (np.cos(on) - 1) - off_m * np.sin(on)
     start_m = np.column_stack([np.repeat(x, 2), mesh.rest_uv_m[:, 0], np.repeat(z, 2)])
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[:, 1] = True
-    fixed[:2] = fixed[-2:] = True
+    fixed = held(mesh, 1)
+    fixed[-2:] = True
     tension_N = MEMBRANE_STIFFNESS_N_M * held_strain * rest_m
     solver = ClothSolver(
         mesh,

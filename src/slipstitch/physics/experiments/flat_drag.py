@@ -7,16 +7,36 @@ from typing import Any
 import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    HINGE_STIFFNESS_N_M,
-    MEMBRANE_STIFFNESS_N_M,
+    require,
+    rest_on_the_floor,
     solver_settings,
+    square_tables,
 )
-from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.gravity import GRAVITY_M_S2
+
+DEMANDS = (Demand("pull_over_weight", 0.005),)
+
+
+def flat_drag_theory(friction: float) -> float:
+    """Pull over weight of a sheet that lies flat and is dragged steadily.
+
+    Every part of the sheet carries its own weight, so that the pull is μ times the whole weight
+    whatever the shape (Amontons 1699).
+
+    Parameters
+    ----------
+    friction : float
+        Friction coefficient μ ≥ 0.
+
+    Returns
+    -------
+    float
+        Horizontal pull divided by the weight, dimensionless.
+    """
+    return require("friction", friction, 0.0)
 
 
 def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
@@ -35,13 +55,13 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
     fixed[mesh.rest_uv_m[:, 1] == 0, 0] = True
     solver = ClothSolver(
         mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M),
+        square_tables(),
         flat_m,
         friction=friction,
         fixed=fixed,
         settings=solver_settings(settings),
     )
-    solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.contact_stiffness_N_m
+    rest_on_the_floor(solver)
     solver.start()
     speed_m_s, duration_s = 0.01, 2.0
     steps = round(duration_s / settings.time_step_s)
@@ -54,5 +74,5 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
     weight_N = solver.mass_kg.sum() * GRAVITY_M_S2
     return {
         "pull_over_weight": float(solver.reactions()[:, 0].sum() / weight_N),
-        "theory_pull_over_weight": float(theory.flat_drag(friction)),
+        "theory_pull_over_weight": flat_drag_theory(friction),
     }

@@ -14,13 +14,17 @@ from typing import Any
 import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.rest import bring_to_rest
-from slipstitch.physics.experiments.specimen import AREAL_DENSITY_KG_M2, solver_settings
+from slipstitch.physics.experiments.demand import Demand
+from slipstitch.physics.experiments.specimen import (
+    AREAL_DENSITY_KG_M2,
+    bring_to_rest,
+    held,
+    require,
+    solver_settings,
+)
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.gravity import GRAVITY_M_S2
-from slipstitch.physics.theory.domain import require
 
 LENGTH_M = 0.20
 COLUMNS = 5
@@ -33,6 +37,56 @@ FAR, NEAR = (0.85, 0.95), (0.96, 0.98)  # of the critical weight as known before
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear
 SMALL_TWIST_RAD = 0.02
 NARROWEST, WIDEST = 0.02, 0.5
+# First root of J_{-1/6}(x/6) = 0 is x = 12.854: see the test, which solves the eigenproblem.
+NARROW_STRIP = 12.853718
+DEMANDS = (Demand("critical_gamma", 0.05),)
+
+
+def lateral_buckling_theory(width_over_length: float, poisson_ratio: float) -> float:
+    """Critical weight of a strip clamped at one end, its plane vertical, that sags sideways.
+
+    A beam under its own weight q per length buckles sideways at q L³ = 12.854 √(EI · GJ)
+    (Prandtl 1899; Timoshenko & Gere 1961, sec. 6.3). For a thin strip of width b and plate rigidity
+    D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b, hence with Γ = ρ g L³ / D (areal density ρ)
+
+        Γ* = 12.854 √2 (1 − ν) √(1 + ν),
+
+    independent of the width as long as the strip is narrow.
+
+    Parameters
+    ----------
+    width_over_length : float
+        Width over free length, in (0, 0.5]. Only checked: above, the strip is a plate, and the
+        clamp's hindrance of warping raises Γ* appreciably well before that.
+    poisson_ratio : float
+        Poisson ratio ν of the sheet, −1 < ν < 1.
+
+    Returns
+    -------
+    float
+        Γ*, dimensionless.
+    """
+    require("width_over_length", width_over_length, 1e-9, 0.5)
+    ratio = require("poisson_ratio", poisson_ratio, -1.0 + 1e-9, 1.0 - 1e-9)
+    return lateral_buckling_of_beam(1.0 - ratio**2, 2.0 * (1.0 - ratio))
+
+
+def lateral_buckling_of_beam(bending: float, torsion: float) -> float:
+    """Critical weight of the same strip from its rigidities, whatever it is made of.
+
+    q L³ = 12.854 √(EI · GJ), q the weight per length (Prandtl 1899).
+
+    Parameters
+    ----------
+    bending, torsion : float
+        Lateral bending rigidity EI and torsional rigidity GJ, both over D b.
+
+    Returns
+    -------
+    float
+        Γ* = ρ g L³ / D, dimensionless.
+    """
+    return NARROW_STRIP * sqrt(bending * torsion)
 
 
 def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> dict[str, Any]:
@@ -57,7 +111,7 @@ def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> 
     solver = _strip(settings, width_over_length, held_ends=1)
     bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))
     torsion = _torsion(settings, width_over_length)
-    expected = theory.lateral_buckling_of_beam(bending, torsion)
+    expected = lateral_buckling_of_beam(bending, torsion)
     # The other modes' share of the bending fades as the weight comes near: refined once.
     critical = _southwell(solver, _southwell(solver, expected, FAR), NEAR)
     return {
@@ -86,8 +140,7 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
     membrane_N_m = 12 * RIGIDITY_NM * (WIDTH_OVER_THICKNESS / width_m) ** 2
     # Clear of the floor.
     start_m = np.column_stack([down - 0.5 * spacing_m, 0 * across, across - width_m / 2 + LENGTH_M])
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[: 2 * COLUMNS] = True
+    fixed = held(mesh, 2, cylindrical=False)
     if held_ends == 2:
         fixed[-2 * COLUMNS :] = True
     solver = ClothSolver(
@@ -116,29 +169,29 @@ def _torsion(settings: SimulationSettings, width_over_length: float) -> float:
     """GJ over plate rigidity times width: torque over twist per length of the middle half."""
     solver = _strip(settings, width_over_length, held_ends=2)
     start_m = solver.positions_m.copy()
-    held = slice(-2 * COLUMNS, None)
-    bring_to_rest(solver, LONG_STEP_S, _turning(start_m, held))
-    lever_m = solver.positions_m[held] - (0.0, 0.0, LENGTH_M)
-    force_N = solver.reactions()[held]
+    last = slice(-2 * COLUMNS, None)
+    bring_to_rest(solver, LONG_STEP_S, _turning(start_m, last))
+    lever_m = solver.positions_m[last] - (0.0, 0.0, LENGTH_M)
+    force_N = solver.reactions()[last]
     torque_Nm = (lever_m[:, 1] * force_N[:, 2] - lever_m[:, 2] * force_N[:, 1]).sum()
     x = solver.positions_m.reshape(-1, COLUMNS, 3)
     rows = len(x)
-    first, last = rows // 4, rows - 1 - rows // 4
+    low, high = rows // 4, rows - 1 - rows // 4
     tilt = np.arctan2(x[:, -1, 1] - x[:, 0, 1], x[:, -1, 2] - x[:, 0, 2])
-    length_m = x[last, :, 0].mean() - x[first, :, 0].mean()
-    rate = (tilt[last] - tilt[first]) / length_m
+    length_m = x[high, :, 0].mean() - x[low, :, 0].mean()
+    rate = (tilt[high] - tilt[low]) / length_m
     return float(abs(torque_Nm / rate) / (RIGIDITY_NM * width_over_length * LENGTH_M))
 
 
-def _turning(start_m: np.ndarray, held: slice) -> Callable[[float], np.ndarray]:
+def _turning(start_m: np.ndarray, end: slice) -> Callable[[float], np.ndarray]:
     """Turn the held end about the strip's axis over the first step."""
 
     def at(time_s: float) -> np.ndarray:
         angle = SMALL_TWIST_RAD * min(time_s / LONG_STEP_S, 1.0)
         x = start_m.copy()
-        lever = start_m[held, 2] - LENGTH_M
-        x[held, 1] = lever * np.sin(angle)
-        x[held, 2] = LENGTH_M + lever * np.cos(angle)
+        lever = start_m[end, 2] - LENGTH_M
+        x[end, 1] = lever * np.sin(angle)
+        x[end, 2] = LENGTH_M + lever * np.cos(angle)
         return x
 
     return at

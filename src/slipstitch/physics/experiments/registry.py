@@ -12,69 +12,51 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import provenance_record, start_clock, write_json
 from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.experiments.cantilever import cantilever
-from slipstitch.physics.experiments.capstan import capstan
-from slipstitch.physics.experiments.demands import verdict
-from slipstitch.physics.experiments.flat_drag import flat_drag
-from slipstitch.physics.experiments.incline import incline
-from slipstitch.physics.experiments.landed_strip import landed_strip
-from slipstitch.physics.experiments.lateral_buckling import lateral_buckling
-from slipstitch.physics.experiments.strip import LARGEST_STRAIN, strip
-from slipstitch.physics.experiments.strip_drag import strip_drag
-from slipstitch.physics.experiments.tilt import tilt
+from slipstitch.physics.experiments import (
+    cantilever,
+    capstan,
+    flat_drag,
+    incline,
+    landed_strip,
+    lateral_buckling,
+    strip,
+    strip_drag,
+    tilt,
+)
+from slipstitch.physics.experiments.demand import Demand, verdict
 
 
 @dataclass(frozen=True)
 class KnownAnswer:
-    """An experiment and its options: name to (default, meaning); default None: required."""
+    """An experiment, what it must meet, its options: name to default (None: required)."""
 
     run: Callable[..., dict[str, Any]]
-    options: Mapping[str, tuple[float | None, str]]
+    demands: tuple[Demand, ...]
+    options: Mapping[str, float | None]
 
 
-_FRICTION = (None, "friction coefficient")
-_GRAVITY_LENGTH = (0.02, "(B/w)^(1/3): bending rigidity over weight per area, in m")
 PROTOCOLS: dict[str, KnownAnswer] = {
-    "incline": KnownAnswer(
-        incline, {"friction": _FRICTION, "slope_deg": (None, "slope in degrees")}
-    ),
-    "tilt": KnownAnswer(
-        tilt,
-        {
-            "friction": (None, "kinetic friction coefficient"),
-            "static_kinetic": (0.0, "static coefficient over the kinetic, less 1"),
-        },
-    ),
-    "flat-drag": KnownAnswer(flat_drag, {"friction": _FRICTION}),
+    "incline": KnownAnswer(incline.incline, incline.DEMANDS, {"friction": None, "slope_deg": None}),
+    "tilt": KnownAnswer(tilt.tilt, tilt.DEMANDS, {"friction": None, "static_kinetic": 0.0}),
+    "flat-drag": KnownAnswer(flat_drag.flat_drag, flat_drag.DEMANDS, {"friction": None}),
     "strip-drag": KnownAnswer(
-        strip_drag, {"friction": _FRICTION, "gravity_length_m": _GRAVITY_LENGTH}
+        strip_drag.strip_drag, strip_drag.DEMANDS, {"friction": None, "gravity_length_m": 0.02}
     ),
     "strip": KnownAnswer(
-        strip,
-        {
-            "friction": _FRICTION,
-            "vertices": (149, "vertices along the strip"),
-            "gamma": (0.0, "weight over rigidity, areal density x gravity x length^3 / B"),
-            "strain": (LARGEST_STRAIN, "displacement of the push, relative to its length"),
-        },
+        strip.strip,
+        strip.DEMANDS,
+        {"friction": None, "vertices": 149, "gamma": 0.0, "strain": strip.LARGEST_STRAIN},
     ),
     "landed-strip": KnownAnswer(
-        landed_strip,
-        {
-            "friction": _FRICTION,
-            "gravity_length_m": _GRAVITY_LENGTH,
-            "vertices": (149, "vertices along the strip"),
-        },
+        landed_strip.landed_strip,
+        landed_strip.DEMANDS,
+        {"friction": None, "gravity_length_m": 0.02, "vertices": 149},
     ),
-    "cantilever": KnownAnswer(
-        cantilever, {"gamma": (None, "areal density x gravity x length^3 / B")}
-    ),
+    "cantilever": KnownAnswer(cantilever.cantilever, cantilever.DEMANDS, {"gamma": None}),
     "lateral-buckling": KnownAnswer(
-        lateral_buckling, {"width_over_length": (None, "width of the strip over its length")}
+        lateral_buckling.lateral_buckling, lateral_buckling.DEMANDS, {"width_over_length": None}
     ),
-    "capstan": KnownAnswer(
-        capstan, {"friction": _FRICTION, "wrap_deg": (None, "contact angle in degrees")}
-    ),
+    "capstan": KnownAnswer(capstan.capstan, capstan.DEMANDS, {"friction": None, "wrap_deg": None}),
 }
 
 
@@ -109,7 +91,7 @@ def run_protocol(
             f"allowed: {', '.join(protocol.options)}"
         )
     values = {}
-    for option, (default, _) in protocol.options.items():
+    for option, default in protocol.options.items():
         value = options.get(option, default)
         if value is None:
             raise BadInput(f"protocol {name}: {option} is missing")
@@ -130,7 +112,7 @@ def run_protocol_to_file(
     """
     started = start_clock()
     result = run_protocol(name, options, settings)
-    result |= verdict(name, result)
+    result |= verdict(PROTOCOLS[name].demands, result)
     config = {"options": dict(options), "simulation": settings}
     record = provenance_record("protocol", config=config, started=started)
     write_json(out, result, record, allow_nan=True)

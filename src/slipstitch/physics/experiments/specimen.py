@@ -1,19 +1,60 @@
-"""The isotropic cloth of the known-answer experiments, and how a strip of it hangs."""
+"""The isotropic cloth of the known-answer experiments: how it hangs, rests, and is solved."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
-from math import pi
 from typing import Any
 
 import numpy as np
 
+from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import SolverSettings
+from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings
 from slipstitch.physics.fabric import ElasticTables, isotropic_tables
+from slipstitch.physics.gravity import GRAVITY_M_S2
 
 AREAL_DENSITY_KG_M2 = 0.2
 MEMBRANE_STIFFNESS_N_M = 200.0
 HINGE_STIFFNESS_N_M = 5.0e-5
 DIAGONALS_OVER_EDGES = 1000.0
+REST_M = 1.0e-7  # largest movement in a step that counts as rest
+STEPS_MAX = 400  # until it rests
+
+
+def require(name: str, value: float, lowest: float, highest: float = math.inf) -> float:
+    """Return a number as a float.
+
+    Raises
+    ------
+    BadInput
+        If it is not finite, or below the lowest or above the highest value allowed.
+    """
+    if not isinstance(value, int | float | np.number):
+        raise BadInput(f"{name} must be a number, not {value!r}")
+    if not (math.isfinite(value) and lowest <= value <= highest):
+        upper = "" if math.isinf(highest) else f" and at most {highest:g}"
+        raise BadInput(f"{name} must be at least {lowest:g}{upper}, not {value:g}")
+    return float(value)
+
+
+def square_tables() -> ElasticTables:
+    """Tables of the square of cloth that slides on a plane."""
+    return isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M)
+
+
+def rest_on_the_floor(solver: ClothSolver, weight: float = 1.0) -> None:
+    """Lay flat cloth as deep into the floor as a multiple of its weight presses it there."""
+    solver.positions_m[:, 2] = (
+        -solver.mass_kg * GRAVITY_M_S2 * weight / solver.contact_stiffness_N_m
+    )
+
+
+def held(mesh: ClothMesh, rows: int, cylindrical: bool = True) -> np.ndarray:
+    """Coordinates that are prescribed, (V, 3): first rows, and of a cylinder the ones across."""
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[:, 1] = cylindrical
+    fixed[: rows * mesh.shape[1]] = True
+    return fixed
 
 
 def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) -> ElasticTables:
@@ -43,9 +84,9 @@ def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
     -------
     ahead_m, height_m : ndarray, shape of ``down_m``
     """
-    radius_m = min(0.2 * height_m, (length_m - height_m) / (pi / 2 - 1) * 0.8)
-    straight_m, arc_m = height_m - radius_m, radius_m * pi / 2
-    angle = np.clip((down_m - straight_m) / radius_m, 0.0, pi / 2)
+    radius_m = min(0.2 * height_m, (length_m - height_m) / (math.pi / 2 - 1) * 0.8)
+    straight_m, arc_m = height_m - radius_m, radius_m * math.pi / 2
+    angle = np.clip((down_m - straight_m) / radius_m, 0.0, math.pi / 2)
     ahead = -radius_m * (1 - np.cos(angle)) - np.maximum(down_m - straight_m - arc_m, 0.0)
     height = height_m - np.minimum(down_m, straight_m) - radius_m * np.sin(angle)
     return ahead, height
@@ -54,3 +95,32 @@ def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
 def solver_settings(settings: SimulationSettings, **changes: Any) -> SolverSettings:
     """The simulation's solver settings, some changed; these specimens never touch themselves."""
     return replace(SolverSettings.of(settings), self_contact=False, **changes)
+
+
+def bring_to_rest(
+    solver: ClothSolver, step_s: float, prescribed: Callable[[float], np.ndarray] | None = None
+) -> None:
+    """Step until nothing moves.
+
+    Parameters
+    ----------
+    solver : ClothSolver
+    step_s : float
+        About the period of the slowest motion, or longer.
+    prescribed : callable, optional
+        Positions of the fixed coordinates at a time, as for `ClothSolver.advance`.
+
+    Raises
+    ------
+    NotConverged
+        It still moves after 400 steps, or a step did not converge.
+    """
+    for step in range(STEPS_MAX):
+        before_m = solver.positions_m.copy()
+        solver.advance(step_s, prescribed)
+        if step and abs(solver.positions_m - before_m).max() < REST_M:
+            return
+    moved_m = abs(solver.positions_m - before_m).max()
+    raise NotConverged(
+        f"not at rest after {STEPS_MAX} steps of {step_s:g} s: moves by {moved_m:.1e} m"
+    )

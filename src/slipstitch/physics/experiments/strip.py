@@ -8,18 +8,24 @@ foot and all.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, root
 
-from slipstitch.base.errors import BadInput
+from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics import theory
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
+from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     cylindrical_strip_tables,
+    held,
+    require,
     solver_settings,
 )
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -31,6 +37,181 @@ START_STRAIN = 1.0e-4
 LARGEST_STRAIN = 0.345  # past 0.3303, where the foot lies flat
 LARGEST_GAMMA = 0.3  # above, the weight shifts the friction at slip by more than 0.5 %
 SLIP_M = 1.0e-5  # the foot's elastic microslip stays below
+DEMANDS = (Demand("regime"), Demand("slip_strain", 0.006, relative=False))
+FLAT_FOOT_RAD = math.pi / 2
+
+
+@dataclass(frozen=True)
+class StripState:
+    """One equilibrium of the pushed strip, in units of its length and rigidity.
+
+    Attributes
+    ----------
+    strain : float
+        ε, the clamp's descent over the strip's length.
+    foot_angle_rad : float
+        Angle between the foot's tangent and the vertical (rad); π/2 where it lies flat.
+    vertical_load : float
+        P L²/B, the push on the floor.
+    horizontal_load : float
+        |Q| L²/B, the friction that holds the foot.
+    curve : ndarray, shape (n, 2)
+        Points from the clamp to the foot: sideways and downwards, over the length.
+    """
+
+    strain: float
+    foot_angle_rad: float
+    vertical_load: float
+    horizontal_load: float
+    curve: np.ndarray
+
+    @property
+    def load_ratio(self) -> float:
+        """|Q|/P: the friction coefficient at which this state slips."""
+        return self.horizontal_load / self.vertical_load
+
+
+def strip_buckling_load() -> float:
+    """Push P L²/B at which a clamped-hinged strip buckles.
+
+    √P is the first positive root of tan x = x (Euler 1744): P = 20.19.
+    """
+    return brentq(lambda x: math.sin(x) - x * math.cos(x), 4.0, 4.7, xtol=1e-14) ** 2
+
+
+def _integrate(curvature: float, vertical: float, horizontal: float, stations=None):
+    def slope(_, state):
+        angle = state[0]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        return (state[1], -(vertical * sine + horizontal * cosine), sine, cosine)
+
+    return solve_ivp(
+        slope,
+        (0.0, 1.0),
+        (0.0, curvature, 0.0, 0.0),
+        method="DOP853",
+        t_eval=stations,
+        rtol=1e-11,
+        atol=1e-13,
+    )
+
+
+def _solve(foot_angle: float, guess) -> np.ndarray:
+    """Clamp curvature, P and Q at a given foot angle, from a guess nearby."""
+
+    def residual(unknowns):
+        angle, curvature, sideways, _ = _integrate(*unknowns).y[:, -1]
+        # Divided by the amplitude, so that the straight strip is no spurious solution.
+        return np.array([angle + foot_angle, curvature, sideways]) / foot_angle
+
+    scale = np.array([foot_angle, 1.0, foot_angle])
+    solution = root(lambda x: residual(x * scale), np.asarray(guess) / scale, tol=1e-11)
+    if np.abs(solution.fun).max() > 1e-8:
+        raise NotConverged(f"strip elastica: no equilibrium at foot angle {foot_angle:.4f} rad")
+    return solution.x * scale
+
+
+@lru_cache(maxsize=1)
+def _branch() -> tuple[np.ndarray, np.ndarray]:
+    """Follow the buckled branch from the straight strip to the flat foot, once."""
+    load = strip_buckling_load()
+    wave = math.sqrt(load)
+    # Linear mode: θ = A (cos x − 1) + C sin x with x = √P s, foot angle 1.
+    cosine, sine = math.cos(wave), math.sin(wave)
+    system = np.array([[cosine - 1.0, sine], [-sine, cosine]])
+    a, c = np.linalg.solve(system, (-1.0, 0.0))
+    mode = np.array([c * wave, 0.0, a * load])
+    angles = np.linspace(0.02, FLAT_FOOT_RAD, 40)
+    states: list[np.ndarray] = []
+    for index, angle in enumerate(angles):
+        if index == 0:
+            guess = mode * angle + (0.0, load, 0.0)
+        elif index == 1:
+            guess = states[0] * (angle / angles[0], 1.0, angle / angles[0])
+        else:
+            guess = 2.0 * states[-1] - states[-2]
+        states.append(_solve(angle, guess))
+    return angles, np.array(states)
+
+
+def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
+    """Equilibrium of the strip whose foot is tilted by a given angle.
+
+    Solves B θ'' = −(P sin θ + Q cos θ), θ(0) = 0 (clamp), θ'(L) = 0 (hinged foot),
+    ∫ sin θ ds = 0 (foot under the clamp) by shooting, continued from the buckled straight strip.
+
+    Parameters
+    ----------
+    foot_angle_rad : float
+        Angle of the foot's tangent from the vertical (rad), 0.001 ≤ angle ≤ π/2. At π/2 the foot
+        lies flat, and the hinge stops being one.
+    """
+    angle = require("foot_angle_rad", foot_angle_rad, 1e-3, FLAT_FOOT_RAD)
+    angles, states = _branch()
+    guess = np.array([np.interp(angle, angles, column) for column in states.T])
+    if angle < angles[0]:
+        guess = states[0] * (angle / angles[0], 1.0, angle / angles[0])
+    unknowns = _solve(angle, guess)
+    curvature, vertical, horizontal = unknowns
+    solution = _integrate(curvature, vertical, horizontal, np.linspace(0.0, 1.0, 201))
+    curve = solution.y[2:].T
+    return StripState(
+        strain=float(1.0 - curve[-1, 1]),
+        foot_angle_rad=angle,
+        vertical_load=float(unknowns[1]),
+        horizontal_load=float(abs(unknowns[2])),
+        curve=curve,
+    )
+
+
+def _at(quantity, target: float) -> StripState:
+    """The state where a quantity that grows with the foot angle reaches the target."""
+    angle = brentq(
+        lambda x: quantity(strip_state_at_foot_angle(x)) - target, 1e-3, FLAT_FOOT_RAD, xtol=1e-10
+    )
+    return strip_state_at_foot_angle(angle)
+
+
+def strip_state(strain: float) -> StripState:
+    """Equilibrium of the strip, its foot held by friction, at a given strain.
+
+    Parameters
+    ----------
+    strain : float
+        ε, the clamp's descent over the length: at least 10⁻⁶, at most 0.3303, where the foot
+        lies flat.
+
+    Returns
+    -------
+    StripState
+        Its ``load_ratio`` is the friction it needs to hold.
+    """
+    flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
+    strain = require("strain", strain, 1e-6, flat.strain)
+    if strain == flat.strain:
+        return flat
+    return _at(lambda state: state.strain, strain)
+
+
+def strip_slip_strain(friction: float) -> float | None:
+    """Strain at which the foot of a pushed strip slips.
+
+    |Q|/P grows with the strain; the foot slips where it reaches μ. At ε = 0.3303, |Q|/P = 0.3564
+    the foot lies flat: with more friction the strip never slips as a whole (Sano et al. 2017).
+
+    Returns
+    -------
+    float or None
+        Slip strain ε, dimensionless; 0 without friction, None if it never slips.
+    """
+    friction = require("friction", friction, 0.0)
+    smallest = strip_state_at_foot_angle(1e-3)
+    if friction <= smallest.load_ratio:
+        # Close to buckling the ratio grows with the root of the strain.
+        return smallest.strain * (friction / smallest.load_ratio) ** 2
+    if friction > strip_state_at_foot_angle(FLAT_FOOT_RAD).load_ratio:
+        return None
+    return _at(lambda state: state.load_ratio, friction).strain
 
 
 @dataclass
@@ -39,21 +220,16 @@ class StripPush:
 
     Attributes
     ----------
-    strain : list of float
-        Descent of the clamp over the length at the end of each step.
-    load_ratio : list of float
-        |Q|/P, friction over load on the floor.
+    strain, load_ratio : list of float
+        Descent of the clamp over the length, and |Q|/P, at the end of each step.
     slip_strain : float or None
         Strain at which the foot slipped: |Q|/P extrapolated to the friction coefficient, within
         the step in which the foot moved.
     flat_strain : float or None
         Strain in the middle of the step in which the foot came to lie flat.
     shape_m : ndarray, shape (n, 2)
-        Sideways and downwards from the clamp, at the last step before slipping or lying flat.
-    shape_strain : float
-        Strain of that step.
-    newton_iterations : int
-        What the push cost.
+        Sideways and downwards from the clamp, at the last step before slipping or lying flat,
+        at ``shape_strain``.
     """
 
     strain: list[float]
@@ -81,14 +257,8 @@ def strip(
 ) -> dict[str, Any]:
     """A 20 cm strip pushed on the floor until its foot slips or lies flat.
 
-    Parameters
-    ----------
-    vertices : int
-        Rows of vertices along the strip.
-    gamma : float
-        Weight over rigidity, areal density x gravity x length^3 / B; 0: without weight.
-    strain : float
-        How far it is pushed, over its length.
+    ``vertices`` are the rows along the strip, ``gamma`` is weight over rigidity, areal density x
+    gravity x length^3 / B, and ``strain`` how far it is pushed, over its length.
 
     Returns
     -------
@@ -100,11 +270,11 @@ def strip(
         ``shape_m`` at ``shape_strain``, ``newton_iterations``.
     """
     push = push_strip(settings, friction, int(vertices), gamma, strain)
-    slips_at = theory.strip_slip_strain(friction)
+    slips_at = strip_slip_strain(friction)
     read = None
     if push.slip_strain is not None and push.slip_strain >= 1e-6:
-        lies_flat = theory.strip_state_at_foot_angle(np.pi / 2)
-        read = theory.strip_state(min(push.slip_strain, lies_flat.strain)).load_ratio
+        lies_flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
+        read = strip_state(min(push.slip_strain, lies_flat.strain)).load_ratio
     return {
         "slip_strain": push.slip_strain,
         "regime": push.regime,
@@ -123,10 +293,10 @@ def strip(
 
 def theory_regime(friction: float, strain: float = LARGEST_STRAIN) -> str:
     """Theoretical state of a weightless strip pushed to a strain."""
-    slips_at = theory.strip_slip_strain(friction)
+    slips_at = strip_slip_strain(friction)
     if slips_at is not None and slips_at <= strain:
         return "slipped"
-    lies_flat_at = theory.strip_state_at_foot_angle(np.pi / 2).strain
+    lies_flat_at = strip_state_at_foot_angle(FLAT_FOOT_RAD).strain
     return "partially slipped" if strain >= lies_flat_at else "pinned"
 
 
@@ -208,10 +378,10 @@ def _buckled_strip(
     # Without weight as light as a strip of the largest gamma, so that inertia is nothing.
     weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
     rigidity_Nm = weight_N_m2 * LENGTH_M**3 / (gamma or LARGEST_GAMMA)
-    root = np.sqrt(theory.strip_buckling_load())
-    push_N = root**2 * rigidity_Nm * spacing_m / LENGTH_M**2
+    wave = np.sqrt(strip_buckling_load())
+    push_N = wave**2 * rigidity_Nm * spacing_m / LENGTH_M**2
     centres = np.clip((np.arange(vertices - 1)) * spacing_m / LENGTH_M, 0.0, 1.0)
-    mode = np.cos(root * centres) - 1 + root * np.sin(root * centres)
+    mode = np.cos(wave * centres) - 1 + wave * np.sin(wave * centres)
     turn = mode * np.sqrt(2 * START_STRAIN / np.mean(mode**2))
     sideways = np.concatenate([[0.0], np.cumsum(np.sin(turn))]) * spacing_m
     down = np.concatenate([[0.0], np.cumsum(np.cos(turn))]) * spacing_m
@@ -219,15 +389,12 @@ def _buckled_strip(
     start_m[:, 0] = np.repeat(sideways, 2)
     start_m[:, 1] = mesh.rest_uv_m[:, 0]
     start_m[:, 2] = np.repeat(down[-1] - down, 2)
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[:, 1] = True
-    fixed[:4] = True
     solver = ClothSolver(
         mesh,
         cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm),
         start_m,
         friction=friction,
-        fixed=fixed,
+        fixed=held(mesh, 2),
         settings=solver_settings(settings),
         conditions=Conditions(
             gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0), nodal_force_N=push_N / 2

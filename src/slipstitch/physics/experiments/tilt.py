@@ -9,19 +9,19 @@ import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    HINGE_STIFFNESS_N_M,
-    MEMBRANE_STIFFNESS_N_M,
+    rest_on_the_floor,
     solver_settings,
+    square_tables,
 )
-from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
 STEPS = 600  # up to the slope at which it should break away
 BEYOND = 1.2  # times that slope, where the plane stops
 SLIDES_M = 1.0e-5  # elastic microslip stays below
+DEMANDS = (Demand("slope_at_slip", 0.005),)
 
 
 def tilt(
@@ -47,14 +47,13 @@ def tilt(
     mesh = rectangle(5, 5, 0.02, 0.02)
     solver = ClothSolver(
         mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M),
+        square_tables(),
         np.column_stack([mesh.rest_uv_m, np.zeros(mesh.vertex_count)]),
         friction=law,
         fixed=np.zeros((mesh.vertex_count, 3), bool),
         settings=solver_settings(settings),
     )
-    # Resting on the floor, not dropped on it.
-    solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.contact_stiffness_N_m
+    rest_on_the_floor(solver)
     start_m = solver.positions_m[:, 0].mean()
     solver.start()
     slope_at_slip = None

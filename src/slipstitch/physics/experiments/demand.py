@@ -1,6 +1,6 @@
 """How near theory a known-answer experiment must come: pass or fail."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -38,24 +38,9 @@ class Demand:
 
 
 # docs/how/physics.md says how near they really come.
-DEMANDS: dict[str, tuple[Demand, ...]] = {
-    "incline": (Demand("acceleration_m_s2", 0.01, zero=2e-4),),  # 0.1 mm in 1 s: it sticks
-    "tilt": (Demand("slope_at_slip", 0.005),),
-    "flat-drag": (Demand("pull_over_weight", 0.005),),
-    "strip-drag": (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False)),
-    "strip": (Demand("regime"), Demand("slip_strain", 0.006, relative=False)),
-    "landed-strip": (
-        Demand("outcome"),
-        Demand("slip_strain", 0.006, relative=False),
-        Demand("flat_strain", 0.006, relative=False),
-    ),
-    "cantilever": (Demand("height_over_width", 0.02),),
-    "lateral-buckling": (Demand("critical_gamma", 0.05),),
-    "capstan": (Demand("tension_ratio", 0.02),),
-}
 
 
-def verdict(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
+def verdict(demands: Sequence[Demand], result: Mapping[str, Any]) -> dict[str, Any]:
     """Whether a result meets the demands of its experiment.
 
     Returns
@@ -65,7 +50,7 @@ def verdict(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
         whether that is relative, and whether it is met.
     """
     rows = {}
-    for demand in DEMANDS[name]:
+    for demand in demands:
         error = demand.error(result)
         met = error <= demand.allowed or error <= demand.zero
         rows[demand.key] = {
