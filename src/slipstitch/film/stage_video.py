@@ -105,16 +105,7 @@ def read_stage_video(
     """
     recording = Recording(path, frame_rate_hz)
     _check_size(recording, lens)
-    notes = []
-    if start_s is not None:
-        start = StageStart(start_s, False)
-        if not start_is_seen(recording, lens, schedule, start_s):
-            notes.append(
-                "the stated start could not be verified: no start was found in the frames; a wrong "
-                "start makes the friction wrong"
-            )
-    else:
-        start = found_start(recording, lens, schedule)
+    start, notes = _start(recording, lens, schedule, start_s)
     followed = is_followed(schedule)
     chosen, intervals, follower = _choose(
         recording,
@@ -131,20 +122,13 @@ def read_stage_video(
     rate = checked_rate(path, time_base)
     if rate != 1.0:
         chosen, intervals, _ = _choose(recording, schedule.time_s / rate, start.time_s)
-    frames, inside, time_s = [], [], []
-    for moment_s, image in chosen:
-        at_s = rate * (moment_s - start.time_s)
-        crop = schedule.crop(max(at_s, 0.0))
-        surface = cloth_surface(crop, schedule.cloth(max(at_s, 0.0)))
-        picture, share = rectify(image, lens, crop, surface)
-        frames.append(picture[..., ::-1])
-        inside.append(share)
-        time_s.append(at_s)
+    time_s = rate * (np.array([moment_s for moment_s, _ in chosen]) - start.time_s)
+    frames, inside = _rectified([image for _, image in chosen], time_s, lens, schedule)
     if problem := _seen_too_little(inside, time_s):
         raise BadInput(f"{path}: {problem}")
     video = StageVideo(
-        frames=np.stack(frames),
-        time_s=np.array(time_s),
+        frames=frames,
+        time_s=time_s,
         stage_x_m=schedule.path.position_m(np.maximum(time_s, 0.0))[0],
         start=start,
         time_base=time_base,
@@ -152,7 +136,7 @@ def read_stage_video(
         longest_gap_s=float(np.max(intervals)),
         view_angle_deg=_view_angle_deg(lens, schedule),
         pose=relative_pose(lens.pose, schedule.pose),
-        inside=np.array(inside),
+        inside=inside,
         notes=notes,
     )
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
@@ -161,6 +145,34 @@ def read_stage_video(
             f"the camera is {video.view_angle_deg:.0f} degrees from the calibrated viewpoint"
         )
     return video
+
+
+def _start(
+    recording: Recording, lens: Camera, schedule: Schedule, start_s: float | None
+) -> tuple[StageStart, list[str]]:
+    """The start that was found or stated, and what is to be said of it."""
+    if start_s is None:
+        return found_start(recording, lens, schedule), []
+    notes = []
+    if not start_is_seen(recording, lens, schedule, start_s):
+        notes.append(
+            "the stated start could not be verified: no start was found in the frames; a wrong "
+            "start makes the friction wrong"
+        )
+    return StageStart(start_s, False), notes
+
+
+def _rectified(
+    images: list[np.ndarray], time_s: np.ndarray, lens: Camera, schedule: Schedule
+) -> tuple[np.ndarray, np.ndarray]:
+    """Images at times from the start as the calibrated view has them, and how much of each."""
+    frames, inside = [], []
+    for image, at_s in zip(images, np.maximum(time_s, 0.0).tolist(), strict=True):
+        crop = schedule.crop(at_s)
+        picture, share = rectify(image, lens, crop, cloth_surface(crop, schedule.cloth(at_s)))
+        frames.append(picture[..., ::-1])
+        inside.append(share)
+    return np.stack(frames), np.array(inside)
 
 
 def seen_shares(lens: Camera, schedule: Schedule) -> np.ndarray:

@@ -112,8 +112,8 @@ def compose(layers: Layers, names: list[str]) -> list[np.ndarray]:
 
 def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
     """The frame with each of these textures, as linear light (pixels, pixels, 3)."""
-    texel = warp_array(_texel(layers.uv, TEXELS), wp.int32)
-    coarse_texel = warp_array(_texel(layers.uv, _COARSE_TEXELS), wp.int32)
+    texel = [_texel(layers.uv, texels) for texels in (TEXELS, _COARSE_TEXELS)]
+    texel = warp_array(np.column_stack(texel), wp.vec2i)
     light = warp_array(layers.light.T, wp.vec3)
     still = warp_array(layers.still.T, wp.vec3)
     starts = warp_array(np.searchsorted(layers.pixel, np.arange(layers.pixels**2 + 1)), wp.int32)
@@ -123,7 +123,7 @@ def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
     for name in names:
         fine, coarse, mean = _prepared(name, blur)
         linear = np.empty((layers.pixels**2, 3), np.float32)
-        lights = [still, wp.vec3(*mean), starts, texel, coarse_texel, light]
+        lights = [still, wp.vec3(*mean), starts, texel, light]
         albedos = [warp_array(albedo, wp.vec3) for albedo in (fine, coarse, linear)]
         wp.launch(_light_pixel, dim=len(linear), inputs=[*lights, *albedos], device="cpu")
         if layers.mirrored is not None:
@@ -137,8 +137,7 @@ def _light_pixel(
     still: wp.array(dtype=wp.vec3),
     mean: wp.vec3,
     starts: wp.array(dtype=wp.int32),
-    texel: wp.array(dtype=wp.int32),
-    coarse_texel: wp.array(dtype=wp.int32),
+    texel: wp.array(dtype=wp.vec2i),
     light: wp.array(dtype=wp.vec3),
     fine: wp.array(dtype=wp.vec3),
     coarse: wp.array(dtype=wp.vec3),
@@ -148,7 +147,7 @@ def _light_pixel(
     pixel = wp.tid()
     total = _series(still[pixel], mean, mean)
     for ray in range(starts[pixel], starts[pixel + 1]):
-        total += _series(light[ray], fine[texel[ray]], coarse[coarse_texel[ray]])
+        total += _series(light[ray], fine[texel[ray][0]], coarse[texel[ray][1]])
     linear[pixel] = total
 
 

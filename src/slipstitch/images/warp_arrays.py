@@ -12,6 +12,7 @@ start_warp()
 
 _KINDS = {
     wp.int32: np.int32,
+    wp.vec2i: np.int32,
     wp.vec3i: np.int32,
     wp.float32: np.float32,
     wp.vec3: np.float32,
