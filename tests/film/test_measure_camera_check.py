@@ -14,7 +14,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.film.measure.camera_check import check_camera, check_figure
-from slipstitch.film.measure.measuring import measuring_bench
+from slipstitch.film.measure.measuring_bench import measuring_bench
 from slipstitch.images.camera import pose
 from slipstitch.learning.instrument.measuring import save_instrument
 from slipstitch.learning.instrument.poses import outside, pose_range, poses_of

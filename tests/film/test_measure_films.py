@@ -11,7 +11,7 @@ from support import example_film
 from slipstitch.cli.main import main
 from slipstitch.film.measure.example import EXAMPLE_CAMERA
 from slipstitch.film.measure.measurement_files import MeasuredPair
-from slipstitch.film.measure.measuring import MeasuringBench
+from slipstitch.film.measure.measuring_bench import MeasuringBench
 
 
 def test_a_camera_outside_the_range_raises_the_alarm_although_the_images_do_not(

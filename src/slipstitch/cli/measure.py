@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     from slipstitch.base.provenance import start_clock
     from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
-    from slipstitch.film.measure.measuring import measuring_bench
+    from slipstitch.film.measure.measuring_bench import measuring_bench
 
     check_at_least(arguments, threads=1)
     if arguments.example:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.measure.measuring import trained_with
+from slipstitch.film.measure.measuring_bench import trained_with
 from slipstitch.film.stage_video import problem_of_view, seen_shares
 from slipstitch.images.bench_camera import BenchCamera
 from slipstitch.images.camera import AIM_M, POSE, relative_pose

@@ -12,7 +12,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
 from slipstitch.film.csv_table import FORMULA
 from slipstitch.film.measure import measurement_page, repeats_page
-from slipstitch.film.measure.measuring import MeasuredVideo, MeasuringBench
+from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
 from slipstitch.film.measure.repeats import Repeats, combined
 
 COLUMNS = (

@@ -9,7 +9,7 @@ from slipstitch.base.page.figures import png_uri
 from slipstitch.base.page.palette import VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import number, percent, span
-from slipstitch.film.measure.measuring import MeasuredVideo
+from slipstitch.film.measure.measuring_bench import MeasuredVideo
 from slipstitch.images.camera import POSE
 from slipstitch.images.encoding import encode_png
 from slipstitch.learning.instrument.poses import in_words
@@ -26,7 +26,7 @@ def _frames(result: MeasuredVideo) -> list[dict]:
     video = result.video
     weights = np.asarray(result.measurement.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
-    points_px = [None] * len(weights) if result.points_px is None else result.points_px
+    keypoints_px = [None] * len(weights) if result.keypoints_px is None else result.keypoints_px
     return [
         {
             "image": _enlarged(image, points),
@@ -36,7 +36,7 @@ def _frames(result: MeasuredVideo) -> list[dict]:
             "decisive": k in ranks,
         }
         for k, (image, time_s, weight, points) in enumerate(
-            zip(video.frames, video.time_s, weights, points_px, strict=True)
+            zip(video.frames, video.time_s, weights, keypoints_px, strict=True)
         )
     ]
 
@@ -71,15 +71,15 @@ def page(result: MeasuredVideo) -> str:
         instrument=result.instrument[:12],
         poses=[in_words(one, video.pose[one], trained[one]) for one in POSE] if trained else [],
         floors=result.floors,
-        rings=result.points_px is not None,
+        rings=result.keypoints_px is not None,
     )
 
 
-def _enlarged(image: np.ndarray, points_px: np.ndarray | None) -> str:
-    """A frame as large as the page shows it, with a ring around each point."""
+def _enlarged(image: np.ndarray, keypoints_px: np.ndarray | None) -> str:
+    """A frame as large as the page shows it, with a ring around each keypoint."""
     side = max(_SIDE, len(image))
     large = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
-    for x, y in () if points_px is None else (points_px + 0.5) * (side / len(image)) - 0.5:
+    for x, y in () if keypoints_px is None else (keypoints_px + 0.5) * (side / len(image)) - 0.5:
         if not (0 <= x < side and 0 <= y < side):
             continue
         centre = round(16 * float(x)), round(16 * float(y))  # in sixteenths of a pixel

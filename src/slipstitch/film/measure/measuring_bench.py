@@ -56,8 +56,8 @@ class MeasuredVideo:
         Floors of the training.
     pose_range : dict, optional
         Least and largest of each number of the training poses.
-    points_px : ndarray, shape (frames, points, 2), optional
-        Where the instrument sees points of the cloth in the frames, if it learnt to.
+    keypoints_px : ndarray, shape (frames, points, 2), optional
+        Where the instrument sees the cloth's keypoints in the frames, if it learnt to.
     """
 
     name: str
@@ -71,7 +71,7 @@ class MeasuredVideo:
     outside: tuple[str, ...] = ()
     floors: tuple[str, ...] = ()
     pose_range: dict[str, list[float]] | None = None
-    points_px: np.ndarray | None = None
+    keypoints_px: np.ndarray | None = None
 
     @property
     def notes(self) -> list[str]:
@@ -218,11 +218,11 @@ class MeasuringBench:
             self.outside,
             self.floors,
             self.pose_range,
-            self._points_px(video, measured),
+            self._keypoints_px(video, measured),
         )
 
-    def _points_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:
-        """The cloth's points as the instrument sees them, in the frames."""
+    def _keypoints_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:
+        """The cloth's keypoints as the instrument sees them, in the frames."""
         if measured.points_m is None:
             return None
         places_m = measured.points_m.copy()
