@@ -63,7 +63,7 @@ def trials(settings=SETTINGS, runner=answer):
 
 
 def calibrated():
-    return strip_calibration(SETTINGS, SIMULATION, trials(), answer)
+    return strip_calibration(trials())
 
 
 def demand(monkeypatch, slip_strain, friction=choice.STRIP_FRICTION):
@@ -86,7 +86,7 @@ def test_where_the_configured_settings_fail_the_cheapest_that_meet_the_demand_ar
             raise NotConverged("as configured")
         return answer(name, options, simulation)
 
-    strip = strip_calibration(SETTINGS, SIMULATION, trials(runner=fails_at_thirty), fails_at_thirty)
+    strip = strip_calibration(trials(runner=fails_at_thirty))
     assert strip["chosen"]["settings"]["newton_iterations_max"] == 5
     assert strip["chosen"]["settings"]["time_step_s"] == SIMULATION.time_step_s
 
@@ -130,22 +130,6 @@ def test_a_push_that_cannot_be_solved_is_recorded_and_counts_as_wrong():
     assert coarse["wrong_regimes"] == len(coarse["runs"]) == 6
     assert "did not converge" in coarse["runs"][0]["failure"]
     json.dumps(strip, allow_nan=False)
-
-
-def test_changes_that_save_work_are_tried_together():
-    def two_savings(name, options, simulation):
-        configured = simulation.damping_s == 0.002 and simulation.newton_iterations_max == 30
-        if name == "strip" and configured:
-            raise NotConverged("as configured")
-        result = answer(name, options, simulation)
-        saved = 300 * (simulation.damping_s < 0.002)
-        return result | {"newton_iterations": result["newton_iterations"] - saved}
-
-    strip = strip_calibration(SETTINGS, SIMULATION, trials(runner=two_savings), two_savings)
-    chosen = strip["chosen"]
-    assert chosen["key"] == "combination"
-    assert chosen["settings"]["damping_s"] == 0.0
-    assert chosen["settings"]["newton_iterations_max"] == 5
 
 
 def test_settings_differ_from_the_configured_ones_in_one_key_only():

@@ -107,7 +107,7 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
     result = calibrate(config.simulation, protocol_answer)
     both = config.calibrate, config.simulation
     trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
-    result["strip"] = strip_calibration(*both, trials, protocol_answer)
+    result["strip"] = strip_calibration(trials)
     if chosen:  # the trial with these settings, as if the configured had failed
         trials = result["strip"]["trials"]
         tried = next(t for t in trials if t["settings"] == trials[0]["settings"] | chosen)

@@ -11,10 +11,9 @@ from tqdm import tqdm
 
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import provenance_record, read_json, start_clock, write_json
-from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
+from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.calibration.choice import (
-    COMBINATION,
     STRIP_FRICTION,
     STRIP_SLIP_STRAIN,
     DemandNotMet,
@@ -24,13 +23,7 @@ from slipstitch.physics.calibration.choice import (
     may_be_chosen,
 )
 from slipstitch.physics.calibration.experiments import Check, experiments
-from slipstitch.physics.calibration.sweep import (
-    run_settings,
-    sweep,
-    sweep_inputs,
-    variations,
-    verified_settings,
-)
+from slipstitch.physics.calibration.sweep import sweep, sweep_inputs, variations, verified_settings
 from slipstitch.physics.simulation.convergence import (
     CONVERGED,
     read_study,
@@ -122,12 +115,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
     write_json(path, calibration, record)
 
 
-def strip_calibration(
-    settings: CalibrateSettings,
-    simulation: SimulationSettings,
-    trials: list[dict[str, Any]],
-    run_protocol: RunProtocol,
-) -> dict[str, Any]:
+def strip_calibration(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Choose settings by the pushed strip, from what `sweep.sweep` returned of all keys.
 
     Returns
@@ -143,14 +131,8 @@ def strip_calibration(
     """
     judged = [judge(trial) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
-
-    def run(tried: Mapping[str, Any]) -> dict[str, Any]:
-        trial = {"key": COMBINATION} | run_settings(tried, settings, simulation, run_protocol)
-        judged.append(judge(trial))
-        return judged[-1]
-
     try:
-        chosen = choose(judged, run)
+        chosen = choose(judged)
     except DemandNotMet as error:
         raise DemandNotMet(str(error), judged) from None
     return {
@@ -219,7 +201,7 @@ def calibrate_to_file(
         started=started,
     )
     try:
-        strip = strip_calibration(settings, simulation, trials, run_protocol)
+        strip = strip_calibration(trials)
     except DemandNotMet as error:
         if draw is not None:
             draw({"strip": {"trials": error.args[1]}}, record, True)

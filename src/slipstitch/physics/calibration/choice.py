@@ -1,7 +1,7 @@
 """Choice among the settings tried."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from slipstitch.base.errors import SlipstitchError
@@ -15,8 +15,6 @@ FREE = ("newton_iterations_max",)
 # Largest errors of the strain at slip, and of the friction coefficient inferred from that strain.
 STRIP_SLIP_STRAIN = 6e-3
 STRIP_FRICTION = 5e-3
-
-COMBINATION = "combination"  # of changes that may be chosen
 
 Trial = dict[str, Any]
 
@@ -62,26 +60,17 @@ def judge(trial: Mapping[str, Any]) -> Trial:
     }
 
 
-def choose(trials: Sequence[Trial], run: Callable[[Mapping[str, Any]], Trial]) -> Trial:
-    """The configured settings if they meet the requirements, else the cheapest that do.
+def choose(trials: Sequence[Trial]) -> Trial:
+    """Return the configured settings if they meet the requirements, else the cheapest that do.
 
     What may be chosen instead of the configured settings is tighter, so that the grid costs more
-    with it, whatever a single push costs: it is taken only where the configured settings fail. Then
-    of every key the cheapest value that meets the requirements on its own, all combined if that
-    meets them too; else the cheapest single change. Cost is counted in Newton iterations times
-    vertices, which is the same on every machine and every time.
+    with it, whatever a single push costs: it is taken only where the configured settings fail.
+    Cost is counted in Newton iterations times vertices, which is the same on every machine.
 
     Parameters
     ----------
     trials : sequence of dict
         What `judge` returns, for the configured settings and for each change.
-    run : callable
-        Settings to a judged trial; called at most once, for a combination.
-
-    Returns
-    -------
-    dict
-        The chosen trial.
 
     Raises
     ------
@@ -95,22 +84,13 @@ def choose(trials: Sequence[Trial], run: Callable[[Mapping[str, Any]], Trial]) -
     meeting = [trial for trial in allowed if trial["meets"]]
     if not meeting:
         raise DemandNotMet(_closest(allowed))
-    cheapest = min(meeting, key=lambda trial: trial["work"])
-    changes = {}
-    for trial in sorted(meeting, key=lambda trial: -trial["work"]):
-        if trial["key"] != BASE:
-            changes[trial["key"]] = trial["settings"][trial["key"]]
-    if len(changes) > 1:
-        together = run(base["settings"] | changes)
-        if together["meets"] and together["work"] < cheapest["work"]:
-            return together
-    return cheapest
+    return min(meeting, key=lambda trial: trial["work"])
 
 
 def may_be_chosen(trial: Mapping[str, Any], base: Mapping[str, Any]) -> bool:
     """Whether a trial differs from the configured settings in nothing but allowed ways."""
     key = trial["key"]
-    if key in (BASE, COMBINATION, *FREE):
+    if key in (BASE, *FREE):
         return True
     return key in NEVER_LOOSER and trial["settings"][key] < base[key]
 
@@ -137,6 +117,4 @@ def describe(trial: Mapping[str, Any]) -> str:
     """The distinguishing settings of a trial."""
     if trial["key"] == BASE:
         return "the configured settings"
-    if trial["key"] not in trial["settings"]:
-        return ", ".join(f"{key} = {value:g}" for key, value in trial["settings"].items())
     return f"{trial['key']} = {trial['settings'][trial['key']]:g}"
