@@ -1,9 +1,8 @@
 """Strip pushed on the floor: clamped vertically on top, its foot held by friction until it slips.
 
-Sano, Yamaguchi & Wada, Phys. Rev. Lett. 118, 178001 (2017). Kept cylindrical, so that the mesh
-is a discrete elastica of rigidity ke/4. The push starts from the buckled strip, at a strain of
-1e-4: pushed straight, a perfect strip would store its load and then be thrown into its buckle,
-foot and all.
+Sano, Yamaguchi & Wada, Phys. Rev. Lett. 118, 178001 (2017). Kept cylindrical: a discrete elastica
+of rigidity ke/4. The push starts from the buckled strip: pushed straight, a perfect strip would
+store its load and then be thrown into its buckle, foot and all.
 """
 
 from __future__ import annotations
@@ -113,7 +112,7 @@ def _solve(foot_angle: float, guess) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _branch() -> tuple[np.ndarray, np.ndarray]:
-    """Follow the buckled branch from the straight strip to the flat foot, once."""
+    """Follow the buckled branch from the straight strip to the flat foot."""
     load = strip_buckling_load()
     wave = math.sqrt(load)
     # Linear mode: θ = A (cos x − 1) + C sin x with x = √P s, foot angle 1.
@@ -303,15 +302,7 @@ def theory_regime(friction: float, strain: float = LARGEST_STRAIN) -> str:
 def push_strip(
     settings: SimulationSettings, friction: float, vertices: int, gamma: float, strain: float
 ) -> StripPush:
-    """Push until the foot slips, lies flat, or the strain is reached.
-
-    Raises
-    ------
-    BadInput
-        Fewer than 8 vertices, too much weight, or a strain out of range.
-    NotConverged
-        The solver did not converge.
-    """
+    """Push until the foot slips, lies flat, or the strain is reached."""
     if vertices < 8:
         raise BadInput(f"protocol strip: vertices {vertices}: must be at least 8")
     if gamma > LARGEST_GAMMA:

@@ -13,7 +13,11 @@ from math import ceil, pi, sin, sqrt, tan
 import numpy as np
 
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
-from slipstitch.physics.experiments.specimen import cylindrical_strip_tables, hanging_with_tail
+from slipstitch.physics.experiments.specimen import (
+    cylindrical_strip_tables,
+    hanging_with_tail,
+    held,
+)
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.contact import REFERENCE_HUMIDITY_PCT
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -91,7 +95,36 @@ def drag_tracked(
     NotConverged
         A step could not be solved.
     """
-    settings = settings or SolverSettings(penetration_m=PENETRATION_M)
+    solver, start_m = _laid_down(
+        law, sheet, run, rows, settings or SolverSettings(penetration_m=PENETRATION_M)
+    )
+    ramp_s = run.speed_m_s / ACCELERATION_M_S2
+
+    def stage_m(time_s: float) -> float:
+        if time_s < ramp_s:
+            return 0.5 * ACCELERATION_M_S2 * time_s**2
+        return run.speed_m_s * (time_s - ramp_s / 2)
+
+    def holder(time_s: float) -> np.ndarray:
+        return start_m + np.array([stage_m(time_s), 0.0, 0.0])
+
+    frames = int((run.stroke_m / run.speed_m_s + ramp_s / 2) * frame_rate_hz)
+    steps = ceil(1.0 / frame_rate_hz / step_s - 1e-9)
+    seen = [_seen(solver)]
+    for _ in range(frames):
+        for _ in range(steps):
+            solver.advance(1.0 / frame_rate_hz / steps, holder)
+        seen.append(_seen(solver))
+    time_s = np.arange(frames + 1) / frame_rate_hz
+    edge, contact = np.array(seen).T
+    stage = np.array([stage_m(moment_s) for moment_s in time_s])
+    return TrackedShape(time_s, stage, edge - edge[0], contact)
+
+
+def _laid_down(
+    law: FrictionLaw, sheet: Sheet, run: DragRun, rows: int, settings: SolverSettings
+) -> tuple[ClothSolver, np.ndarray]:
+    """The cloth hung up, its tail on the floor without tension, and rested; where it lies."""
     width_m = 2 * sheet.length_m / (rows - 1)
     mesh = rectangle(rows, 3, sheet.length_m, width_m)
     tables = replace(
@@ -100,9 +133,7 @@ def drag_tracked(
     )
     down, across = mesh.rest_uv_m[:, 1], mesh.rest_uv_m[:, 0]
     ahead, height = hanging_with_tail(down, sheet.length_m, run.height_m)
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[:, 1] = True
-    fixed[down == 0] = True
+    fixed = held(mesh, 1)
     along = sin(run.tilt_downhill_rad)
     # Without friction, on level ground: the tail comes to lie without tension.
     level = ClothSolver(
@@ -136,33 +167,13 @@ def drag_tracked(
     )
     solver.start()
     solver.floor.rest(run.dwell_s)
-    ramp_s = run.speed_m_s / ACCELERATION_M_S2
-
-    def stage_m(time_s: float) -> float:
-        if time_s < ramp_s:
-            return 0.5 * ACCELERATION_M_S2 * time_s**2
-        return run.speed_m_s * (time_s - ramp_s / 2)
-
-    def holder(time_s: float) -> np.ndarray:
-        return start_m + np.array([stage_m(time_s), 0.0, 0.0])
-
-    frames = int((run.stroke_m / run.speed_m_s + ramp_s / 2) * frame_rate_hz)
-    steps = ceil(1.0 / frame_rate_hz / step_s - 1e-9)
-    seen = [_seen(solver, rows, down)]
-    for _ in range(frames):
-        for _ in range(steps):
-            solver.advance(1.0 / frame_rate_hz / steps, holder)
-        seen.append(_seen(solver, rows, down))
-    time_s = np.arange(frames + 1) / frame_rate_hz
-    edge, contact = np.array(seen).T
-    stage = np.array([stage_m(moment_s) for moment_s in time_s])
-    return TrackedShape(time_s, stage, edge - edge[0], contact)
+    return solver, start_m
 
 
-def _seen(solver: ClothSolver, rows: int, down: np.ndarray) -> tuple[float, float]:
+def _seen(solver: ClothSolver) -> tuple[float, float]:
     """Place of the trailing edge, and length from it to the touchdown (between vertices)."""
-    x, _, z = solver.positions_m.reshape(rows, 3, 3).mean(axis=1).T
-    s = down.reshape(rows, 3)[:, 0]
+    x, _, z = solver.positions_m.reshape(-1, 3, 3).mean(axis=1).T
+    s = solver.mesh.rest_uv_m[::3, 1]
     length = s[-1]
     rising = np.flatnonzero(z > LIFT_RANGE_M[0])
     if not len(rising):
