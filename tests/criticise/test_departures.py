@@ -15,7 +15,7 @@ from support.departures.campaign import AMBIGUOUS, write
 
 from slipstitch.criticise.case import read_case
 
-PLACE = Path(__file__).parents[2] / "benchmarks" / "criticise_departures.py"
+PLACE = Path(__file__).parents[2] / "benchmarks" / "criticise.py"
 
 
 @pytest.fixture(scope="module")
@@ -288,7 +288,13 @@ def test_an_ambiguous_design_cannot_tell(which):
 def test_scores_are_counted_as_the_table_says(benchmark):
     def record(family, verdict, causes=(), **truth):
         plain = {"seed": 1, "departures": False, "effects": {}, "lambda": 0.0, "each": []}
-        plain |= {"separation": 0.0, "faults": [], "fault_kind": "none", "family": family}
+        plain |= {
+            "separation": 0.0,
+            "outliers": 0.05,
+            "faults": [],
+            "fault_kind": "none",
+            "family": family,
+        }
         return {
             "truth": plain | truth,
             "verdict": verdict,
@@ -296,8 +302,7 @@ def test_scores_are_counted_as_the_table_says(benchmark):
             "alternatives": [],
             "parameters": {"nap": {"ci95": [0.1, 0.2]}},
             "findings": [],
-            "status": 0,
-            "seconds": 1.0,
+            "error": "",
             "cpu_s": 1.0,
         }
 
@@ -313,7 +318,16 @@ def test_scores_are_counted_as_the_table_says(benchmark):
     assert rows["false alarm on null data"][2].endswith("1/2")
     assert rows["cause named on null data"][2].endswith("0/2")
     assert rows["exact cause, lambda and separation >= 25"][2].endswith("1/2")
-    assert rows["strong (lambda >= 100) answered none"][2].endswith("1/1")
+    assert rows["lambda >= 100, 5 % far readings: none"][2].endswith("1/1")
     assert rows["uneven track in (e): static friction named"][2].endswith("1/1")
-    assert rows["parameter intervals"][2].endswith("1/1")
+    assert rows["parameters' intervals"][2].endswith("1/1")
     assert "| false alarm" in benchmark.markdown(records)
+
+
+def test_benches_have_far_readings_and_faulty_ones_a_noisy_sensor(benchmark):
+    plans = [benchmark.plan_of(seed) for seed in (300_000, 300_001, 300_003, 300_004)]
+    assert all(plan.outliers in benchmark.OUTLIERS for plan in plans)
+    sound = [plan for plan in plans if not plan.departures]
+    assert sound and not any(plan.faults for plan in sound)
+    places = [[(f["protocol"], f["quantity"], f["kind"]) for f in p.faults] for p in plans]
+    assert all(len(set(of)) == len(of) for of in places)

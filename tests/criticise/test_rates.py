@@ -18,22 +18,17 @@ def benchmark():
 
 @pytest.mark.slow
 def test_unseen_cases_are_judged_as_the_published_rates_say(benchmark, hidden_seed):
-    kinds = len(benchmark.KINDS)
-    first = kinds * hidden_seed(30_000, limit=10**7)
-    records = [benchmark.one_case(first + i, with_fresh=False) for i in range(kinds)]
-    answers = [(r["seed"], r["kind"], r["effects"], r["verdict"], r["causes"]) for r in records]
-    nulls = [r for r in records if r["kind"] == "null"]
+    first = 40 * hidden_seed(30_000, limit=10**6)
+    records = [benchmark.judged(seed) for seed in range(first, first + 40, 2)]
+    answers = [(r["truth"]["seed"], r["truth"]["effects"], r["said"]) for r in records]
+    assert not any(r["error"] for r in records), answers
+    nulls = [r for r in records if benchmark.of("null")(r)]
     # At the published rates each of these fails in fewer than one run of fifty.
-    assert sum(r["verdict"] != "none" for r in nulls) <= 1, answers
-    wrong = [
-        r
-        for r in records
-        if r["kind"] != "null" and r["verdict"] == "cause" and set(r["causes"]) - set(r["effects"])
-    ]
-    assert len(wrong) <= 2, answers
-    strong = [r for r in records if r["kind"] == "single" and min(r["lambda"], r["sep"]) >= 25]
-    exact = [r for r in strong if r["causes"] == list(r["effects"])]
-    assert len(exact) >= 0.5 * len(strong), answers
+    assert sum(benchmark.ALARM(r) for r in nulls) <= 1, answers
+    effects = [r for r in records if benchmark.of("single", "pair", "ambiguous", "outside")(r)]
+    assert sum(benchmark.wrong_cause(r) for r in effects) <= 2, answers
+    strong = [r for r in records if benchmark.separable(r)]
+    assert sum(benchmark.exact(r) for r in strong) >= 0.5 * len(strong), answers
 
 
 def test_wilsons_interval_is_the_textbooks(benchmark):
