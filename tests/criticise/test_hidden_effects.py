@@ -8,7 +8,6 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import parameters_with_intervals
 
 # One plain effect a mechanism, in the protocols that can tell it from the others.
 PLANTED = {
@@ -47,7 +46,7 @@ def test_a_planted_effect_is_named_and_sized(name, tmp_path):
     values, protocols = PLANTED[name]
     _, analysis = judged(tmp_path, 19, "single", plant=({name: values}, protocols))
     assert (analysis.verdict, analysis.causes) == ("cause", (name,))
-    found = parameters_with_intervals(analysis, analysis.chosen.fitted)
+    found = analysis.intervals(analysis.chosen.fitted).of_sizes()
     for key, value in values.items():
         entry = found[LABEL.get(key, key)]
         low, high = entry["ci95"]

@@ -15,7 +15,6 @@ from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols import spring_slider
 from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
 from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import parameters_with_intervals
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)
@@ -93,7 +92,7 @@ def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
     make_case(seed, "single", tmp_path, plant=({name: {name: size}}, ["spring_slider"]))
     analysis = analyse(assemble(read_case(tmp_path)), replicates=200)
     assert (analysis.verdict, analysis.causes) == ("cause", (name,))
-    low, high = parameters_with_intervals(analysis, analysis.chosen.fitted)[name]["ci95"]
+    low, high = analysis.intervals(analysis.chosen.fitted).of_sizes()[name]["ci95"]
     slack = 0.75 * (high - low)
     assert low - slack <= size <= high + slack
 

@@ -8,12 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
+from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.candidates import (
     LEFTOVER_SIGNIFICANCE,
+    OWN_SIGNIFICANCE,
     STANDS_BESIDE,
     TIE_BIC,
     Candidate,
     explains,
+    left_along_own,
     stands_beside,
 )
 from slipstitch.criticise.inference.evidence import SIGNIFICANCE, Evidence
@@ -85,6 +88,18 @@ def _structure_left(e: Evidence) -> str | None:
     if explained or stands_beside(best.chosen, best.left, best.judge):
         return None
     return "structure is left that no one or two mechanisms remove"
+
+
+def _left_along_own(e: Evidence) -> str | None:
+    covariate = left_along_own(e.best.chosen, e.best.left)
+    if covariate is None or e.best.chosen.credit >= STANDS_BESIDE:
+        return None
+    return f"structure is left along the {COVARIATES[covariate].title}, which the cause acts by"
+
+
+def _may_be_nothing(e: Evidence) -> str | None:
+    unsure = e.unsure()
+    return f"the size of {' and '.join(unsure)} may be zero" if unsure else None
 
 
 def _differs_within_runs(e: Evidence) -> str | None:
@@ -181,6 +196,21 @@ RULES: tuple[Rule, ...] = (
         f"beside that its credit is below {STANDS_BESIDE:g}.",
         "unknown",
         _structure_left,
+        of_best=True,
+    ),
+    Rule(
+        "structure left along its own covariate",
+        "What is left has a shape along the covariate of a cause that is significant by itself "
+        f"(p below {OWN_SIGNIFICANCE:g}), and the credit is below {STANDS_BESIDE:g}.",
+        "unknown",
+        _left_along_own,
+        of_best=True,
+    ),
+    Rule(
+        "size may be zero",
+        "The 95 % interval of a cause's size contains that of no effect.",
+        "unknown",
+        _may_be_nothing,
         of_best=True,
     ),
     Rule(

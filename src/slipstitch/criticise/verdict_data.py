@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.identifiability import not_exported, not_identified
 from slipstitch.criticise.inference.certificate import certificate
@@ -32,8 +30,9 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     gain = held_out_gain(analysis, candidates[:12] if named else [])
     fitted = chosen.fitted if named and chosen is not None else analysis.null
     left = analysis.left_over or analysis.null_outcome
-    parameters = parameters_with_intervals(analysis, fitted)
-    unknown = not_identified(_entries(analysis, fitted) | parameters)
+    intervals = analysis.intervals(fitted)
+    parameters = intervals.of_sizes()
+    unknown = not_identified(intervals.of_parameters() | parameters)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -133,83 +132,6 @@ def residual_tests(outcome: Outcome) -> list[dict]:
         }
         for covariate, i in sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])
     ]
-
-
-def parameters_with_intervals(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
-    """Estimates with 95 % intervals in the units of the specification."""
-    reach = _reach(analysis, fitted)
-    inflation = analysis.null_outcome.mechanism_inflation()
-    result = _entries(analysis, fitted)
-    for cause in fitted.causes:
-        names = MECHANISMS[cause].components
-        if names is not None:
-            own = {p.name for p in MECHANISMS[cause].parameters}
-            result = {name: entry for name, entry in result.items() if name not in own}
-            result |= _size_and_direction(fitted, cause, names, reach, inflation.get(cause, 1.0))
-    return result
-
-
-def _reach(analysis: Analysis, fitted: Fit) -> float:
-    """Half of a 95 % interval in standard errors."""
-    specimens = len(np.unique(analysis.measurements.specimen[analysis.state.keep]))
-    return float(student.ppf(0.975, max(specimens - len(fitted.values), 3)))
-
-
-def _entries(analysis: Analysis, fitted: Fit) -> dict[str, dict]:
-    """Every fitted parameter with its 95 % interval, vectors by their components."""
-    reach = _reach(analysis, fitted)
-    inflation = analysis.null_outcome.mechanism_inflation()
-    owner = {p.name: c for c in fitted.causes for p in MECHANISMS[c].parameters}
-    result: dict[str, dict] = {}
-    for j, parameter in enumerate(fitted.parameters):
-        value = float(fitted.values[j])
-        inflated = inflation.get(owner.get(parameter.name, ""), 1.0)
-        error = float(np.sqrt(fitted.covariance[j, j] * inflated))
-        if parameter.coefficient:
-            estimate, interval = (
-                np.exp(value),
-                np.exp([value - reach * error, value + reach * error]),
-            )
-        elif parameter.relative:
-            half = reach * error / (1 + value)
-            estimate = value
-            interval = (1 + value) * np.exp([-half, half]) - 1
-        else:
-            estimate, interval = value, np.array([value - reach * error, value + reach * error])
-        result[parameter.name] = _entry(estimate, interval, parameter.unit)
-    return result
-
-
-def _size_and_direction(
-    fitted: Fit, cause: str, names: tuple[str, str], reach: float, inflated: float
-) -> dict[str, dict]:
-    """Two components of a vector as its size and its direction."""
-    size_name, direction_name = names
-    fitted_names = [p.name for p in fitted.parameters]
-    components = MECHANISMS[cause].parameters
-    index = [fitted_names.index(p.name) for p in components]
-    x, y = fitted.values[index]
-    covariance = fitted.covariance[np.ix_(index, index)] * inflated
-    size = float(np.hypot(x, y))
-    along = np.array([x, y]) / max(size, 1e-12)
-    across = np.array([-y, x]) / max(size, 1e-12)
-    error = float(np.sqrt(along @ covariance @ along))
-    turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-12)))
-    turn = min(reach * turn, 180.0)
-    azimuth = float(np.degrees(np.arctan2(y, x)) % 360)
-    limits = [max(size - reach * error, 0.0), size + reach * error]
-    return {
-        size_name: _entry(size, limits, components[0].unit),
-        direction_name: _entry(azimuth, [azimuth - turn, azimuth + turn], "deg"),
-    }
-
-
-def _entry(estimate, interval, unit) -> dict:
-    return {
-        "estimate": float(f"{estimate:.6g}"),
-        "ci95": [float(f"{interval[0]:.6g}"), float(f"{interval[1]:.6g}")],
-        "unit": unit,
-    }
 
 
 def _model(analysis: Analysis, fitted: Fit) -> dict:

@@ -22,6 +22,7 @@ from slipstitch.criticise.inference.candidates import (
 )
 from slipstitch.criticise.inference.certificate import Detectable, smallest_detectable
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.intervals import Intervals
 from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
 from slipstitch.criticise.inference.rivals import taken_by_rivals
 from slipstitch.criticise.inference.state import State
@@ -126,6 +127,7 @@ class Evidence:
         chosen, state, left = judge.tested(singles[0], m, rng, self.replicates)
         pairs = fitted_pairs(judge, singles, left)
         accepted = [p for p in pairs if second_is_significant(p, singles, left)]
+        accepted = [p for p in accepted if not self._unsure(p)]
         ranking = sorted(singles + pairs, key=lambda c: c.bic)
         if accepted and accepted[0].bic < chosen.bic:
             chosen, state, left = judge.tested(accepted[0], m, rng, self.replicates)
@@ -157,6 +159,22 @@ class Evidence:
             judge = replace(judge, measurements=imprecise, bases={})
             ranking = judge.ranked(ranking, fitted=True)
         return judge, ranking, excluded
+
+    def intervals(self, fitted: Fit) -> Intervals:
+        """The parameters of a fit."""
+        state = self.best.state if "best" in self.__dict__ else self.null_state
+        specimens = len(np.unique(self.measurements.specimen[state.keep]))
+        return Intervals(fitted, specimens, self.null_outcome.mechanism_inflation())
+
+    def _unsure(self, candidate: Candidate) -> list[str]:
+        """Causes of a candidate that may have no size at all."""
+        inflation = self.null_outcome.mechanism_inflation()
+        found = Intervals(candidate.fitted, self.specimens, inflation)
+        return [cause for cause in candidate.causes if found.may_be_nothing(cause)]
+
+    def unsure(self) -> list[str]:
+        """Causes of the best explanation that may have no size at all."""
+        return self._unsure(self.best.chosen)
 
     @cached_property
     def taken(self) -> dict[str, list[str]]:
