@@ -221,7 +221,8 @@ def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> N
     for to in (*known, *OPTIONAL, *_of_further(before)):
         if to not in there and not (folder / to).exists():
             _copy(before / to, folder / to, is_published(config, to))
-    for name in _OF_ALL:
+    same = load_config(before / "config.json") == config
+    for name in (*_OF_ALL, *(["config.json"] if same else [])):
         if (before / name).is_file():
             shutil.copyfile(before / name, folder / name)
     # Records of what is there again, but not published anew, are not those of the published files.
