@@ -29,11 +29,13 @@ from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import read_sums
 from slipstitch.dataset.release.manifest import sampled_rows
-from slipstitch.dataset.release.records import Artefact
+from slipstitch.dataset.release.records import SIMULATIONS, Artefact
+from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.images import cloth_interpolation
 from slipstitch.images.surroundings import FLOORS
 from slipstitch.physics.fabric import fabric_names, load_fabric
+from slipstitch.physics.simulation import handed_out
 from slipstitch.physics.simulation.convergence import MEASURED
 
 ROOT = Path(__file__).parents[2]
@@ -82,6 +84,24 @@ def test_untouched_release_is_intact(original):
     assert audit.numbers["images"] == 720
     assert len(audit.clips) == 144
     assert not any(audit.clip_kinds().values())
+
+
+def test_a_release_carries_its_simulations_and_the_audit_follows_them(forger, release):
+    assert SIMULATIONS == handed_out.SIMULATIONS
+    carried = sorted((release / SIMULATIONS).glob("*.parquet"))
+    assert len(carried) == len(simulations(CONFIG))
+    path = release / SIMULATIONS / "m05_f0300_r00.parquet"
+    # One of another coefficient in its place, behind new sums.
+    shutil.copyfile(carried[-1], path)
+    forger.reseal()
+    assert found(release, Kind.BROKEN)[f"{SIMULATIONS}/{path.name}"] == OF_SIMULATION
+
+
+def test_a_release_without_its_simulations_is_intact(forger, release):
+    """As releases of before are."""
+    shutil.rmtree(release / SIMULATIONS)
+    forger.reseal()
+    assert audit_release(release).verdict == "intact"
 
 
 def test_what_snakemake_leaves_is_no_finding(release):

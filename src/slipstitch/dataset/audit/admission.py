@@ -20,12 +20,12 @@ import pyarrow.parquet as pq
 
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.provenance import reading
-from slipstitch.dataset.release.records import RECORDS
+from slipstitch.dataset.release.records import RECORDS, SIMULATIONS
 from slipstitch.dataset.release.shards import FOLDER
 
 ENTRIES_MAX = 200_000
 DEPTH_MAX = 20
-#: Of any file but the shards, and of all of them together.
+#: Of any file but shards and simulations, and of all of them together.
 FILE_BYTES_MAX = 64 * 2**20
 BYTES_MAX = 512 * 2**20
 #: Of a text in a table: ids and names are far shorter.
@@ -103,7 +103,7 @@ def _checked_size(folder: Path, name: str, status: os.stat_result) -> int:
     """Bytes of a file that is no shard; 0 of a shard."""
     if status.st_size > FILE_BYTES_MAX and 4 * 512 * status.st_blocks < status.st_size:
         raise BadInput(f"{folder}: {name}: {status.st_size} bytes, mostly a hole (sparse file)")
-    if name.startswith(f"{FOLDER}/"):
+    if name.startswith((f"{FOLDER}/", f"{SIMULATIONS}/")):
         return 0
     if status.st_size > FILE_BYTES_MAX:
         raise BadInput(

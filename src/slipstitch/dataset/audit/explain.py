@@ -88,7 +88,7 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
         f"  record   {record_file(artefact.path)}",
         f"  SHA-256  {artefact.sha256}",
     ]
-    if is_carried(artefact):
+    if is_carried(artefact) and (contents.folder / carried_file(artefact.path)).is_file():
         lines.append(f"  carried  {carried_file(artefact.path)}")
     if record is None or not is_ours(artefact.path):
         return [*lines, "  external input: not made by a stage"]

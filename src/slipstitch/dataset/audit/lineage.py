@@ -7,13 +7,7 @@ from typing import Any
 
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.release.manifest import MANIFEST
-from slipstitch.dataset.release.records import (
-    RECORD_SUFFIX,
-    RECORDS,
-    VERIFICATION,
-    Artefact,
-    carried_file,
-)
+from slipstitch.dataset.release.records import VERIFICATION, Artefact, carried_file, record_file
 
 SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 
@@ -77,13 +71,13 @@ class Lineage:
     def _carried(self) -> dict[str, str]:
         """Path of an artefact in a release -> the artefact."""
         known = {*self.artefacts, *self.clips_after}
-        return {carried_file(path): path for path in known}
+        records = {record_file(path): path for path in known}
+        return records | {carried_file(path): path for path in known}
 
     def clips_of_file(self, name: str) -> tuple[str, ...]:
         """Clips that a file of the release is about: their images, or a record behind them."""
-        if name.startswith(f"{RECORDS}/"):
-            artefact = self._carried.get(name.removesuffix(RECORD_SUFFIX))
-            return self.clips(artefact) if artefact else ()
+        if artefact := self._carried.get(name):
+            return self.clips(artefact)
         return self._in_shard.get(name, ())
 
     @cached_property

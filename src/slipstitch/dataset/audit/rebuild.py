@@ -1,6 +1,7 @@
 """A clip simulated and rendered again from its record, and compared."""
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -102,7 +103,9 @@ def _released(contents: Contents, row: dict[str, Any]) -> np.ndarray:
 
 
 def rebuild(contents: Contents, clip: str) -> Rebuilt:
-    """Simulate and render a clip again with the code that is installed.
+    """Render a clip again with the code that is installed.
+
+    From the simulations that the release carries; where it carries none, they are made again too.
 
     Raises
     ------
@@ -124,7 +127,11 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         shard = folder / "shard.parquet"
         # Of an interpolated film all simulations that its cloth is made of.
         trajectories = {one.path: folder / Path(one.path).name for one in simulated}
-        for trajectory in trajectories.values():
+        for path, trajectory in trajectories.items():
+            carried = contents.folder / carried_file(path)
+            if carried.is_file():  # filmed again from the simulation that the release carries
+                shutil.copyfile(carried, trajectory)
+                continue
             _run(
                 "simulate", "--config", str(config), "--simulation", trajectory.stem,
                 "--calibration", str(contents.folder / carried_file(calibrated[0].path)),

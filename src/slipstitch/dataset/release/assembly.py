@@ -169,7 +169,9 @@ def write_release(
         made.append(VERIFICATION)
     artefacts = collect(made, results.parent, _outside(config))
     check_current(artefacts, config, results.parent, locked_versions(project))
-    _check_room(out, _ROOM * sum((sample / f).stat().st_size for f in {r["file"] for r in sampled}))
+    copied = [sample / name for name in {row["file"] for row in sampled}]
+    copied += [results.parent / path for path, one in artefacts.items() if one.stage == "simulate"]
+    _check_room(out, _ROOM * sum(path.stat().st_size for path in copied))
     try:
         with atomic_path(out) as folder:
             folder.mkdir()
@@ -247,8 +249,9 @@ def _write_records(
     for path, artefact in artefacts.items():
         write_record(artefact, folder)
         if is_carried(artefact):
-            place = locate(path, results.parent, _outside(config))
-            shutil.copyfile(place, folder / carried_file(path))
+            place, carried = locate(path, results.parent, _outside(config)), carried_file(path)
+            (folder / carried).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(place, folder / carried)
     write_json(folder / CONFIG, config.model_dump(mode="json"))
     if (results / "grid.parquet").is_file():
         shutil.copyfile(results / "grid.parquet", folder / GRID)

@@ -15,6 +15,8 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_parquet, read_provenance
 
 RECORDS = "records"
+#: Where `slipstitch.physics.simulation.handed_out` looks for the simulations of a release.
+SIMULATIONS = "simulations"
 #: Written beside the dataset: a sample of its images against direct renders.
 VERIFICATION = "results/render/verification.json"
 CONFIG = f"{RECORDS}/config.json"
@@ -23,6 +25,7 @@ RELEASE_RECORD = f"{RECORDS}/release.json"
 CROISSANT = "croissant.json"
 CRATE = "ro-crate-metadata.json"
 RECORD_SUFFIX = ".record.json"
+_SIMULATE = "results/simulate/"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "mesh")
 
@@ -207,17 +210,23 @@ def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
 
 def carried_file(path: str) -> str:
     """Location of the artefact `path` in a release, if included."""
+    if path.startswith(_SIMULATE):
+        return f"{SIMULATIONS}/{path.removeprefix(_SIMULATE)}"
     return f"{RECORDS}/{path.removeprefix('results/')}"
 
 
 def record_file(path: str) -> str:
     """Location of the record of the artefact `path` in a release."""
-    return carried_file(path) + RECORD_SUFFIX
+    return f"{RECORDS}/{path.removeprefix('results/')}{RECORD_SUFFIX}"
 
 
 def is_carried(artefact: Artefact) -> bool:
-    """Whether a release carries the artefact whole: small text, and files from outside."""
-    return not is_ours(artefact.path) or artefact.path.endswith((".json", ".yaml"))
+    """Whether a release carries the artefact whole: simulations, small text, files from outside.
+
+    Releases of before carry no simulations.
+    """
+    path = artefact.path
+    return not is_ours(path) or path.startswith(_SIMULATE) or path.endswith((".json", ".yaml"))
 
 
 def write_record(artefact: Artefact, folder: Path) -> None:
