@@ -344,7 +344,9 @@ def test_equal_configuration_makes_equal_data_in_another_folder(release, tmp_pat
     sums, other = read_sums(release), read_sums(again)
     differing = {name for name in sums | other if sums.get(name) != other.get(name)}
     # Records hold times and, of files that hold times, digests.
-    assert all(name.startswith(("records/", "ro-crate")) for name in differing)
+    assert all(name.startswith(("records/", "simulations/", "ro-crate")) for name in differing)
+    for path in (release / "simulations").iterdir():
+        assert rows_digest(path) == rows_digest(again / "simulations" / path.name)
     assert "records/config.json" not in differing
     assert sum(name.startswith("data/") for name in sums) > 10
 
