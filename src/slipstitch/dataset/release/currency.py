@@ -88,16 +88,19 @@ def config_changes(
     Returns
     -------
     list of str
-        ``key: recorded -> now``. Only keys that the record holds are compared.
+        ``key: recorded -> now``. Only keys that the record holds, and that there still are, are
+        compared.
     """
     recorded = artefact.record.get("config", {})
     now = _plain(config)
     now["simulation"] = _plain(calibrated_simulation(artefact, config, calibrated))
     changes: list[str] = []
     for section, value in recorded.items():
-        if section in now:
+        if section in now and isinstance(value, Mapping) == isinstance(now[section], Mapping):
             of_others = section == "render" and ONE_VIEW in recorded
             skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
+            if isinstance(value, Mapping):  # keys of before have become part of the code
+                skip |= set(value) - set(now[section])
             changes += _differences(section, value, now[section], skip)
     return changes
 
