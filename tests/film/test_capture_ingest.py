@@ -331,7 +331,7 @@ def test_rows_that_contradict_one_another_are_one_line(folder, capsys, rows, pro
     ("columns", "problem"),
     [
         (COLUMNS.replace("material", "materiel"), "unknown column 'materiel'; did you mean mate"),
-        (COLUMNS.replace(",camera", ",video"), "column 'video' is duplicated"),
+        (COLUMNS.replace(",camera", ",video"), "column video: given twice"),
         (COLUMNS.removesuffix(",camera"), "no column 'camera'; required: video, material"),
     ],
 )

@@ -10,6 +10,12 @@ LINE_INTERVAL_S = 30.0
 _LINE = "{desc}{n_fmt} of {total_fmt} {unit}s, {elapsed} elapsed, {remaining} remaining"
 
 
+def note(*lines: str) -> None:
+    """Say on stderr what was assumed, a line each."""
+    for line in lines:
+        print(line, file=sys.stderr)
+
+
 class _Lines:
     """A stream that gets whole lines from a bar that redraws itself."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from dataclasses import dataclass, field
@@ -11,12 +10,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from slipstitch.base.errors import BadInput
+from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import read_parquet
+from slipstitch.base.tables import read_cells
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.columns import Column
+from slipstitch.criticise.protocols.protocol import Protocol
+from slipstitch.criticise.sensors import DataFinding
+from slipstitch.criticise.traces import prepared
 
 TABLE_BYTES_MAX = 512 * 2**20
+ENDINGS = (".csv", ".parquet")
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,8 @@ class Case:
     """One fabric-substrate pair measured in one campaign.
 
     ``tables`` maps a table's name to its checked rows: numbers as float64 with NaN where a cell
-    is empty, text as str with '' where it is. ``files`` are those that were read.
+    is empty, text as str with '' where it is. ``files`` are those that were read, ``findings``
+    what is wrong with the data, ``notes`` what was assumed of the files, a line each.
     """
 
     name: str
@@ -33,6 +38,8 @@ class Case:
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     ignored_files: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
+    findings: tuple[DataFinding, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def protocols(self) -> tuple[str, ...]:
@@ -65,56 +72,138 @@ def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such case folder")
     meta = _read_meta(folder / "meta.json")
-    files = [folder / "meta.json"]
+    read = _Reading(folder, with_measurements, [folder / "meta.json"])
     tables: dict[str, pd.DataFrame] = {}
-    known = set()
     for protocol in PROTOCOLS.values():
-        found = {}
+        tables |= read.protocol(protocol)
+    if not tables:
+        names = " ".join(f"{table}.csv" for p in PROTOCOLS.values() for table in p.tables)
+        raise BadInput(f"{folder}: no table of any protocol; known: {names}")
+    _check_declared(folder / "meta.json", meta, tables, with_measurements)
+    nominal = _nominal(folder / "meta.json", meta, tables)
+    others = sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.suffix.lower() in ENDINGS and path not in read.files
+    )
+    return Case(
+        str(meta.get("case") or meta.get("case_id") or folder.resolve().name),
+        meta,
+        nominal,
+        tables,
+        tuple(others),
+        tuple(read.files),
+        tuple(read.findings),
+        tuple(read.notes),
+    )
+
+
+@dataclass
+class _Reading:
+    """Tables of a folder as they are read, with the files, and what was found and assumed."""
+
+    folder: Path
+    with_measurements: bool
+    files: list[Path]
+    findings: list[DataFinding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def protocol(self, protocol: Protocol) -> dict[str, pd.DataFrame]:
+        """Tables of a protocol that are there; traces in order and without glitches."""
+        folder, found, path = self.folder, {}, self.folder
         for table, columns in protocol.tables.items():
-            paths = [folder / f"{table}{ending}" for ending in (".csv", ".parquet")]
-            paths += [folder / table] if table != protocol.runs_table else []  # one file a run
-            paths = [path for path in paths if path.exists()]
-            known |= {path.name for path in paths}
+            paths = [p for p in sorted(folder.glob(f"{table}.*")) if p.suffix.lower() in ENDINGS]
+            if table != protocol.runs_table and (folder / table).is_dir():  # one file a run
+                paths.append(folder / table)
             if len(paths) > 1:
                 names = " and ".join(path.name for path in paths)
                 raise BadInput(f"{folder}: both {names}; only one is allowed")
-            if paths:
-                read = _read_folder if paths[0].is_dir() else _read_table
-                found[table] = read(paths[0], columns, with_measurements)
-                files += _files_of(paths[0]) if paths[0].is_dir() else paths
+            for path in paths:
+                found[table] = (self.table if path.suffix else self.traces)(path, columns)
         missing = [table for table in protocol.tables if table not in found]
-        if found and missing and (with_measurements or missing[0] == protocol.runs_table):
+        if found and missing and (self.with_measurements or missing[0] == protocol.runs_table):
             have, want = ", ".join(f"{t}.csv" for t in found), f"{missing[0]}.csv"
             raise BadInput(
                 f"{folder}: {have} without {want}; the {protocol.name} protocol requires both"
             )
-        if found and not missing and len(found) == 2:
+        if len(found) == 2:
             _check_traces(folder, *found.items())
-            traces = list(found)[1]
-            found[traces] = _in_order(found[traces])
-        tables |= found
-    if not tables:
-        names = " ".join(f"{table}.csv" for p in PROTOCOLS.values() for table in p.tables)
-        raise BadInput(f"{folder}: no table of any protocol; known: {names}")
+            runs, traces = found
+            found[traces], findings = prepared(
+                protocol.name, found[runs], found[traces], protocol.signals, str(path)
+            )
+            self.findings += findings
+        return found
+
+    def traces(self, path: Path, columns: tuple[Column, ...]) -> pd.DataFrame:
+        """The traces of a folder with one file a run, which the file is called after."""
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS)
+        if not files:
+            raise BadInput(f"{path}: no file; RUN_ID.csv or RUN_ID.parquet for each run is needed")
+        columns = tuple(column for column in columns if column.name != "run_id")
+        parts = {file.stem: self.table(file, columns) for file in files}
+        if len(parts) < len(files):
+            raise BadInput(f"{path}: a run as CSV and as Parquet; give one of them")
+        names = np.repeat(list(parts), [len(part) for part in parts.values()])
+        table = pd.concat(parts.values(), ignore_index=True)
+        table.insert(0, "run_id", names.astype(object))
+        return table
+
+    def table(self, path: Path, columns: tuple[Column, ...]) -> pd.DataFrame:
+        """The checked rows of a file."""
+        self.files.append(path)
+        raw, lines = self.raw(path, columns)
+        if len(raw) == 0:
+            raise BadInput(f"{path}: no rows; at least one is required")
+        table = {}
+        for column in columns:
+            measured = column.measured and not self.with_measurements
+            if column.name not in raw.columns:
+                if measured:
+                    continue
+                raise BadInput(f"{path}: column {column.name}: missing")
+            check = _text_column if column.text else _number_column
+            table[column.name] = check(path, column, raw[column.name], lines, measured)
+        result = pd.DataFrame(table)
+        if "specimen_id" in table:  # one row a trial or run
+            again = result["run_id"].duplicated()
+            if again.any():
+                row = lines[int(np.argmax(again.to_numpy()))]
+                name = result["run_id"][again].iloc[0]
+                raise BadInput(f"{path}: row {row}: column run_id: '{name}' is duplicated")
+        return result
+
+    def raw(self, path: Path, columns: tuple[Column, ...]) -> tuple[pd.DataFrame, np.ndarray]:
+        """The unchecked rows of a file, and their lines in it."""
+        if path.suffix.lower() == ".csv":
+            cells = read_cells(path, [column.name for column in columns], TABLE_BYTES_MAX)
+            self.notes += cells.notes
+            rows = pd.DataFrame(cells.rows, columns=cells.header, dtype=object)
+            return rows, np.array(cells.lines, int)
+        _refuse_no_file(path)
+        try:
+            raw = read_parquet(path).to_pandas(ignore_metadata=True)
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{path}: cannot be read: {first_line(error)}") from None
+        raw.columns = [str(name).strip() for name in raw.columns]
+        repeated = raw.columns[raw.columns.duplicated()]
+        if len(repeated):
+            raise BadInput(f"{path}: column {repeated[0]}: given twice")
+        return raw, np.arange(1, len(raw) + 1)
+
+
+def _check_declared(path: Path, meta: dict, tables: dict, with_measurements: bool) -> None:
+    """Refuse protocols of meta.json that are unknown or have no table."""
     declared = meta.get("protocols") or []
     for name in declared if isinstance(declared, list) else []:
         wanted = PROTOCOLS.get(_protocol_name(name))
         if wanted is None:
             raise BadInput(
-                f"{folder / 'meta.json'}: protocols: unknown protocol {name!r}; "
-                f"known: {' '.join(PROTOCOLS)}"
+                f"{path}: protocols: unknown protocol {name!r}; known: {' '.join(PROTOCOLS)}"
             )
         absent = [table for table in wanted.tables if table not in tables]
         if absent and with_measurements:
-            raise BadInput(f"{folder / 'meta.json'}: protocols: {name} has no {absent[0]}.csv")
-    nominal = _nominal(folder / "meta.json", meta, tables)
-    others = sorted(
-        path.name
-        for path in folder.iterdir()
-        if path.suffix in (".csv", ".parquet") and path.name not in known
-    )
-    name = str(meta.get("case") or meta.get("case_id") or folder.resolve().name)
-    return Case(name, meta, nominal, tables, tuple(others), tuple(files))
+            raise BadInput(f"{path}: protocols: {name} has no {absent[0]}.csv")
 
 
 def has_measurements(folder: Path | str) -> bool:
@@ -150,7 +239,7 @@ def _read_meta(path: Path) -> dict:
         raise BadInput(f"{path.parent}: no meta.json; a case folder requires one")
     _refuse_no_file(path)
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        meta = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not valid JSON: {error}") from None
     if not isinstance(meta, dict) or not isinstance(meta.get("nominal"), dict):
@@ -184,83 +273,6 @@ def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
             raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; must be a number of at least 0")
         values["reversal_dwell_s"] = float(dwell)
     return values
-
-
-def _read_raw(path: Path) -> pd.DataFrame:
-    try:
-        if path.suffix == ".parquet":
-            return read_parquet(path).to_pandas(ignore_metadata=True)
-        content = path.read_bytes()
-        if b"\0" in content:  # pandas would leave them out
-            raise ValueError("holds NUL bytes; text in UTF-8 is needed")
-        return pd.read_csv(
-            io.BytesIO(content),
-            dtype=str,
-            keep_default_na=False,
-            encoding="utf-8-sig",
-            skip_blank_lines=False,
-        )
-    except pd.errors.EmptyDataError:
-        raise BadInput(f"{path}: empty; must contain a header and at least one row") from None
-    except (UnicodeDecodeError, pd.errors.ParserError, OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-
-
-def _files_of(path: Path) -> list[Path]:
-    """The files of a folder of traces."""
-    return sorted(file for file in path.iterdir() if file.suffix in (".csv", ".parquet"))
-
-
-def _read_folder(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
-    """The traces of a folder with one file a run, which the file is called after."""
-    files = _files_of(path)
-    if not files:
-        raise BadInput(f"{path}: no file; RUN_ID.csv or RUN_ID.parquet for each run is needed")
-    columns = tuple(column for column in columns if column.name != "run_id")
-    parts = {file.stem: _read_table(file, columns, with_measurements) for file in files}
-    if len(parts) < len(files):
-        raise BadInput(f"{path}: a run as CSV and as Parquet; give one of them")
-    names = np.repeat(list(parts), [len(part) for part in parts.values()])
-    table = pd.concat(parts.values(), ignore_index=True)
-    table.insert(0, "run_id", names.astype(object))
-    return table
-
-
-def _read_table(path: Path, columns: tuple[Column, ...], with_measurements: bool) -> pd.DataFrame:
-    _refuse_no_file(path)
-    raw = _read_raw(path)
-    if not isinstance(raw.index, pd.RangeIndex):  # pandas takes what is too much for names of rows
-        raise BadInput(f"{path}: a row has more cells than the header")
-    raw.columns = [str(name).strip() for name in raw.columns]
-    repeated = raw.columns[raw.columns.duplicated()]
-    if len(repeated):
-        raise BadInput(f"{path}: column {repeated[0]}: given twice")
-    if path.suffix == ".csv":
-        blank = np.ones(len(raw), bool)
-        for name in raw.columns:  # few rows are left to look at after the first column
-            blank[blank] = (raw.loc[blank, name].str.strip() == "").to_numpy()
-        raw = raw[~blank]
-    if len(raw) == 0:
-        raise BadInput(f"{path}: no rows; at least one is required")
-    table = {}
-    for column in columns:
-        measured = column.measured and not with_measurements
-        if column.name not in raw.columns:
-            if measured:
-                continue
-            raise BadInput(f"{path}: column {column.name}: missing")
-        values = raw[column.name]
-        lines = np.asarray(raw.index) + (2 if path.suffix == ".csv" else 1)
-        check = _text_column if column.text else _number_column
-        table[column.name] = check(path, column, values, lines, measured)
-    result = pd.DataFrame(table)
-    if "specimen_id" in table:  # one row a trial or run
-        again = result["run_id"].duplicated()
-        if again.any():
-            row = lines[int(np.argmax(again.to_numpy()))]
-            name = result["run_id"][again].iloc[0]
-            raise BadInput(f"{path}: row {row}: column run_id: '{name}' is duplicated")
-    return result
 
 
 def _text_column(path, column, values, lines, measured) -> np.ndarray:
@@ -339,14 +351,3 @@ def _check_traces(
         raise BadInput(
             f"{folder / runs_name}.csv: run_id '{name}' has no rows in {traces_name}.csv"
         )
-
-
-def _in_order(traces: pd.DataFrame) -> pd.DataFrame:
-    """Readings of a run in order of time; where it was not recorded, along the stage's strokes."""
-    if "t_s" in traces and traces["t_s"].notna().all():
-        key = traces["t_s"]
-    elif "stroke" in traces:
-        key = traces["x_stage_mm"] * (1 - 2 * traces["stroke"])
-    else:
-        return traces
-    return traces.iloc[np.argsort(key.to_numpy(), kind="stable")].reset_index(drop=True)

@@ -17,7 +17,7 @@ from slipstitch.base.page.wording import with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.protocols.push import LEVEL, PEAK, PushBlock
-from slipstitch.criticise.protocols.spring_slider import slips_of
+from slipstitch.criticise.protocols.spring_slider import slips_of_trace
 from slipstitch.criticise.protocols.stick_slip import Slider, swing
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -80,10 +80,10 @@ def _runs(case: Case) -> list[_Run]:
     found = []
     for (_, run), load_kg in zip(runs.iterrows(), mass, strict=True):
         slider = Slider(float(load_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
-        time, force = parts[run["run_id"]][["t_s", "force_mN"]].to_numpy(float).T
-        if len(time) < 20 or time[-1] <= time[0] or slider.mass_kg <= 0:
+        trace = parts[run["run_id"]]
+        if len(trace) < 20 or not np.ptp(trace["t_s"]) > 0 or slider.mass_kg <= 0:
             continue
-        slips = slips_of(time, force, slider, run["u_force_mN"])
+        slips = slips_of_trace(trace, slider, run["u_force_mN"])
         weight_mN = 1e3 * slider.mass_kg * GRAVITY_M_S2
         place = slider.speed_m_s * slips.time_s - 1e-3 * slips.middle_mN / slider.spring_N_m
         found.append(_Run(slider, place, slips.middle_mN / weight_mN, slips.half_mN / weight_mN))

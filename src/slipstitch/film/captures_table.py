@@ -1,5 +1,6 @@
 """The table of captures: content and reference friction of each video."""
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,9 +8,9 @@ from typing import Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
+from slipstitch.base.tables import read_cells
 from slipstitch.film.csv_table import (
     TableColumn,
-    cells_of,
     file_below,
     name,
     number,
@@ -136,13 +137,13 @@ def read_captures(
 def files_named(path: str | os.PathLike) -> list[str]:
     """Videos and camera files of a table that are there; what is wrong, `read_captures` says."""
     try:
-        header, rows = cells_of(path)
+        table = read_cells(path, ("video", "camera", "material"), math.inf)
     except BadInput:
         return []
     cells = {
         cell.strip()
-        for _, row in rows
-        for title, cell in zip(header, row, strict=False)
+        for row in table.rows
+        for title, cell in zip(table.header, row, strict=True)
         if title in ("video", "camera")
     }
     named = {str(Path(path).parent / cell) for cell in cells}

@@ -1,8 +1,6 @@
-"""CSV tables filled in by users: every cell is checked, errors are reported in one line."""
+"""Tables filled in by users: every cell is checked, errors are reported in one line."""
 
-import csv
 import difflib
-import io
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -12,6 +10,8 @@ from typing import Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import shortened
+from slipstitch.base.progress import note
+from slipstitch.base.tables import as_number, read_cells
 
 _LARGEST_BYTES = 20_000_000
 _LONGEST_NAME = 80
@@ -59,7 +59,7 @@ def number(
 
     def read(cell: str) -> float:
         try:
-            value = float(cell)
+            value = as_number(cell)
         except ValueError:
             raise ValueError(allowed) from None
         inside = low < value < high if open_ends else low <= value <= high
@@ -106,7 +106,7 @@ def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
 
 
 def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
-    """Rows of a CSV file (UTF-8, commas, a line of column names first).
+    """Read the rows of a CSV file, in whichever dialect it is written.
 
     Parameters
     ----------
@@ -126,61 +126,29 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
         If the file is missing, not CSV, lacks a column or has another, or a cell cannot be read or
         begins like a formula.
     """
-    header, rows = cells_of(path)
     known = {column.name: column for column in columns}
-    for cell in header:
+    table = read_cells(path, known, _LARGEST_BYTES)
+    for cell in table.header:
         if cell not in known:
             close = difflib.get_close_matches(cell, known, n=1)
             hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
             raise BadInput(f"{path}: unknown column {cell[:40]!r}; {hint}")
-        if header.count(cell) > 1:
-            raise BadInput(f"{path}: column {cell!r} is duplicated")
     for column in columns:
-        if column.needed and column.name not in header:
+        if column.needed and column.name not in table.header:
             raise BadInput(
                 f"{path}: no column {column.name!r}; required: "
                 f"{', '.join(known.name for known in columns if known.needed)}"
             )
     read = []
-    for line, cells in rows:
-        if len(cells) != len(header):
-            raise BadInput(f"{path} line {line}: {len(cells)} cells, the header has {len(header)}")
+    for line, cells in zip(table.lines, table.rows, strict=True):
         row: dict[str, Any] = dict.fromkeys(known)
-        for title, cell in zip(header, cells, strict=True):
+        for title, cell in zip(table.header, cells, strict=True):
             row[title] = _value(known[title], cell.strip(" "), f"{path} line {line}, {title}")
         read.append({"line": line, **row})
     if not read:
         raise BadInput(f"{path}: contains no rows")
+    note(*table.notes)
     return read
-
-
-def cells_of(path: str | os.PathLike) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The header and the rows that are not empty, with their line numbers.
-
-    Raises
-    ------
-    BadInput
-        If the file is no table.
-    """
-    try:
-        if Path(path).stat().st_size > _LARGEST_BYTES:
-            raise BadInput(f"{path}: larger than {_LARGEST_BYTES / 1e6:g} MB")
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{path}: not a text file in UTF-8") from None
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows = []
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append((reader.line_num, cells))
-    except csv.Error as error:
-        raise BadInput(f"{path} line {reader.line_num}: not CSV: {error}") from None
-    if not rows:
-        raise BadInput(f"{path}: empty; must begin with a line of column names")
-    return [cell.strip() for cell in rows[0][1]], rows[1:]
 
 
 def _value(column: TableColumn, cell: str, where: str) -> Any:

@@ -26,6 +26,7 @@ from slipstitch.criticise.protocols.drag_trace import (
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of
+from slipstitch.criticise.traces import Signal
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -231,6 +232,7 @@ DRAG = Protocol(
         Quantity("force_back_plateau_mN", "plateau back"),
     ),
     features=features,
+    signals=(Signal("force_mN", "force cell", "u_force_mN"),),
     usual_settings={
         "stage_azimuth_deg": 0.0,
         "area_cm2": 100.0,

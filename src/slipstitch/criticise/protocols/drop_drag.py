@@ -20,6 +20,7 @@ from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, numbe
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
+from slipstitch.criticise.traces import Signal
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -202,7 +203,7 @@ def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
     steps, times = np.diff(forward["x_stage_mm"]), np.diff(forward["t_s"])
     step, time = float(np.median(steps)), float(np.median(times))
     elapsed = first["t_s"] - last["t_s"]
-    if not time > 0 or not elapsed < 1.6 * time:
+    if not time > 0 or not 0 <= elapsed < 1.6 * time:
         return seen, np.inf
     crossing = 0.5 * (last["x_stage_mm"] + first["x_stage_mm"] + step / time * elapsed)
     # As well as the frames' clock tells how far the stage goes from one to the next.
@@ -300,6 +301,10 @@ DROP_DRAG = Protocol(
         Quantity("edge_at_turn_mm", "edge at the turn"),
     ),
     features=features,
+    signals=(
+        Signal("te_x_mm", "edge camera", "u_pos_mm"),
+        Signal("contact_len_mm", "contact camera", "u_pos_mm"),
+    ),
     usual_settings={
         "stage_azimuth_deg": 0.0,
         "height_mm": 100.0,

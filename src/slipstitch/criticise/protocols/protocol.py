@@ -9,6 +9,7 @@ import pandas as pd
 
 from slipstitch.criticise.protocols.block import Block
 from slipstitch.criticise.protocols.columns import Column
+from slipstitch.criticise.traces import Signal
 
 Features = Callable[[Mapping[str, pd.DataFrame], Mapping[str, float], bool], Block | None]
 
@@ -44,6 +45,7 @@ class Protocol:
         and measured values are not looked at.
     usual_settings : columns of a run where a case does not say what is usual there.
     varied : columns, and levels of them, among which a measurement that separates rivals is sought.
+    signals : columns of the traces in which glitches are looked for.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Protocol:
     features: Features
     usual_settings: Mapping[str, float] = field(default_factory=dict)
     varied: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    signals: tuple[Signal, ...] = ()
 
     @property
     def runs_table(self) -> str:

@@ -23,6 +23,7 @@ from slipstitch.criticise.protocols.block import (
 )
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.traces import Signal
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -193,6 +194,9 @@ PUSH = Protocol(
     nominal=(),
     quantities=(Quantity(LEVEL, "push, level"), Quantity(PEAK, "push, first peak")),
     features=features,
+    signals=tuple(
+        Signal(column, "force cell", "u_force_mN") for column in ("force_x_mN", "force_y_mN")
+    ),
     usual_settings={
         "push_azimuth_deg": 0.0,
         "area_cm2": 50.0,

@@ -7,7 +7,7 @@ putting steady stick-slip of the same size, sampling and noise through the same 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,7 @@ from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, numbe
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
+from slipstitch.criticise.traces import Signal
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
@@ -133,6 +134,22 @@ def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: flo
     return Slips(*np.array(found).reshape(-1, 3).T)
 
 
+def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
+    """Find the slips of a run, recording by recording: nothing is known of what is between."""
+    parts = trace.groupby(trace.get("recording", 0) * np.ones(len(trace)), sort=False)
+    found = [
+        slips_of(*part[["t_s", "force_mN"]].to_numpy(float).T, slider, u_mN)
+        for _, part in parts
+        if len(part) > 2
+    ]
+    return Slips(
+        *(
+            np.concatenate([getattr(slips, field.name) for slips in found])
+            for field in fields(Slips)
+        )
+    )
+
+
 def half_drop_bias(
     time_s: np.ndarray, slider: Slider, level_mN: float, half_mN: float, u_mN: float
 ) -> float:
@@ -170,11 +187,10 @@ def _unmoved(time: np.ndarray, force: np.ndarray, peak_s: float, slider: Slider)
 
 
 def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
-    trace = trace.sort_values("t_s", kind="stable")
     time, force = trace["t_s"].to_numpy(float), trace["force_mN"].to_numpy(float)
     if len(time) < 20 or time[-1] <= time[0]:
         return None
-    slips = slips_of(time, force, slider, u_mN)
+    slips = slips_of_trace(trace, slider, u_mN)
     late = float(np.median(force[len(force) // 2 :]))
     relaxed = bool(np.mean(force[:3]) < 0.5 * late)
     loading = 1e3 * slider.spring_N_m * slider.speed_m_s
@@ -292,10 +308,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     else:
         parts = dict(list(traces.groupby("run_id", sort=False)))
         of_traces = (
-            off_neighbours(
-                *parts[run].sort_values("t_s", kind="stable")[["t_s", "force_mN"]].to_numpy(float).T
-            )
-            / u[i]
+            off_neighbours(*parts[run][["t_s", "force_mN"]].to_numpy(float).T) / u[i]
             for i, run in enumerate(runs["run_id"])
         )
         noises = (noise_of("force cell", "force_mN", of_traces),)
@@ -365,6 +378,7 @@ SPRING_SLIDER = Protocol(
         Quantity(FIRST_SWING, "half of the first drop"),
     ),
     features=features,
+    signals=(Signal("force_mN", "force cell", "u_force_mN"),),
     usual_settings={
         "stage_azimuth_deg": 0.0,
         "area_cm2": 50.0,
