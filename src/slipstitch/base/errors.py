@@ -85,4 +85,7 @@ def refused_by_the_machine(error: BaseException) -> str | None:
     if code is None:
         return None
     path = getattr(error, "filename", None)
-    return _OF_THE_MACHINE[code] + (f": {path}" if path else "")
+    words = _OF_THE_MACHINE[code] + (f": {path}" if path else "")
+    if f"{os.sep}.cache" in str(path) and "XDG_CACHE_HOME" not in os.environ:
+        words += " (set XDG_CACHE_HOME to a folder that can be written)"
+    return words

@@ -137,7 +137,7 @@ def _separator(text: str, known: Collection[str]) -> tuple[str, int, int]:
         for i, line in enumerate(lines[:_TITLE_LINES]):
             names = [cell.strip().strip('"') for cell in line.split(separator)]
             found = len(set(names) & set(known))
-            if (found > 1 or not i) and (found, -i, len(names)) > best[:3]:
+            if (found, -i, len(names)) > best[:3] and (found or not i):
                 best = (found, -i, len(names), separator)
     return best[3], declared.end() if declared else 0, -best[1]
 

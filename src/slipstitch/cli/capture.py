@@ -10,7 +10,7 @@ EXAMPLE = (
 )
 
 
-KINDS = ("camera", "check", "ingest", "reference", "surrogate")
+KINDS = ("camera", "check", "ingest", "reference", "surrogate", "trace")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -75,6 +75,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
+    from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
 
@@ -89,6 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(power_to_file(case, seed, replicates, arguments.out, arguments.campaigns))
         return 0
     case = read_case(arguments.case)
+    note(*case.notes)
     for name in case.ignored_files:
         print(
             f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr

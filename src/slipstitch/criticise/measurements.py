@@ -11,10 +11,11 @@ import pandas as pd
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS, Bench
+from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.block import Block
-from slipstitch.criticise.sensors import ZEROS, Zero
+from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
 
 REMEMBERED = 64  # predictions of a block
@@ -57,6 +58,7 @@ class Measurements:
     sound_sensors : no sensor's zero is allowed for.
     further_zeros : (protocol, zero) that are allowed for in this case besides the usual ones.
     implausible : readings or sizes that must be of another unit, a line each.
+    findings : what is wrong with the data themselves.
     """
 
     blocks: list[Block]
@@ -70,6 +72,7 @@ class Measurements:
     sound_sensors: bool = False
     further_zeros: tuple[tuple[str, Zero], ...] = ()
     implausible: tuple[str, ...] = ()
+    findings: tuple[DataFinding, ...] = ()
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
@@ -198,20 +201,24 @@ def assemble(case: Case, measured: bool = True) -> Measurements:
     BadInput
         If no run of any protocol gives a feature.
     """
+    odd = tuple(implausible(case)) if measured else ()
+    findings: tuple[DataFinding, ...] = case.findings
+    if measured:
+        case, faults, fatal = cell_faults(case)
+        findings, odd = findings + faults, (*odd, *fatal)
     blocks = [
         protocol.features(case.tables, case.nominal, measured)
         for protocol in PROTOCOLS.values()
         if protocol.runs_table in case.tables
     ]
     kept = [block for block in blocks if block is not None]
-    odd = tuple(implausible(case)) if measured else ()
     if not kept:
         why = " ".join(odd) or "at least one slip is needed"
         raise BadInput(f"{case.name}: no run has a usable trace; {why}")
     for block in kept:
         block.rows.insert(0, "protocol", block.protocol)
     found = measurements_of(kept)
-    found.implausible = odd
+    found.implausible, found.findings = odd, findings
     return found
 
 

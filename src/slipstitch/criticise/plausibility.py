@@ -11,17 +11,17 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
+from slipstitch.base.angles import directions_in_radians, in_radians
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.force_cells import is_usual, refuted_clock, refuted_units
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
 from slipstitch.physics.gravity import GRAVITY_M_S2
 
+FORCED = ("drag", "spring_slider", "push", "drop_drag")
 SMALLEST_COEFFICIENT, LARGEST_COEFFICIENT = 0.01, 5.0
-USUAL_COEFFICIENT = (0.05, 2.0)  # a slip of units is named if it brings the readings here
-SMALLEST_ANGLE_DEG = 2.0
 # Gauze to heavy coated cloth; loose fleece to densely woven or coated cloth.
 AREAL_MASS_KG_M2 = (0.01, 2.0)
 DENSITY_KG_M3 = (60.0, 2500.0)
-LARGEST_SLOPE_FACTOR = 3.0  # between the loading slope and the tether's stiffness
 
 Tables = Mapping[str, pd.DataFrame]
 Nominal = Mapping[str, float]
@@ -116,7 +116,7 @@ READINGS: Mapping[str, tuple[str, Callable, tuple[tuple[float, str], ...]]] = {
 
 def implausible(case: Case) -> list[str]:
     """One line for each implausible table or nominal size, with the likely unit."""
-    found = _nominal_sizes(case)
+    found = _nominal_sizes(case) + _directions(case)
     for name in case.protocols:
         if name not in READINGS:
             continue
@@ -126,11 +126,12 @@ def implausible(case: Case) -> list[str]:
         if not len(values):
             continue
         middle = float(np.median(values))
-        small_angles = name == "incline" and (
-            case.tables[name]["angle_deg"].abs().max() < SMALLEST_ANGLE_DEG
-        )
-        if SMALLEST_COEFFICIENT <= middle <= LARGEST_COEFFICIENT and not small_angles:
-            found += _tether(case) if name == "drag" else []
+        small_angles = name == "incline" and in_radians(case.tables[name]["angle_deg"])
+        refuted = []
+        if name in FORCED:
+            refuted = refuted_units(case, name, middle) or refuted_clock(case, name)
+        found += refuted
+        if refuted or (SMALLEST_COEFFICIENT <= middle <= LARGEST_COEFFICIENT and not small_angles):
             continue
         likely = _likely(name, middle, slips)
         found.append(
@@ -139,8 +140,14 @@ def implausible(case: Case) -> list[str]:
     return found
 
 
-def _usual(coefficient: float) -> bool:
-    return USUAL_COEFFICIENT[0] <= coefficient <= USUAL_COEFFICIENT[1]
+def _directions(case: Case) -> list[str]:
+    """Directions of a table of runs that are all quarters or eighths of a turn in radians."""
+    return [
+        f"{name}: {column}: angles in radians?"
+        for name, table in case.tables.items()
+        for column in ("orientation_deg", "azimuth_deg", "stage_azimuth_deg", "push_azimuth_deg")
+        if column in table and directions_in_radians(table[column])
+    ]
 
 
 def _likely(name: str, middle: float, slips: tuple[tuple[float, str], ...]) -> str:
@@ -150,13 +157,13 @@ def _likely(name: str, middle: float, slips: tuple[tuple[float, str], ...]) -> s
         below = name in ("drag", "spring_slider", "incline")
         return "signs the other way round" if below else "lengths in another unit, or below zero"
     if name == "incline":
-        if _usual(np.tan(np.degrees(np.arctan(middle)))):
+        if is_usual(np.tan(np.degrees(np.arctan(middle)))):
             return "angles in radians"
         return (
             "angles to the vertical" if middle > LARGEST_COEFFICIENT else "angles in another unit"
         )
     for factor, words in slips:
-        if _usual(middle * factor):
+        if is_usual(middle * factor):
             return words
     return "lengths in another unit" if name == "drop_drag" else "readings in another unit"
 
@@ -201,28 +208,4 @@ def _length(case: Case) -> list[str]:
     return [
         f"nominal cloth_length_m {1e-3 * length:g}: {seen:.3g} mm of it lie on the floor below a "
         f"clamp at {height:.3g} mm; a length in another unit or ten times off?"
-    ]
-
-
-def _tether(case: Case) -> list[str]:
-    """The tether against the median slope at which the force first rises from 0.2 to 0.8."""
-    slopes = []
-    traces = case.tables["drag"]
-    for _, trace in traces[traces["stroke"] == 0].groupby("run_id", sort=False):
-        x, force = trace["x_stage_mm"].to_numpy(float), trace["force_mN"].to_numpy(float)
-        level = float(np.median(force[len(force) // 2 :]))
-        loaded = int(np.argmax(force >= 0.8 * level))
-        unloaded = np.flatnonzero(force[:loaded] <= 0.2 * level)
-        if not len(unloaded):
-            continue
-        ramp = slice(int(unloaded[-1]), loaded + 1)
-        if loaded - unloaded[-1] >= 3 and np.ptp(x[ramp]) > 0:  # else the sampling makes the slope
-            slopes.append(np.polyfit(x[ramp], force[ramp], 1)[0])
-    nominal = case.nominal["k_tether_N_m"]
-    slope = float(np.median(slopes)) if slopes else nominal
-    if 1 / LARGEST_SLOPE_FACTOR <= slope / nominal <= LARGEST_SLOPE_FACTOR:
-        return []
-    return [
-        f"nominal k_tether_N_m {nominal:g}: the force rises by {slope:.3g} N/m; in another unit or "
-        "ten times off?"
     ]

@@ -55,7 +55,8 @@ ZEROS: Mapping[str, Zero] = MappingProxyType({zero.field: zero for zero in _ENTR
 class DataFinding:
     """Something clearly wrong with the data of one sensor.
 
-    ``kind`` is ``zero`` (``size`` in ``unit``) or ``noise`` (``size`` times what was stated).
+    ``kind`` is ``zero`` (``size`` in ``unit``), ``noise`` (``size`` times what was stated), or, of
+    the traces as they were read, ``clock``, ``glitches`` or ``cell``.
     """
 
     protocol: str
@@ -73,3 +74,13 @@ class DataFinding:
             "ci95": [float(f"{end:.4g}") for end in self.ci95],
         }
         return asdict(self) | rounded
+
+
+def data_words(findings: list[dict]) -> list[str]:
+    """Say in a sentence each what was wrong with traces as they were read."""
+    return [
+        f"In {found['protocol']}, {found['sensor']}: {found['size']:.4g} "
+        f"{'' if found['unit'] == '1' else found['unit'] + ' '}{found['quantity']}."
+        for found in findings
+        if found["kind"] in ("clock", "glitches", "cell")
+    ]

@@ -10,6 +10,7 @@ from slipstitch.criticise.inference.discrepancy import discrepancy_words
 from slipstitch.criticise.inference.rivals import TITLES as RIVALS
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS
 from slipstitch.criticise.measurements import COEFFICIENTS
+from slipstitch.criticise.sensors import data_words
 from slipstitch.criticise.within_runs import departure, words
 
 CLEAR_FALL = 0.8  # of an error, to be worth a headline
@@ -23,8 +24,9 @@ TENFOLD_IN = {
 
 
 def statement(verdict: dict) -> str:
-    """The verdict, and what single runs show besides."""
-    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {}))])
+    """The verdict, what single runs show besides, and what is wrong with the traces."""
+    of_data = data_words(verdict.get("data_findings", []))
+    return " ".join([sentence(verdict), *words(verdict.get("within_runs", {})), *of_data])
 
 
 def sentence(verdict: dict) -> str:

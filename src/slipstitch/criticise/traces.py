@@ -17,8 +17,8 @@ from slipstitch.base.errors import BadInput
 from slipstitch.criticise.sensors import DataFinding
 
 # A reading this many noises off what its neighbours on either side lead to is a glitch; of normal
-# noise one in ten million is. So are two or three in a row, not more, and the first or last
-# reading, if they are twice as far off: friction itself may change that fast.
+# noise one in ten million is. So are two or three in a row, not more, if they are twice as far
+# off: friction itself may change that fast.
 GLITCH_NOISES, LONGEST_GLITCH, ROUNDS = 6.0, 3, 3
 # Readings over which noise is taken to be the same.
 NOISE_READINGS = 128
@@ -29,7 +29,8 @@ GLITCHES_AT_MOST, GLITCHES_A_RUN = 0.004, 2.0
 SWAPPED_STEPS, ANOTHER_ORDER = 2.5, 0.1
 # Equal times in at most this share of the readings are averaged; more are a coarse clock.
 FEW_EQUAL = 0.05
-MEDIAN_DEVIATION = 0.6745
+# The share of |z| of a normal variable below a deviation.
+MOST, MOST_DEVIATION = 0.8, 1.2816
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,9 @@ def _local_noise(values: np.ndarray) -> np.ndarray:
     """Noise by the bends between neighbours (n,), the largest of the stretches around."""
     bends = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     stretches = np.array_split(bends, max(len(bends) // NOISE_READINGS, 1))
-    noise = [np.median(stretch) for stretch in stretches]
-    noise = maximum_filter1d(np.array(noise) / MEDIAN_DEVIATION / np.sqrt(1.5), 3)
+    # A quantile that the larger of two noises in a stretch decides, but not a few glitches.
+    noise = [np.quantile(stretch, MOST) for stretch in stretches]
+    noise = maximum_filter1d(np.array(noise) / MOST_DEVIATION / np.sqrt(1.5), 3)
     return np.pad(np.repeat(noise, [len(stretch) for stretch in stretches]), 1, mode="edge")
 
 
@@ -89,7 +91,7 @@ def _beyond_neighbours(values: np.ndarray, threshold: np.ndarray) -> np.ndarray:
         highest = maximum_filter1d(values, width, origin=origin)[:count]
         beyond = np.maximum(lowest - around.max(axis=0), around.min(axis=0) - highest)
         least = threshold[:count] * (1.0 if width == 1 else 2.0)
-        least[[0, -1]] = 2.0 * threshold[[0, count - 1]]
+        least[[0, -1]] = np.inf  # a stroke may begin with its slip
         for start in np.flatnonzero((beyond > least) & (beyond > 2 * np.abs(r1 - l1))):
             found[start : start + width] = True
     return found

@@ -322,7 +322,7 @@ class Analysis:
         """What is wrong with the data themselves."""
         m, fitted = self.evidence.measurements, self.evidence.null
         fitted = self.chosen.fitted if self.chosen else fitted
-        return [*noise_findings(m), *zero_findings(m, fitted, self.state)]
+        return [*m.findings, *noise_findings(m), *zero_findings(m, fitted, self.state)]
 
 
 def judged(measurements: Measurements, seed: int, replicates: int) -> Analysis:

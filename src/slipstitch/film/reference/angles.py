@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slipstitch.base.angles import in_radians
 from slipstitch.base.errors import BadInput
 from slipstitch.film.csv_table import TableColumn, name, number, read_table, whole_number
 
@@ -68,6 +69,11 @@ def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
                 f"from line {pair[0]['line']}"
             )
         pair.append(row)
+    for (material, substrate), measured in pairs.items():
+        if in_radians(row["angle_deg"] for row in measured):
+            raise BadInput(
+                f"{path}: {material} on {substrate}: no angle_deg reaches 2; angles in radians?"
+            )
     return [
         SlipAngles(
             material,

@@ -1,0 +1,211 @@
+"""Traces as instruments write them: glitches, clocks, units and faults of the force cell."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from slipstitch.base.errors import BadInput
+from slipstitch.criticise.case import read_case
+from slipstitch.criticise.force_cells import cell_faults
+from slipstitch.criticise.inference.analysis import analyse
+from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.plausibility import implausible
+from slipstitch.criticise.protocols.stick_slip import Slider, steady_force
+from slipstitch.criticise.sensors import data_words
+from slipstitch.criticise.traces import glitches
+
+KINETIC, STATIC = 0.40, 0.45
+RUNS, LOAD_KG, SPRING, SPEED = 9, 0.05, 60.0, 2.0
+
+
+def slider_case(folder, samples=40, spoil=lambda trace: trace):
+    """Stick-slip sampled so many times a natural period, each run spoilt."""
+    rng, level = np.random.default_rng(1), 1e3 * KINETIC * LOAD_KG * 9.80665
+    slider = Slider(LOAD_KG, SPRING, 1e-3 * SPEED)
+    half = np.hypot((STATIC - KINETIC) * LOAD_KG * 9.80665, slider.inertial_force)
+    step = 2 * np.pi * np.sqrt(LOAD_KG / SPRING) / samples
+    (folder / "spring_slider").mkdir(parents=True)
+    for i in range(RUNS):
+        time = np.arange(0.0, 5.0, step)
+        force = 1e3 * steady_force(slider, 1e-3 * level * (1 + 0.01 * (i % 3)), half, time)
+        force = np.minimum(SPRING * SPEED * time, force) + rng.normal(0, 0.5, len(time))
+        trace = spoil(pd.DataFrame({"t_s": time, "force_mN": force}))
+        trace.to_csv(folder / "spring_slider" / f"r{i}.csv", index=False)
+    write_runs(folder, "spring_slider", spring_N_m=SPRING, speed_mm_s=SPEED, u_force_mN=0.5)
+    return folder
+
+
+def drag_case(folder, samples=200, spoil=lambda trace: trace):
+    """Plain Coulomb friction, so many readings a stroke of 40 mm."""
+    rng, level = np.random.default_rng(2), 1e3 * KINETIC * LOAD_KG * 9.80665
+    way, parts = np.linspace(0.0, 40.0, samples), []
+    for i in range(RUNS):
+        out = np.minimum(60.0 * way, level)
+        back = np.maximum(level - 60.0 * way, -level)
+        trace = pd.DataFrame(
+            {
+                "run_id": f"r{i}",
+                "stroke": np.repeat([0, 1], samples),
+                "t_s": np.concatenate([way, 40.0 + way[1] + way]) / 10,
+                "x_stage_mm": np.concatenate([way, 40.0 - way]),
+                "v_mm_s": 10.0,
+                "force_mN": np.concatenate([out, back]) * (1 + 0.01 * (i % 3))
+                + rng.normal(0, 0.5, 2 * samples),
+            }
+        )
+        parts.append(spoil(trace))
+    folder.mkdir(parents=True, exist_ok=True)
+    pd.concat(parts).to_csv(folder / "drag.csv", index=False)
+    write_runs(folder, "drag", speed_mm_s=10.0, u_force_mN=0.5)
+    return folder
+
+
+def write_runs(folder, name, **columns):
+    common = {
+        "run_id": [f"r{i}" for i in range(RUNS)],
+        "specimen_id": [f"s{i // 3}" for i in range(RUNS)],
+        "clock_min": 3.0 * np.arange(RUNS),
+        "repeat_index": np.arange(RUNS) % 3,
+    }
+    empty = ("orientation_deg", "dwell_s", "rh_pct", "pos_x_mm", "operator", "stage_azimuth_deg")
+    runs = pd.DataFrame(common | dict.fromkeys(empty, "") | {"area_cm2": 1.0}, dtype=object)
+    runs.assign(added_mass_g=1e3 * LOAD_KG, **columns).to_csv(
+        folder / f"{name}_runs.csv", index=False
+    )
+    nominal = {"rho_kg_m2": 1e-2, "k_tether_N_m": 60.0}
+    (folder / "meta.json").write_text(json.dumps({"nominal": nominal}), encoding="utf-8-sig")
+
+
+MAKERS = {"spring_slider": slider_case, "drag": drag_case}
+
+
+def spikes(size, many):
+    def spoil(trace):
+        rng = np.random.default_rng(len(trace))
+        places = rng.choice(np.arange(8, len(trace) - 8, 8), many, replace=False)
+        trace.loc[places, "force_mN"] += size * rng.choice([-1, 1], many)
+        return trace
+
+    return spoil
+
+
+def restarts(back_s):
+    def spoil(trace):
+        half = len(trace) // 2
+        late = trace.index >= half
+        trace.loc[late, "t_s"] -= back_s or trace["t_s"][half]
+        return trace
+
+    return spoil
+
+
+def read_features(folder):
+    return assemble(read_case(folder))
+
+
+@pytest.mark.parametrize("name, rate", [("spring_slider", 20), ("spring_slider", 80),
+                                        ("drag", 100), ("drag", 800)])  # fmt: skip
+@pytest.mark.parametrize("size, many", [(15.0, 2), (5e3, 1)])
+def test_glitches_are_set_aside_and_said(name, rate, size, many, tmp_path):
+    clean = read_features(MAKERS[name](tmp_path / "clean", rate))
+    found = read_features(MAKERS[name](tmp_path / "case", rate, spikes(size, many)))
+    assert not clean.findings
+    (finding,) = found.findings
+    assert finding.kind == "glitches" and finding.size == RUNS * many
+    assert "set aside as glitches" in data_words([finding.as_dict()])[0]
+    assert found.rows["quantity"].tolist() == clean.rows["quantity"].tolist()
+    assert np.abs(found.y - clean.y) == pytest.approx(0.0, abs=1.5)
+
+
+@pytest.mark.parametrize("samples", [5, 20, 100])
+def test_a_coarsely_sampled_saw_tooth_has_no_glitch(samples):
+    place = np.arange(40 * samples)
+    saw = 100.0 * (place % samples) / samples
+    assert not glitches(saw + np.random.default_rng(0).normal(0, 0.1, len(saw)), 0.1).any()
+
+
+@pytest.mark.parametrize(
+    "name, spoil, words",
+    [
+        ("spring_slider", restarts(0.0), "clock starts again"),
+        ("spring_slider", restarts(0.5), "clock starts again"),
+        ("drag", restarts(0.5), None),
+        ("spring_slider", lambda t: t.assign(t_s=t["t_s"].round(1)), "spaced evenly"),
+        ("drag", lambda t: t.assign(t_s=t["t_s"].round(1)), "spaced evenly"),
+        ("spring_slider", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
+        ("drag", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
+        ("spring_slider", lambda t: t[::-1], "sorted"),
+    ],
+)
+def test_clocks_that_step_back_or_stand_still_are_read_and_said(name, spoil, words, tmp_path):
+    clean = read_features(MAKERS[name](tmp_path / "clean"))
+    found = read_features(MAKERS[name](tmp_path / "case", spoil=spoil))
+    assert [words in finding.quantity for finding in found.findings] == [True] * bool(words)
+    levels = found.rows["quantity"].isin(["slider_level_mN", "force_plateau_mN"])
+    expected = clean.rows["quantity"].isin(["slider_level_mN", "force_plateau_mN"])
+    assert found.y[levels] == pytest.approx(clean.y[expected], rel=0.03)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_bursts_at_one_time_are_refused_in_one_line(name, tmp_path):
+    burst = lambda t: t.assign(t_s=t["t_s"].where(t.index % 50 > 20, t["t_s"][0]).cummax())  # noqa: E731
+    with pytest.raises(BadInput, match="share their time with another"):
+        read_case(MAKERS[name](tmp_path / "case", spoil=burst))
+
+
+def test_two_recordings_of_a_stroke_in_one_run_are_refused(tmp_path):
+    twice = lambda t: pd.concat([t[t["stroke"] == 0], t])  # noqa: E731
+    with pytest.raises(BadInput, match="clock and stage both start again"):
+        read_case(drag_case(tmp_path / "case", spoil=twice))
+
+
+def scaled(**factors):
+    return lambda t: t.assign(**{name: t[name] * factor for name, factor in factors.items()})
+
+
+@pytest.mark.parametrize(
+    "name, spoil, words",
+    [
+        ("spring_slider", scaled(force_mN=1e-3), "forces in N?"),
+        ("spring_slider", scaled(force_mN=0.1), "forces in cN"),
+        ("spring_slider", scaled(force_mN=1 / 9.80665), "forces in gf"),
+        ("spring_slider", scaled(t_s=1e3), "times in ms?"),
+        ("spring_slider", scaled(t_s=1 / 60), "times in minutes?"),
+        ("drag", scaled(force_mN=0.1), "forces in cN"),
+        ("drag", scaled(force_mN=1 / 9.80665), "forces in gf"),
+        ("drag", scaled(t_s=1e3), "times in ms"),
+    ],
+)
+@pytest.mark.parametrize("rate", [1, 4])
+def test_units_that_the_data_refute_are_named(name, spoil, words, rate, tmp_path):
+    samples = (30 if name == "spring_slider" else 200) * rate
+    (line,) = implausible(read_case(MAKERS[name](tmp_path / "case", samples, spoil)))
+    assert words in line
+
+
+@pytest.mark.parametrize(
+    "name, spoil, words",
+    [
+        ("drag", lambda t: t.assign(force_mN=t["force_mN"].abs()), "magnitudes"),
+        ("drag", lambda t: t.assign(force_mN=t["force_mN"].clip(upper=196.0)), "clipped"),
+        ("spring_slider", lambda t: t.assign(force_mN=t["force_mN"].clip(upper=205.0)), "clipped"),
+        ("drag", lambda t: t.assign(force_mN=t["force_mN"] - 150.0), "tared under load"),
+        ("spring_slider", lambda t: t.assign(force_mN=t["force_mN"] - 150.0), "tared under load"),
+        ("drag", lambda t: t.assign(force_mN=t["force_mN"] + 10 * t["t_s"]), "drift"),
+        ("spring_slider", lambda t: t.assign(force_mN=t["force_mN"] + 10 * t["t_s"]), "drift"),
+    ],
+)
+@pytest.mark.parametrize("rate", [1, 4])
+def test_faults_of_the_force_cell_are_findings(name, spoil, words, rate, tmp_path):
+    samples = (30 if name == "spring_slider" else 100) * rate
+    assert cell_faults(read_case(MAKERS[name](tmp_path / "clean", samples)))[1:] == ((), [])
+    _, findings, _ = cell_faults(read_case(MAKERS[name](tmp_path / "case", samples, spoil)))
+    assert [words in finding.quantity for finding in findings] == [True]
+
+
+@pytest.mark.parametrize("samples", [13, 16])
+def test_no_cause_is_named_whose_interval_holds_zero(samples, tmp_path):
+    analysis = analyse(read_features(slider_case(tmp_path / "case", samples)), replicates=50)
+    assert analysis.causes == ("static_kinetic",)
