@@ -21,10 +21,10 @@ CELLS = {
 USUAL_COEFFICIENT = (0.05, 2.0)  # a slip of units is named if it brings the readings here
 # What a slip of units makes of a loading slope and of the coefficient, and what it would be.
 _OF_FORCES = (
-    (1e-3, 1e-3, "forces in N"),
-    (0.1, 0.1, "forces in cN"),
-    (1 / GRAVITY_M_S2, 1 / GRAVITY_M_S2, "forces in gf"),
-    (1e3, 1e3, "forces in µN"),
+    (1e-3, 1e-3, "forces in N, not mN"),
+    (0.1, 0.1, "forces in cN, not mN"),
+    (1 / GRAVITY_M_S2, 1 / GRAVITY_M_S2, "forces in gf, not mN"),
+    (1e3, 1e3, "forces in µN, not mN"),
 )
 SLIPS = {
     "spring_slider": (
@@ -256,7 +256,8 @@ def drifting(case: Case, name: str) -> DataFinding | None:
             continue
         rate = float(np.polyfit(time[late], force[late], 1)[0])
         rates.append(rate)
-        shares.append(rate * np.ptp(time) / max(abs(np.median(force[late])), 1e-9))
+        size = max(abs(np.median(force[late])), np.ptp(np.quantile(force, [0.05, 0.95])))
+        shares.append(rate * np.ptp(time) / max(size, 1e-9))
     if len(rates) < DRIFT_RUNS:
         return None
     error = np.std(rates, ddof=1) / np.sqrt(len(rates))

@@ -60,7 +60,7 @@ def import_trace(path: Path, columns: Mapping[str, str], units: tuple[str, ...],
     _check_names(columns, units)
     table = read_cells(path, columns.values(), BYTES_MAX)
     rows, said = list(table.rows), dict(zip(table.header, table.units, strict=True))
-    for quantity, name in columns.items():
+    for name in columns.values():
         if name not in table.header:
             raise BadInput(f"{path}: no column {name!r}; there are: {', '.join(table.header)}")
     places = {quantity: table.header.index(name) for quantity, name in columns.items()}
