@@ -1,6 +1,7 @@
 """Traces as instruments write them: glitches, clocks, units and faults of the force cell."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -8,14 +9,14 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.force_cells import cell_faults
+from slipstitch.criticise.inference.fit import is_clear_of_null
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_force
 from slipstitch.criticise.sensors import data_words
 from slipstitch.criticise.traces import glitches
-from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import parameters_with_intervals
 
 KINETIC, STATIC = 0.40, 0.45
 RUNS, LOAD_KG, SPRING, SPEED = 6, 0.05, 60.0, 2.0
@@ -206,11 +207,22 @@ def test_faults_of_the_force_cell_are_findings(name, spoil, words, rate, tmp_pat
     assert [words in finding.quantity for finding in findings] == [True]
 
 
-@pytest.mark.parametrize("samples", [13, 16])
-def test_no_cause_is_named_whose_interval_holds_zero(samples, tmp_path):
-    analysis = analyse(read_features(slider_case(tmp_path / "case", samples)), replicates=50)
-    assert analysis.verdict in ("cause", "unknown") and "force_gain" not in analysis.causes
-    found = parameters_with_intervals(analysis, analysis.best.chosen.fitted)
-    for cause in analysis.causes:
-        low, high = found[cause]["ci95"]
-        assert low > 0 or high < 0
+@pytest.mark.parametrize(
+    "cause, value, error, clear",
+    [
+        ("force_gain", -0.6, 0.3, False),
+        ("force_gain", 0.2, 0.05, True),
+        ("static_kinetic", 0.125, 0.01, True),
+        ("camera_scale", 1.02, 0.02, False),
+        ("camera_scale", 1.10, 0.02, True),
+    ],
+)
+def test_a_cause_whose_interval_holds_what_does_nothing_is_not_clear(cause, value, error, clear):
+    parameters = MECHANISMS[cause].parameters
+    fitted = SimpleNamespace(
+        causes=(cause,),
+        parameters=list(parameters),
+        values=np.array([value]),
+        covariance=np.array([[error**2]]),
+    )
+    assert is_clear_of_null(fitted, 12, {}) == clear
