@@ -25,12 +25,15 @@ def run(arguments: argparse.Namespace) -> None:
     """Write one line per run and quantity."""
     from pathlib import Path
 
+    from slipstitch.base.progress import note
     from slipstitch.base.provenance import atomic_path
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.prediction.predictive import predictions, read_verdict
 
     verdict = read_verdict(Path(arguments.verdict))
-    table = predictions(verdict, read_case(arguments.case, with_measurements=False))
+    case = read_case(arguments.case, with_measurements=False)
+    note(*case.notes)
+    table = predictions(verdict, case)
     with atomic_path(Path(arguments.out)) as temporary:
         table.to_csv(temporary, index=False)
     print(f"{len(table)} predictions written to {arguments.out}")

@@ -25,7 +25,7 @@ from slipstitch.criticise.protocols.drag_trace import (
     trace_features,
 )
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
-from slipstitch.criticise.protocols.trace_noise import noise_of
+from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 from slipstitch.physics.gravity import GRAVITY_M_S2
@@ -107,6 +107,42 @@ class DragBlock(Block):
         return np.where(quantity == "lost_motion_mm", 1e3 * bench.backlash_m + late_mm, result)
 
 
+def _read(runs, traces, spring: float, u_mN: np.ndarray) -> tuple[list[tuple], TraceNoise]:
+    """(number of the run, quantity, feature) of every trace, and how noisy the traces are."""
+    strokes = {
+        (run, int(stroke)): part
+        for (run, stroke), part in traces.groupby(["run_id", "stroke"], sort=False)
+    }
+    none = traces.iloc[:0]
+    pairs = [(strokes.get((run, 0), none), strokes.get((run, 1), none)) for run in runs]
+    of_ramps = [off_ramps(*pair) / u for pair, u in zip(pairs, u_mN, strict=True)]
+    noise = noise_of("force cell", "force_mN", of_ramps, robust=False)
+    u_mN = u_mN * noise.allowance
+    lines, plateaus, steps = [], [], []
+    for (out, _), u in zip(pairs, u_mN, strict=True):
+        if not len(out):
+            continue
+        force, x = out["force_mN"].to_numpy(), out["x_stage_mm"].to_numpy()
+        force = force[sliding(x, force, spring)]
+        if len(force):
+            plateaus.append((force, u, float(np.median(force))))
+            steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
+    # Where readings come at odd times, the first one is not always that of the start.
+    starts = [out["x_stage_mm"].iloc[0] for out, _ in pairs if len(out)]
+    start = min(starts, default=None)
+    turns = [
+        max(part["x_stage_mm"].max() for part in p if len(part)) for p in pairs if any(map(len, p))
+    ]
+    turn = max(turns, default=None)
+    if turn is not None and turn - np.median(turns) > np.median(steps or [0.0]):
+        turn = None
+    texture = pooled_texture(plateaus, float(np.median(steps)) if steps else 1.0)
+    for i, (out, back) in enumerate(pairs):
+        own = trace_features(out, back, spring, u_mN[i], texture, start, turn)
+        lines += [(i, quantity, feature) for quantity, feature in own.items()]
+    return lines, noise
+
+
 def features(tables, nominal, measured) -> DragBlock | None:
     """Features of every run; without traces, the quantities of the design."""
     runs, traces = tables["drag_runs"], tables.get("drag") if measured else None
@@ -122,42 +158,10 @@ def features(tables, nominal, measured) -> DragBlock | None:
             for quantity in DESIGN_QUANTITIES:
                 lines.append((i, quantity, Feature(np.nan, common["u_mN"].iloc[i])))
     else:
-        spring = nominal["k_tether_N_m"]
-        strokes = {
-            (run, int(stroke)): part
-            for (run, stroke), part in traces.groupby(["run_id", "stroke"], sort=False)
-        }
-        none = traces.iloc[:0]
-        pairs = [
-            (strokes.get((run, 0), none), strokes.get((run, 1), none)) for run in runs["run_id"]
-        ]
-        of_ramps = [off_ramps(*pair) / u for pair, u in zip(pairs, common["u_mN"], strict=True)]
-        noises = (noise_of("force cell", "force_mN", of_ramps, robust=False),)
-        common["u_mN"] *= noises[0].allowance
-        plateaus, steps = [], []
-        for (out, _), u in zip(pairs, common["u_mN"], strict=True):
-            if not len(out):
-                continue
-            force, x = out["force_mN"].to_numpy(), out["x_stage_mm"].to_numpy()
-            force = force[sliding(x, force, spring)]
-            if len(force):
-                plateaus.append((force, u, float(np.median(force))))
-                steps.append(np.median(np.abs(np.diff(out["x_stage_mm"]))) if len(out) > 1 else 1)
-        # Where readings come at odd times, the first one is not always that of the start.
-        starts = [out["x_stage_mm"].iloc[0] for out, _ in pairs if len(out)]
-        start = min(starts, default=None)
-        turns = [
-            max(part["x_stage_mm"].max() for part in p if len(part))
-            for p in pairs
-            if any(map(len, p))
-        ]
-        turn = max(turns, default=None)
-        if turn is not None and turn - np.median(turns) > np.median(steps or [0.0]):
-            turn = None
-        texture = pooled_texture(plateaus, float(np.median(steps)) if steps else 1.0)
-        for i, (out, back) in enumerate(pairs):
-            own = trace_features(out, back, spring, common["u_mN"].iloc[i], texture, start, turn)
-            lines += [(i, quantity, feature) for quantity, feature in own.items()]
+        spring, stated = nominal["k_tether_N_m"], common["u_mN"].to_numpy()
+        lines, noise = _read(runs["run_id"], traces, spring, stated)
+        common["u_mN"] *= noise.allowance
+        noises = (noise,)
     if not lines:
         return None
     found = [feature for _, _, feature in lines]

@@ -11,6 +11,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
+ITERATIONS = 25  # of Newton's method, for the tension
+
 
 @cache
 def _table():
@@ -59,7 +61,6 @@ def sliding_state(
     contact: Contact,
     static: bool,
     tilt_downhill_rad: np.ndarray | float = 0.0,
-    iterations: int = 25,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Clamp-to-edge distance X and contact length c when the tension equals the friction.
 
@@ -75,7 +76,7 @@ def sliding_state(
     stiffness = bending_Nm / (w * h**3)
     length = cloth_length_m / h
     tension = law.coefficient * np.maximum(length - 1.0, 0.0)
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         lifted, extent, point = lifted_part(stiffness, tension, lean)
         flat = np.maximum(length - lifted, 1e-3)
         normal = (flat + point) * w * h
