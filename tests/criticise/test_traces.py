@@ -1,7 +1,6 @@
 """Traces as instruments write them: glitches, clocks, units and faults of the force cell."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,9 +8,7 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.force_cells import cell_faults
-from slipstitch.criticise.inference.fit import is_clear_of_null
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_force
@@ -205,24 +202,3 @@ def test_faults_of_the_force_cell_are_findings(name, spoil, words, rate, tmp_pat
     assert cell_faults(read_case(MAKERS[name](tmp_path / "clean", samples)))[1:] == ((), [])
     _, findings, _ = cell_faults(read_case(MAKERS[name](tmp_path / "case", samples, spoil)))
     assert [words in finding.quantity for finding in findings] == [True]
-
-
-@pytest.mark.parametrize(
-    "cause, value, error, clear",
-    [
-        ("force_gain", -0.6, 0.3, False),
-        ("force_gain", 0.2, 0.05, True),
-        ("static_kinetic", 0.125, 0.01, True),
-        ("camera_scale", 1.02, 0.02, False),
-        ("camera_scale", 1.10, 0.02, True),
-    ],
-)
-def test_a_cause_whose_interval_holds_what_does_nothing_is_not_clear(cause, value, error, clear):
-    parameters = MECHANISMS[cause].parameters
-    fitted = SimpleNamespace(
-        causes=(cause,),
-        parameters=list(parameters),
-        values=np.array([value]),
-        covariance=np.array([[error**2]]),
-    )
-    assert is_clear_of_null(fitted, 12, {}) == clear
