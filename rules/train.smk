@@ -3,6 +3,9 @@
 from slipstitch.config.train import NETWORKS
 from slipstitch.design.trainable import check_networks_can_train
 
+# The networks before fine-tuning.
+KEEPS_ALL_VIEWS = CONFIG.train.keep_all_views and CONFIG.train.fine_tuning_epochs > 0
+
 
 def material_network(wildcards):
     """The material network that the conditional one of the same split and seed listens to."""
@@ -36,6 +39,10 @@ rule train_one:
         dataset=unless_refused(check_networks_can_train, rules.sample.input),
         material=material_network,
     output:
+        expand(
+            "results/train/{{split}}/{{network}}/seed{{seed}}/all_views/{file}",
+            file=["model.safetensors", "model.json"] if KEEPS_ALL_VIEWS else [],
+        ),
         model="results/train/{split}/{network}/seed{seed}/model.safetensors",
         card="results/train/{split}/{network}/seed{seed}/model.json",
         history=report(

@@ -227,7 +227,7 @@ def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
         ({"frames": 13}, "videos have 12 frames; the instrument requires 13"),
         ({"friction_max": 0.7}, "friction 0.8 is above the grid's end, 0.7"),
         ({"channels": [8] * 5}, "24 pixels are too few for 5 convolutions"),
-        ({"points_weight": 1.0}, "has no places of points of the cloth"),
+        ({"points_weight": 1.0}, "has no keypoints of the cloth"),
     ],
 )
 def test_settings_that_do_not_fit_the_data_are_refused(dataset, tmp_path, changes, words):

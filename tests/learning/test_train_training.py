@@ -3,10 +3,12 @@
 import csv
 import json
 import math
+import shutil
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from support import synthetic_videos
@@ -26,7 +28,7 @@ from slipstitch.learning.lrcn_model import (
     progressive_schedule,
     train_network,
 )
-from slipstitch.learning.trainer import DivergedError, Phase, PlateauError, Run
+from slipstitch.learning.trainer import DivergedError, Phase, PlateauError, Run, place
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]
@@ -106,6 +108,74 @@ def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuni
     assert rates(settings, phases[2]) == pytest.approx([0.2, 0.2, 0.2])
     constant = settings.model_copy(update={"annealed_share": 1.0})
     assert [rates(constant, phase) for phase in phases] == [[2.0, 2.0, 2.0]] * 3
+
+
+def test_epochs_until_the_validation_is_flat_come_before_the_last_cycle():
+    """Flat: the lowest loss is two epochs old; one at chance is not, however flat."""
+    settings = TrainSettings(epochs_per_cycle=1, fine_tuning_epochs=1, flat_epochs=2)
+    phases = progressive_schedule(settings, ["a", "b"])
+    names = ["cycle 1", "until flat", "cycle 2", "fine-tuning"]
+    assert [phase.name for phase in phases] == names
+    assert phases[1].viewpoints == ("a", "b") and phases[1].epochs == 8
+    assert learning_rate(settings, phases, phases[1], 1.0) == settings.learning_rate
+
+    def seen(validation, training):
+        """Phases of the epochs with such losses, and of the next."""
+        rows = [
+            {"train_loss": one, "validation_loss": other}
+            for one, other in zip(training, validation, strict=True)
+        ]
+        following = [place(phases, rows[:count], 0.9) for count in range(len(rows) + 1)]
+        return [one and (one[0].name, one[1]) for one in following]
+
+    flat = [("until flat", number) for number in range(3)]
+    ends = [("cycle 2", 0), ("fine-tuning", 0), None]
+    found = seen([9.0, 0.5, 0.6, 0.5, 0.4, 0.4], [0.8] * 6)
+    assert found == [("cycle 1", 0), *flat, *ends]
+    at_chance = seen([1.0] * 11, [1.0] * 11)
+    assert [one and one[0] for one in at_chance] == [names[0], *[names[1]] * 8, *names[2:], None]
+
+
+def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, tmp_path):
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+    few["keep_all_views"] = True
+
+    def kill(progress):
+        if progress.epoch == 2 and progress.step == 2:  # in the first epoch of fine-tuning
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "material"
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, folder, "material_baseline", changes=few, after_step=kill)
+    train(dataset, folder, "material_baseline", changes=few)
+    kept = load_model(folder / "all_views")
+    assert kept.card["epochs"] == 2 and load_model(folder).card["epochs"] == 4
+    assert read_sidecar(folder / "all_views/model.safetensors")["stage"] == "train"
+    without = {**few, "fine_tuning_epochs": 0}
+    train(dataset, tmp_path / "alone", "material_baseline", changes=without)
+    alone = load_model(tmp_path / "alone").network.state_dict()
+    for name, value in kept.network.state_dict().items():
+        assert torch.equal(value, alone[name]), name
+    conditional = tmp_path / "conditional"
+    card = train(dataset, conditional, "friction_conditional", material_model=folder, changes=few)
+    assert card["condition_sha256"] == kept.card["weights_sha256"]
+
+
+def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, tmp_path):
+    """With a copy of the dataset, from a copy of the checkpoint alone."""
+    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path / "here", changes=few, after_step=kill)
+    elsewhere = altered_copy(dataset, tmp_path / "copy", lambda rows: None)
+    (tmp_path / "there").mkdir()
+    shutil.copy(tmp_path / "here/checkpoint.safetensors", tmp_path / "there")
+    steps = []
+    train(elsewhere, tmp_path / "there", changes=few, after_step=lambda one: steps.append(one.step))
+    assert steps[0] == 3
+    train(dataset, tmp_path / "undisturbed", changes=few)
+    for name in ("model.safetensors", "model.json", "history.csv"):
+        same = (tmp_path / "undisturbed" / name).read_bytes()
+        assert (tmp_path / "there" / name).read_bytes() == same, name
 
 
 @pytest.mark.parametrize("split", ["by_video", "by_simulation"])

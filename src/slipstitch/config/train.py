@@ -62,6 +62,17 @@ class TrainSettings(RecordedSection):
     )
     epochs_per_cycle: int = Field(6, ge=1, description="epochs with the same set of viewpoints")
     fine_tuning_epochs: int = Field(4, ge=0, description="last epochs, calibrated viewpoint only")
+    flat_epochs: int | None = Field(
+        None,
+        ge=1,
+        description="before the last cycle, epochs of all viewpoints until the validation loss has "
+        "not fallen for so many, at most eight cycles of them; null: none",
+    )
+    keep_all_views: bool = Field(
+        False,
+        description="keep and score the networks before fine-tuning too; conditional ones are "
+        "told the material by the material network before its own",
+    )
     batch_size: int = Field(2, ge=1, description="videos in a batch")
     learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")
     annealed_share: float = Field(

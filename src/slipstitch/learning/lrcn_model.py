@@ -31,7 +31,10 @@ from slipstitch.learning.trainer import Learner, Phase, Run, Trainer
 FORMAT = "slipstitch-lrcn-2"
 WEIGHTS = "model.safetensors"
 CARD = "model.json"
-FINE_TUNING = "fine-tuning"
+FINE_TUNING, UNTIL_FLAT = "fine-tuning", "until flat"
+#: Folder, in a model's own, of the network before fine-tuning.
+ALL_VIEWS = "all_views"
+CYCLES_MAX = 8  # of epochs until the validation loss is flat
 #: Instead of a material network: the videos' true materials.
 TRUE = "true materials"
 # Adadelta's decay and the constant below its root: the paper's, and Keras' default.
@@ -182,6 +185,10 @@ def progressive_schedule(
 ) -> list[Phase]:
     """Return cycles of one, two ... viewpoints, then the first one alone.
 
+    With `settings.flat_epochs` epochs of all viewpoints, at the full learning rate, come before the
+    last cycle, which lowers the rate: until the lowest validation loss is so many epochs old and
+    the network has left chance, at most `CYCLES_MAX` cycles of them.
+
     With `twice_as_many` videos there are half as many epochs, which is the same work.
     """
     share = 2 if twice_as_many else 1
@@ -192,6 +199,9 @@ def progressive_schedule(
         Phase(f"cycle {count}", tuple(view_order[:count]), epochs)
         for count in range(1, len(view_order) + 1)
     ]
+    if settings.flat_epochs is not None:
+        most = CYCLES_MAX * epochs
+        cycles.insert(-1, Phase(UNTIL_FLAT, tuple(view_order), most, settings.flat_epochs))
     if last:
         cycles.append(Phase(FINE_TUNING, (view_order[0],), last))
     return cycles
@@ -372,7 +382,7 @@ def train_network(
     _check_dataset(videos, expected_classes)
     _check_training(videos, labels, classes, training, view_order, target)
     condition, condition_classes, condition_digest = _conditioned_on(
-        material_model, run, videos, settings.batch_size
+        material_model, run, videos, settings
     )
 
     torch.manual_seed(run.seed)
@@ -398,10 +408,9 @@ def train_network(
         "true_materials": material_model == TRUE,
     }
     trainer = Trainer(learner, run, videos, started, view_order=list(view_order), **named)
-    trainer.train()
-    card = save_model(
-        network,
-        {
+
+    def save(folder: Path) -> dict[str, Any]:
+        facts = {
             **named,
             "target": target,
             "split": run.split,
@@ -414,16 +423,33 @@ def train_network(
             **trainer.facts(),
             "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
             "performance on other videos, real ones included, is unknown",
-        },
-        run.out,
-    )
-    listened = [Path(material_model) / name for name in (WEIGHTS, CARD)] if condition_digest else []
-    trainer.write_record((WEIGHTS, CARD), listened)
+        }
+        return save_model(network, facts, folder)
+
+    files = [WEIGHTS, CARD]
+    if settings.keep_all_views and learner.phases[-1].name == FINE_TUNING:
+        files += [f"{ALL_VIEWS}/{name}" for name in files]
+        before = learner.phases[-2]
+        trainer.at_end_of = lambda phase: (
+            save(Path(run.out) / ALL_VIEWS) if phase is before else None
+        )
+    trainer.train()
+    card = save(Path(run.out))
+    told = [] if condition_digest is None else _weights_of(material_model, settings)
+    trainer.write_record(files, told)
     return card
 
 
+def _weights_of(material_model: str | os.PathLike, settings: TrainSettings) -> list[Path]:
+    """Files of the network that tells a conditional one the material."""
+    folder = Path(material_model)
+    if settings.keep_all_views and (folder / ALL_VIEWS).is_dir():
+        folder /= ALL_VIEWS
+    return [folder / name for name in (WEIGHTS, CARD)]
+
+
 def _conditioned_on(
-    material_model: str | os.PathLike | None, run: Run, videos: Videos, batch_size: int
+    material_model: str | os.PathLike | None, run: Run, videos: Videos, settings: TrainSettings
 ) -> tuple[np.ndarray | None, list[dict[str, Any]], str | None]:
     """Material class numbers that a network is told of videos, the classes, the teller's digest."""
     if material_model is None:
@@ -431,9 +457,9 @@ def _conditioned_on(
     if material_model == TRUE:
         classes = classes_of(videos.rows, "material")
         return labels_of(videos.rows, classes, "material"), classes, None
-    model = load_model(material_model)
+    model = load_model(_weights_of(material_model, settings)[0].parent)
     model.check_is_material_network_of(run.split, run.seed, videos.digest)
-    told = model.probabilities(videos, batch_size).argmax(1)
+    told = model.probabilities(videos, settings.batch_size).argmax(1)
     return told, model.card["classes"], model.card["weights_sha256"]
 
 

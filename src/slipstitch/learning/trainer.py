@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -41,11 +41,54 @@ class DivergedError(SlipstitchError):
 
 @dataclass(frozen=True)
 class Phase:
-    """Epochs of the schedule with the same viewpoints."""
+    """Epochs of the schedule with the same viewpoints.
+
+    Attributes
+    ----------
+    name : str
+    viewpoints : tuple of str
+    epochs : int
+    flat_epochs : int, optional
+        The phase ends earlier once its lowest validation loss is so many epochs old, if the network
+        has left chance.
+    """
 
     name: str
     viewpoints: tuple[str, ...]
     epochs: int
+    flat_epochs: int | None = None
+
+    def length(self, rows: Sequence[Mapping[str, Any]], left_chance: float) -> int:
+        """Return how many epochs the phase has.
+
+        Parameters
+        ----------
+        rows : sequence of mapping
+            History from the start of the phase on.
+        left_chance : float
+            Training loss below which a network has left chance.
+        """
+        lowest, age, least = math.inf, 0, math.inf
+        for number, row in enumerate(rows[: self.epochs], 1):
+            least = min(least, row["train_loss"])
+            age = 0 if row["validation_loss"] < lowest else age + 1
+            lowest = min(lowest, row["validation_loss"])
+            if self.flat_epochs is not None and age >= self.flat_epochs and least < left_chance:
+                return number
+        return self.epochs
+
+
+def place(
+    phases: Sequence[Phase], history: Sequence[Mapping[str, Any]], left_chance: float
+) -> tuple[Phase, int] | None:
+    """Return the phase of the next epoch and its number there, from 0; None at the end."""
+    first = 0
+    for phase in phases:
+        length = phase.length(history[first:], left_chance)
+        if len(history) < first + length:
+            return phase, len(history) - first
+        first += length
+    return None
 
 
 @dataclass(frozen=True)
@@ -205,10 +248,18 @@ class Trainer:
         What `slipstitch.base.provenance.start_clock` returned before they were read.
     identity : dict
         In JSON's types, what tells this training from others beside data, settings and code.
+
+    Attributes
+    ----------
+    history : list of dict
+        One row per finished epoch.
+    at_end_of : callable, optional
+        Called with every phase that is finished.
     """
 
     def __init__(self, learner: Learner, run: Run, videos: Videos, started: Any, **identity: Any):
         self.learner, self.run, self.videos, self.started = learner, run, videos, started
+        self.at_end_of: Callable[[Phase], None] | None = None
         self.out = Path(run.out)
         self.history: list[dict[str, Any]] = []
         names = "\n".join(row["video"] for row in videos.rows)
@@ -216,7 +267,10 @@ class Trainer:
             "settings": learner.settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
             "dataset_digest": videos.digest,
             "videos_sha256": hashlib.sha256(names.encode()).hexdigest(),
-            "phases": [[phase.name, *phase.viewpoints, phase.epochs] for phase in learner.phases],
+            "phases": [
+                [phase.name, *phase.viewpoints, phase.epochs, phase.flat_epochs]
+                for phase in learner.phases
+            ],
             "bfloat16": learner.bfloat16,
             "code_digest": code_digest(learner.stage),
             "split": run.split,
@@ -237,7 +291,8 @@ class Trainer:
             If the training loss is not below chance by the margin of the settings.
         """
         learner = self.learner
-        schedule = [(phase, epoch) for phase in learner.phases for epoch in range(phase.epochs)]
+        most = sum(phase.epochs for phase in learner.phases)
+        left_chance = (1.0 - (learner.settings.plateau_margin or 0.0)) * learner.chance_loss
         progress, message = load_checkpoint(
             self.out / CHECKPOINT, self.identity, learner.network, learner.optimizer
         )
@@ -246,21 +301,26 @@ class Trainer:
             print(message, file=sys.stderr)
         self.saved_at = time.monotonic()
         bar = tqdm(
-            total=len(schedule),
+            total=most,
             initial=progress.epoch,
             desc=learner.name,
             unit="epoch",
             disable=not sys.stderr.isatty(),
         )
-        while progress.epoch < len(schedule):
-            phase, epoch = schedule[progress.epoch]
-            row = self._epoch(progress, phase, epoch)
-            progress = Progress(epoch=progress.epoch + 1, history=[*progress.history, row])
-            self._print_epoch(progress, phase, len(schedule), bar)
-            if progress.epoch in (learner.plateau_epochs, len(schedule)):
-                self._check_plateau(progress.history)
-        bar.close()
         self.history = progress.history
+        following = place(learner.phases, self.history, left_chance)
+        while following is not None:
+            phase, epoch = following
+            row = self._epoch(progress, phase, epoch)
+            self.history = [*progress.history, row]
+            progress = Progress(epoch=progress.epoch + 1, history=self.history)
+            following = place(learner.phases, self.history, left_chance)
+            self._print_epoch(progress, phase, most, bar)
+            if following is None or progress.epoch == learner.plateau_epochs:
+                self._check_plateau(self.history)
+            if self.at_end_of is not None and (following is None or following[0] is not phase):
+                self.at_end_of(phase)
+        bar.close()
 
     def _epoch(self, progress: Progress, phase: Phase, epoch: int) -> dict[str, Any]:
         """Take the remaining steps of an epoch; return its row of the history."""

@@ -20,7 +20,12 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.film.captures.page import captures_page
 from slipstitch.film.captures.scores import capture_metrics
 from slipstitch.film.ingest_videos import CAPTURES, read_known
-from slipstitch.learning.evaluation.scores import MATERIAL, entries_of
+from slipstitch.learning.evaluation.scores import (
+    ALL_VIEWS,
+    MATERIAL,
+    entries_of,
+    predicts_material_alone,
+)
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.lrcn_model import LrcnModel
 from slipstitch.learning.torch_setup import set_up_torch
@@ -61,7 +66,7 @@ def predict_captures(
     known, videos = read_known(dataset), read_videos(dataset)
     rows = []
     for (split, network, seed), model in models.items():
-        if network == MATERIAL:
+        if predicts_material_alone(network):
             continue
         stored = videos.pixels.shape[1]
         if isinstance(model, LrcnModel) and model.card["frames"] != stored:
@@ -70,7 +75,7 @@ def predict_captures(
                 f"were trained with {model.card['frames']}: ingest with their configuration"
             )
         predictions = model.predict(videos, settings.batch_size)
-        material = models.get((split, MATERIAL, seed))
+        material = models.get((split, MATERIAL + ALL_VIEWS * network.endswith(ALL_VIEWS), seed))
         seen = predictions
         if isinstance(model, LrcnModel) and material is not None:
             seen = material.predict(videos, settings.batch_size)

@@ -29,11 +29,11 @@ from slipstitch.learning.evaluation.probes import probes
 from slipstitch.learning.evaluation.scores import (
     AVERAGE,
     ENSEMBLE,
-    MATERIAL,
     PROBE,
     SCHEMA,
     details_of_table,
     metrics_of_table,
+    predicts_material_alone,
     read_table,
 )
 from slipstitch.learning.evaluation.test_sets import evaluation_sets
@@ -102,7 +102,7 @@ def prediction_row(
         Coefficients that train; the nearest is the predicted class.
     """
     fabrics = prediction.fabrics
-    if network == MATERIAL:
+    if predicts_material_alone(network):
         shares = [*prediction.material_probabilities.values()]
         true = {"true": row["material_id"], "true_value": np.nan}
         predicted = next(one["id"] for one in classes if one["name"] == fabrics[0])
@@ -122,7 +122,7 @@ def prediction_row(
         "probabilities": shares,
         "material": row["material"],
         "fabrics": fabrics,
-        "likeliest_material": fabrics[0] if fabrics and network != MATERIAL else None,
+        "likeliest_material": fabrics[0] if prediction.alarm is not None else None,
         "low": low,
         "high": high,
         "alarm": None if prediction.alarm is None else prediction.alarm_reason,

@@ -32,6 +32,8 @@ MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_co
 # Instruments of one training each, and the average of several.
 TRAINING, AVERAGE = "instrument", "instrument_ensemble"
 ENSEMBLE = "ensemble"
+#: Behind the names of networks before fine-tuning, and of their entries.
+ALL_VIEWS = "_all_views"
 #: Networks whose names start so are probes.
 PROBE = "probe_"
 
@@ -63,7 +65,13 @@ SCHEMA = pa.schema(
 def entries_of(network: str) -> str:
     """Return the entry of metrics.json that has the scores of a network."""
     of_network = {MATERIAL: "lrcn_baseline"} | {name: entry for entry, name in MODELS.items()}
-    return of_network.get(network, network)
+    base = network.removesuffix(ALL_VIEWS)
+    return of_network.get(base, base) + network[len(base) :]
+
+
+def predicts_material_alone(network: str) -> bool:
+    """Return whether a network predicts the fabric and no coefficient."""
+    return network.removesuffix(ALL_VIEWS) == MATERIAL
 
 
 def grouped(rows: Iterable[Row], *keys: str) -> dict[Any, list[Row]]:
@@ -109,7 +117,7 @@ def scores(rows: Sequence[Row], step: float) -> dict[str, float]:
     """
     answers = answers_of(rows, step)
     result: dict[str, float] = {}
-    if rows[0]["network"] != MATERIAL:
+    if not predicts_material_alone(rows[0]["network"]):
         result |= scores_of(answers, "friction")
     if answers.intervals is not None:
         result |= scores_of(answers, "interval", table=TEST_SETS)
@@ -165,8 +173,9 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
 def _place(network: str) -> int:
     """Place of a network among the rows of a table: the paper's, probes, instruments."""
     order = (MATERIAL, *MODELS.values())
-    if network in order:
-        return order.index(network)
+    base = network.removesuffix(ALL_VIEWS)
+    if base in order:
+        return order.index(base) + (base != network) * len(order)
     return 8 if network.startswith(PROBE) else 9 + (network == AVERAGE)
 
 
@@ -213,7 +222,7 @@ def _detail(
                 | _over_seeds(scores_by_seed(seen, step))
                 for viewpoint, seen in sorted(grouped(rows, "viewpoint").items())
             }
-    if first[0]["network"] != MATERIAL:
+    if not predicts_material_alone(first[0]["network"]):
         true = np.array([row["true_value"] for row in first])
         result["chance"]["mean_absolute_error"] = constant_error(true)
     return result

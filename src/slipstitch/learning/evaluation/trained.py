@@ -6,9 +6,10 @@ from pathlib import Path
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
-from slipstitch.learning.evaluation.scores import AVERAGE, ENSEMBLE, MATERIAL, TRAINING
+from slipstitch.learning.evaluation.scores import ALL_VIEWS, AVERAGE, ENSEMBLE, MATERIAL, TRAINING
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
+from slipstitch.learning.lrcn_model import ALL_VIEWS as KEPT
 from slipstitch.learning.lrcn_model import CARD, WEIGHTS, LrcnModel, load_model
 
 #: Kinds of models, as an update of an evaluation tells them apart.
@@ -49,8 +50,9 @@ class Trained:
             found[NETWORKS_KIND] += [
                 path
                 for network in NETWORKS
-                for path in sorted(Path(self.networks, split, network).glob(f"seed*/{WEIGHTS}"))
-                if wanted is None or (network, path.parent.name) in wanted
+                for place in sorted(Path(self.networks, split, network).glob("seed*"))
+                for path in (place / WEIGHTS, place / KEPT / WEIGHTS)
+                if path.is_file() and (wanted is None or (network, place.name) in wanted)
             ]
         seeds = self.instrument_seeds
         for split in splits if self.instruments is not None else ():
@@ -101,22 +103,27 @@ def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
     for path in paths:
         model = load_model(path.parent)
         card = model.card
-        if (card["split"], card["network"], f"seed{card['seed']}") != path.parts[-4:-1]:
+        kept = path.parent.name == KEPT
+        place = path.parents[1] if kept else path.parent
+        if (card["split"], card["network"], f"seed{card['seed']}") != place.parts[-3:]:
             raise BadInput(
                 f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
                 "does not match its folder"
             )
-        found[card["split"], card["network"], card["seed"]] = model
+        found[card["split"], card["network"] + ALL_VIEWS * kept, card["seed"]] = model
     for (split, network, seed), model in found.items():
-        if network == "friction_conditional" and not model.card.get("true_materials"):
-            named = f"friction_conditional {split} seed {seed}"
-            material = found.get((split, MATERIAL, seed))
-            if material is None:
-                raise BadInput(f"{named} has no matching material_baseline")
-            material.check_is_material_network_of(split, seed, model.card["dataset_digest"])
-            if material.card["weights_sha256"] != model.card["condition_sha256"]:
-                raise BadInput(f"{named} was trained with a different material_baseline")
-            found[split, network, seed] = model.listening_to(material)
+        condition = model.card.get("condition_sha256")
+        if condition is None:
+            continue
+        named = f"friction_conditional {split} seed {seed}"
+        tellers = [found.get((split, MATERIAL + end, seed)) for end in ("", ALL_VIEWS)]
+        if not any(tellers):
+            raise BadInput(f"{named} has no matching material_baseline")
+        teller = [one for one in tellers if one and one.card["weights_sha256"] == condition]
+        if not teller:
+            raise BadInput(f"{named} was trained with a different material_baseline")
+        teller[0].check_is_material_network_of(split, seed, model.card["dataset_digest"])
+        found[split, network, seed] = model.listening_to(teller[0])
     return found
 
 
