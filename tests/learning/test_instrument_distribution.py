@@ -16,7 +16,7 @@ from slipstitch.learning.instrument.distribution import (
     spread,
 )
 from slipstitch.learning.instrument.error_bars import fitted_spread
-from slipstitch.learning.instrument.measuring import stretch_scores, stretched
+from slipstitch.learning.instrument.measuring import conformal_intervals, conformal_scales
 
 GRID = friction_grid(1.5, 0.01)
 
@@ -118,15 +118,17 @@ def test_intervals_cover_new_groups_as_promised_and_not_much_more():
 def test_stretched_intervals_reach_the_truths_they_were_stretched_for():
     means, truth = np.array([0.4, 0.7, 1.0]), np.array([0.45, 0.4, 1.05])
     shares = np.concatenate([probabilities_on_grid(cumulative_of(m, 0.03).numpy()) for m in means])
-    factors = stretch_scores(shares, GRID, 0.9, truth)
+    factors = conformal_scales(shares, GRID, 0.9, truth)
     for row, factor in enumerate(factors):
-        _, low, high = stretched(shares, GRID, 0.9, factor)[row]
+        _, low, high = conformal_intervals(shares, GRID, 0.9, factor)[row]
         assert min(abs(low - truth[row]), abs(high - truth[row])) < 1e-9
 
 
 def test_without_a_promise_the_interval_is_the_whole_grid():
     shares = probabilities_on_grid(cumulative_of(0.5, 0.1).numpy())
-    np.testing.assert_allclose(stretched(shares, GRID, 0.9, np.inf), [[0.5, 0.0, 1.5]], atol=1e-3)
+    np.testing.assert_allclose(
+        conformal_intervals(shares, GRID, 0.9, np.inf), [[0.5, 0.0, 1.5]], atol=1e-3
+    )
 
 
 def test_coverage_counts_every_simulation_once():

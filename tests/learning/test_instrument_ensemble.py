@@ -24,7 +24,12 @@ from slipstitch.learning.instrument.calibration_readings import kept_readings, r
 from slipstitch.learning.instrument.conformal import covered, grouped_quantile
 from slipstitch.learning.instrument.distribution import quantiles, spread
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
-from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument, stretch_scores
+from slipstitch.learning.instrument.measuring import (
+    CARD,
+    WEIGHTS,
+    conformal_scales,
+    load_instrument,
+)
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 
@@ -159,8 +164,8 @@ def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
     kept = read_answers(folder / "by_simulation/ensemble" / FILE)
     assert len({*kept.groups}) == 12
     wide = spread(kept.probabilities, average.grid, average.error_bars.spread)
-    scores = stretch_scores(wide, average.grid, 0.9, kept.friction)
-    assert grouped_quantile(scores, kept.groups, 0.9) == average.error_bars.factor
+    scores = conformal_scales(wide, average.grid, 0.9, kept.friction)
+    assert grouped_quantile(scores, kept.groups, 0.9) == average.error_bars.conformal_scale
     assert kept_readings(folder / "by_simulation/ensemble").rows == []
 
 
@@ -197,12 +202,12 @@ def test_further_datasets_calibrate_it_with_or_without_its_members(
     later, at_once = load_instrument(recalibrated), load_instrument(tmp_path)
     assert later.card["recalibrated_from"] == {
         "weights_sha256": average.card["weights_sha256"],
-        "factor": average.factor,
+        "factor": average.conformal_scale,
     }
     own = ("weights_sha256", "recalibrated_from")
     cards = [{k: v for k, v in one.card.items() if k not in own} for one in (later, at_once)]
     assert cards[0] == cards[1]
-    assert later.factor == at_once.factor
+    assert later.conformal_scale == at_once.conformal_scale
     for name in (FILE, READINGS):
         tables = [pq.read_table(one / name) for one in (recalibrated, tmp_path)]
         assert tables[0].equals(tables[1]), name
@@ -226,18 +231,18 @@ def test_intervals_alone_change_and_hold_on_all_simulations_together(
     told = again.intervals(again.spread_out(own.probabilities))
     stretch = np.array([row["stretch"] for row in readings.rows])
     holds = (told[:, 1] <= own.friction) & (own.friction <= told[:, 2])
-    inside = np.concatenate([holds, stretch <= again.factor]).astype(float)
+    inside = np.concatenate([holds, stretch <= again.conformal_scale]).astype(float)
     share, _ = covered(np.zeros(len(inside)), inside, np.ones(len(inside)),
                        [*own.groups, *readings.groups])  # fmt: skip
     assert 0.9 <= share < 1
-    assert again.factor != average.factor
+    assert again.conformal_scale != average.conformal_scale
     # The medians stay, and both halves are longer by one factor.
     for row, frames in zip(videos.rows[:3], phased(videos.pixels[:3], 6, None), strict=True):
         one, other = average.measure(frames), again.measure(frames)
         assert one.friction_coefficient == other.friction_coefficient
         assert one.material_probabilities == other.material_probabilities
         assert one.alarm_reason == other.alarm_reason
-        ratio = again.factor / average.factor
+        ratio = again.conformal_scale / average.conformal_scale
         low, high = (abs(end - one.friction_coefficient) for end in one.interval_90)
         low_now, high_now = (abs(end - one.friction_coefficient) for end in other.interval_90)
         assert low_now == pytest.approx(min(ratio * low, one.friction_coefficient)), row
@@ -271,7 +276,7 @@ def test_readings_calibrate_it_as_their_videos_do(
     assert main([*words, "--readings", str(file)]) == 0
     found, wanted = load_instrument(tmp_path / "out"), load_instrument(recalibrated)
     # What an interval that the grid cuts off would have needed is not known, but held already.
-    assert found.factor == pytest.approx(wanted.factor)
+    assert found.conformal_scale == pytest.approx(wanted.conformal_scale)
     (noted,) = found.card["calibration_readings"]
     assert noted["digest"] == file_digest(file)
     assert noted["videos"] == len(videos)  # not what the training read

@@ -270,4 +270,4 @@ def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
     videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "own")
     bars = calibrated(instrument, videos, np.arange(15) < 3).error_bars
     assert bars.material_temperature == 1.0
-    assert math.isfinite(bars.factor)
+    assert math.isfinite(bars.conformal_scale)

@@ -25,12 +25,12 @@ from slipstitch.learning.instrument.augmentation import disordered, phased
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import (
-    POINT_ERROR_M,
+    KEYPOINT_ERROR_M,
     chance_score,
+    keypoint_errors,
     losses,
     next_frictions,
-    noisy_places,
-    points_off,
+    noisy_keypoints,
     train_instrument,
     training_views,
 )
@@ -144,7 +144,7 @@ def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked
     videos, frames = tests
     instrument = load_instrument(tmp_path)
     # On simulations that did not train, beside the mean distance from a constant place.
-    off_m = float(history[-1]["validation_points"]) * POINT_ERROR_M
+    off_m = float(history[-1]["validation_points"]) * KEYPOINT_ERROR_M
     assert off_m < 0.3 * float(instrument.networks[0].points_spread_m.mean())
     truth = np.array([row["friction"] for row in videos.rows])
     errors = [
@@ -329,7 +329,7 @@ def test_places_lie_between_neighbours_of_a_fabric_where_a_cloth_changes_smoothl
 
 def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():
     spread_m = torch.tensor([0.01, 0.02, 0.04]).repeat(9, 1)
-    noisy = noisy_places(torch.zeros(4000, 2, 9, 3), spread_m, 0.002, np.random.default_rng(0))
+    noisy = noisy_keypoints(torch.zeros(4000, 2, 9, 3), spread_m, 0.002, np.random.default_rng(0))
     off_m = noisy * spread_m
     # Three errors of 2 mm; all points of a cloth share one, all frames of a point two.
     assert float(off_m.std()) == pytest.approx(0.002 * 3**0.5, rel=0.02)
@@ -345,7 +345,7 @@ def test_a_network_through_points_reads_the_same_from_places_as_from_the_images_
     network = InstrumentNetwork(settings, 2, 24).eval()
     with torch.inference_mode():
         seen = network(torch.from_numpy(frames[:3]).float() / 255)
-        read = network.of_places(seen["points"])
+        read = network.of_keypoints(seen["points"])
     for name, value in read.items():
         assert torch.equal(value, seen[name]), name
 
@@ -368,8 +368,8 @@ def test_a_millimetre_is_as_wrong_at_every_point():
     settings = InstrumentSettings(points_weight=1.0)
     network = InstrumentNetwork(settings, 2, 32)
     network.points_spread_m.copy_(torch.linspace(0.001, 0.06, 27).view(9, 3))
-    off = points_off(network, -0.001 / network.points_spread_m.expand(2, 4, -1, -1))
-    assert off.numpy() == pytest.approx(0.001 / POINT_ERROR_M)
+    off = keypoint_errors(network, -0.001 / network.points_spread_m.expand(2, 4, -1, -1))
+    assert off.numpy() == pytest.approx(0.001 / KEYPOINT_ERROR_M)
 
 
 def test_frames_are_drawn_at_any_phase_of_the_first_interval():

@@ -205,7 +205,7 @@ class MeasuringBench:
         pose = np.array([video.pose[name] for name in POSE])
         measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
         grid, probability = map(np.asarray, measured.distribution)
-        factor = self.instrument.factor
+        factor = self.instrument.conformal_scale
         return MeasuredVideo(
             Path(path).name,
             video,

@@ -88,7 +88,7 @@ def augmented(
     return result
 
 
-def phase_places(
+def phase_frames(
     count: int, total: int, frames: int, generator: np.random.Generator | None
 ) -> np.ndarray:
     """Which `frames` of the `total` of each video are seen, at regular intervals; (count, frames).
@@ -108,8 +108,8 @@ def phase_places(
 
 
 def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | None) -> np.ndarray:
-    """The frames of each video (n, F, ...) that `phase_places` names, shape (n, frames, ...)."""
-    places = phase_places(len(videos), videos.shape[1], frames, generator)
+    """The frames of each video (n, F, ...) that `phase_frames` names, shape (n, frames, ...)."""
+    places = phase_frames(len(videos), videos.shape[1], frames, generator)
     return videos[np.arange(len(videos))[:, None], places]
 
 

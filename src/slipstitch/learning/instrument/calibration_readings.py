@@ -1,4 +1,4 @@
-"""Readings of videos of known friction, which stretch an instrument's intervals.
+"""Readings of videos of known friction, which widen the conformal scale of an instrument.
 
 An instrument is calibrated on videos of its own dataset that did not train it. Other benches have
 other clamps, fabrics and cloths: what it reads there, with the coefficients that are true, is all
@@ -24,7 +24,7 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.augmentation import phased
-from slipstitch.learning.instrument.measuring import Instrument, stretch_scores_of_intervals
+from slipstitch.learning.instrument.measuring import Instrument, conformal_scales_of
 from slipstitch.learning.instrument.poses import poses_of
 
 FILE = "readings.parquet"
@@ -39,14 +39,14 @@ SCHEMA = pa.schema(
         ("reading", pa.float64()),
         ("low", pa.float64()),
         ("high", pa.float64()),
-        ("stretch", pa.float64()),  # factor at which the interval would just hold
+        ("stretch", pa.float64()),  # conformal scale at which the interval just holds
     ]
 )
 
 
 @dataclass(frozen=True)
 class CalibrationReadings:
-    """Readings with the factors by which their intervals would have to be stretched.
+    """Readings with the conformal scales at which their intervals just hold.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
     answers = instrument.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
     distributions = instrument.distributions(answers)
     friction = np.array([row["friction"] for row in videos.rows])
-    scores = instrument.needed_stretch(distributions, friction)
+    scores = instrument.needed_scale(distributions, friction)
     return CalibrationReadings(
         [
             {
@@ -134,7 +134,7 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise BadInput(f"{path}: must be a mapping with readings, a list of mappings")
     _check_of(path, content, instrument)
-    if not math.isfinite(instrument.factor):
+    if not math.isfinite(instrument.conformal_scale):
         raise BadInput(f"{path}: of an instrument whose intervals are the whole grid")
     largest = instrument.settings.friction_max
     found = [
@@ -146,17 +146,17 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
         raise BadInput(f"{path}: has no reading of the instrument")
     truth = np.array([row["friction"] for row in found])
     intervals = np.array([[row["reading"], row["low"], row["high"]] for row in found])
-    scores = stretch_scores_of_intervals(intervals, truth)
+    scores = conformal_scales_of(intervals, truth)
     dataset = content.get("dataset")
     of_file = {
         "source": file_digest(path),
         "dataset": dataset if isinstance(dataset, str) else None,
     }
-    # The intervals were stretched already.
-    factor = instrument.factor
+    # The intervals are scaled already.
+    scale = instrument.conformal_scale
     return CalibrationReadings(
         [
-            of_file | row | {"stretch": float(score * factor)}
+            of_file | row | {"stretch": float(score * scale)}
             for row, score in zip(found, scores, strict=True)
         ]
     )

@@ -2,7 +2,7 @@
 
 Its networks differ only in their seed. What they say is averaged (`measuring.Instrument`), and the
 error bars and the alarm are calibrated for the average, on the videos that calibrated each of them.
-Its intervals may be stretched further by what it reads on other benches.
+Its conformal scale may allow for its predictions on other benches too.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ from slipstitch.learning.instrument.calibration_readings import (
     readings_on,
     write_readings,
 )
-from slipstitch.learning.instrument.error_bars import answers_on, stretched_by, with_error_bars
+from slipstitch.learning.instrument.error_bars import answers_on, rescaled_by, with_error_bars
 from slipstitch.learning.instrument.measuring import (
     CARD,
     NETWORKS_MAX,
@@ -147,7 +147,7 @@ def combine_instruments(
         held = from_table(answers.table())  # rounded as it is kept
         combined = with_error_bars(combined, statistics, held)
         readings = _on_datasets(combined, readings, further)
-        combined = _stretched(combined, held, readings)
+        combined = _rescaled(combined, held, readings)
     elif further:
         raise BadInput(
             f"{members[0]}: has no alarm, as none of its videos calibrated it; further datasets "
@@ -221,9 +221,9 @@ def recalibrate_instrument(
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
     card["recalibrated_from"] = {
         "weights_sha256": before.card["weights_sha256"],
-        "factor": before.factor if math.isfinite(before.factor) else None,
+        "factor": before.conformal_scale if math.isfinite(before.conformal_scale) else None,
     }
-    combined = _stretched(dataclasses.replace(before, card=card), held, readings)
+    combined = _rescaled(dataclasses.replace(before, card=card), held, readings)
     record = provenance_record(
         "instrument", config={"instrument": combined.settings}, started=started
     )
@@ -261,7 +261,7 @@ def _on_datasets(
     return readings
 
 
-def _stretched(
+def _rescaled(
     combined: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
 ) -> Instrument:
     """By the readings too, with a card that says so."""
@@ -270,7 +270,7 @@ def _stretched(
     if not readings.rows:
         return dataclasses.replace(combined, card=card)
     card["calibration_readings"] = readings.noted
-    return stretched_by(dataclasses.replace(combined, card=card), held, readings)
+    return rescaled_by(dataclasses.replace(combined, card=card), held, readings)
 
 
 def _with(

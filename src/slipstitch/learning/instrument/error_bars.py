@@ -1,4 +1,4 @@
-"""Error bars: spread, conformal stretch and alarm, from held-out simulations.
+"""Error bars: spread, conformal scale and alarm, from held-out simulations.
 
 One set of simulations serves all three. The spread is one number, and the promise of the conformal
 step is tested with it fitted on the same groups (tests/unit).
@@ -141,7 +141,7 @@ def with_error_bars(
     known = [k for k, row in enumerate(held.rows) if row["material"] in names]
     width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
     coverage = instrument.settings.coverage
-    scores = instrument.needed_stretch(spread(held.probabilities, instrument.grid, width), friction)
+    scores = instrument.needed_scale(spread(held.probabilities, instrument.grid, width), friction)
     bars = ErrorBars(
         spread=width,
         # Without a fabric that trains, nothing tells how sure the network may be of one.
@@ -152,7 +152,7 @@ def with_error_bars(
         )
         if known
         else 1.0,
-        factor=grouped_quantile(scores, groups, coverage),
+        conformal_scale=grouped_quantile(scores, groups, coverage),
         alarm=calibrated_alarm(
             statistics, held.strangeness, groups, instrument.settings.false_alarms
         ),
@@ -160,7 +160,7 @@ def with_error_bars(
     return dataclasses.replace(instrument, error_bars=bars)
 
 
-def stretched_by(
+def rescaled_by(
     instrument: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
 ) -> Instrument:
     """The instrument with intervals that hold on other benches too; all else stays as it is.
@@ -177,14 +177,14 @@ def stretched_by(
     Returns
     -------
     Instrument
-        Its factor is the conformal quantile over all of these simulations, each counting once.
+        Its conformal scale is the quantile over all of these simulations, each counting once.
     """
-    own = instrument.needed_stretch(instrument.spread_out(held.probabilities), held.friction)
-    factor = grouped_quantile(
+    own = instrument.needed_scale(instrument.spread_out(held.probabilities), held.friction)
+    scale = grouped_quantile(
         np.concatenate([own, [row["stretch"] for row in readings.rows]]),
         [*(f"own {group}" for group in held.groups), *readings.groups],
         instrument.settings.coverage,
     )
     bars = instrument.error_bars
-    stretched = bars and dataclasses.replace(bars, factor=factor)
-    return dataclasses.replace(instrument, error_bars=stretched)
+    rescaled = bars and dataclasses.replace(bars, conformal_scale=scale)
+    return dataclasses.replace(instrument, error_bars=rescaled)

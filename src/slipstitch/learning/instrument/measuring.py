@@ -66,15 +66,15 @@ class ErrorBars:
         By which the distributions are spread about their medians.
     material_temperature : float
         By which the fabrics' logits are divided.
-    factor : float
-        By which the distribution's own half-intervals are stretched; infinite: not enough
+    conformal_scale : float
+        By which the distribution's own half-intervals are multiplied; infinite: not enough
         simulations to promise anything.
     alarm : Alarm
     """
 
     spread: float
     material_temperature: float
-    factor: float
+    conformal_scale: float
     alarm: Alarm
 
 
@@ -157,21 +157,23 @@ class Instrument:
 
     def intervals(self, distributions: np.ndarray) -> np.ndarray:
         """Median, lower and upper end of the intervals, shape (n, 3)."""
-        return stretched(distributions, self.grid, self.settings.coverage, self.factor)
+        return conformal_intervals(
+            distributions, self.grid, self.settings.coverage, self.conformal_scale
+        )
 
-    def needed_stretch(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
-        """Factor at which the interval of each distribution would just hold its truth, (n,)."""
-        return stretch_scores(distributions, self.grid, self.settings.coverage, friction)
+    def needed_scale(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
+        """Return the scale at which each interval would just hold its truth, shape (n,)."""
+        return conformal_scales(distributions, self.grid, self.settings.coverage, friction)
 
     @property
-    def factor(self) -> float:
-        """By which the distribution's own half-intervals are stretched; infinite without bars."""
-        return self.error_bars.factor if self.error_bars else math.inf
+    def conformal_scale(self) -> float:
+        """Return by what the half-intervals are multiplied; infinite without error bars."""
+        return self.error_bars.conformal_scale if self.error_bars else math.inf
 
     @property
     def without_error_bar(self) -> str:
         """Why intervals are the whole grid, as they are then; empty where they are not."""
-        if self.error_bars and math.isfinite(self.error_bars.factor):
+        if self.error_bars and math.isfinite(self.error_bars.conformal_scale):
             return ""
         needed = least_groups(self.settings.coverage)
         groups = self.card.get("calibration_simulations", 0)
@@ -277,38 +279,38 @@ def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dic
     for name in ("order", "attention_weights", "embedding"):
         answer[name] = outputs[name].double().mean(0).numpy()
     if network.points is not None:
-        answer["points_m"] = network.places_m(outputs["points"]).mean(0).numpy()
+        answer["points_m"] = network.keypoints_m(outputs["points"]).mean(0).numpy()
     return answer
 
 
-def stretched(
-    distributions: np.ndarray, grid: np.ndarray, coverage: float, factor: float
+def conformal_intervals(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, scale: float
 ) -> np.ndarray:
-    """Median and interval whose halves are `factor` times the distribution's own, shape (n, 3).
+    """Return medians and intervals, whose halves are scaled, shape (n, 3).
 
-    Either half is at least one step of the grid before stretching, so that a distribution that is
-    too sure of itself can be stretched at all. Clipped to the grid.
+    Either half is at least one step of the grid before scaling, so that a distribution that is
+    too sure of itself can be scaled at all. Clipped to the grid.
     """
     levels = np.array([(1 - coverage) / 2, 0.5, (1 + coverage) / 2])
     low, median, high = quantiles(distributions, grid, levels).T
     step = grid[1] - grid[0]
-    if not math.isfinite(factor):
+    if not math.isfinite(scale):
         return np.stack(
             [median, np.full_like(median, grid[0]), np.full_like(median, grid[-1])], axis=1
         )
-    below = median - factor * np.maximum(median - low, step)
-    above = median + factor * np.maximum(high - median, step)
+    below = median - scale * np.maximum(median - low, step)
+    above = median + scale * np.maximum(high - median, step)
     return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
 
 
-def stretch_scores(
+def conformal_scales(
     distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
 ) -> np.ndarray:
-    """Factor by which each interval would have to be stretched to reach its truth, shape (n,)."""
-    return stretch_scores_of_intervals(stretched(distributions, grid, coverage, 1.0), truth)
+    """Return the conformal scale at which each interval reaches its truth, shape (n,)."""
+    return conformal_scales_of(conformal_intervals(distributions, grid, coverage, 1.0), truth)
 
 
-def stretch_scores_of_intervals(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def conformal_scales_of(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
     median, low, high = intervals.T
     half = np.where(truth < median, median - low, high - median)
@@ -333,7 +335,7 @@ def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[s
         card["error_bars"] = {
             "spread": bars.spread,
             "material_temperature": bars.material_temperature,
-            "factor": bars.factor if math.isfinite(bars.factor) else None,
+            "factor": bars.conformal_scale if math.isfinite(bars.conformal_scale) else None,
             "alarm_threshold": bars.alarm.threshold,
         }
         for field in fields(Alarm):

@@ -190,13 +190,13 @@ class InstrumentNetwork(nn.Module):
             return {**self._answers(features), "points": points}
         # Friction does not teach where the points are: it would be told by heart through places
         # that are a little wrong.
-        return {**self.of_places(points.detach()), "points": points}
+        return {**self.of_keypoints(points.detach()), "points": points}
 
-    def places_m(self, points: Tensor) -> Tensor:
+    def keypoints_m(self, points: Tensor) -> Tensor:
         """Places in metres of points in the network's unit, as `forward` returns them."""
         return self.points_mean_m + self.points_spread_m * points
 
-    def of_places(self, points: Tensor) -> dict[str, Tensor]:
+    def of_keypoints(self, points: Tensor) -> dict[str, Tensor]:
         """Answers from places of the cloth's points, for a network that goes through them.
 
         Parameters

@@ -19,7 +19,7 @@ from slipstitch.learning.classes import classes_of
 from slipstitch.learning.instrument.augmentation import (
     augmented,
     disordered,
-    phase_places,
+    phase_frames,
     phased,
     standardised,
 )
@@ -37,8 +37,10 @@ from slipstitch.learning.trainer import Learner, Phase, Run, Trainer, simulation
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 UNKNOWN = -1  # number of a fabric that does not train
-POINTS_SPREAD_MIN_M = 1e-3
-POINT_ERROR_M = 0.005  # the unit of the loss of places: in that of their spread, tails count little
+KEYPOINT_SPREAD_MIN_M = 1e-3
+KEYPOINT_ERROR_M = (
+    0.005  # the unit of the loss of places: in that of their spread, tails count little
+)
 
 
 def _training_videos(
@@ -80,29 +82,29 @@ def _training_videos(
     return videos, training
 
 
-def unit_of_points(points_m: Tensor) -> tuple[Tensor, Tensor]:
+def unit_of_keypoints(points_m: Tensor) -> tuple[Tensor, Tensor]:
     """Mean of places (n, frames, points, 3) and mean distance from it, both (points, 3) float64."""
     points_m = points_m.double()
     mean_m = points_m.mean((0, 1))
-    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=POINTS_SPREAD_MIN_M)
+    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
 
 
 def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
     """Places of the videos' points in the network's unit, which it is given."""
     points_m = torch.from_numpy(videos.points_m)
-    mean_m, spread_m = unit_of_points(points_m[training])
+    mean_m, spread_m = unit_of_keypoints(points_m[training])
     network.points_mean_m.copy_(mean_m)
     network.points_spread_m.copy_(spread_m)
     return (points_m - network.points_mean_m) / network.points_spread_m
 
 
-def points_off(network: InstrumentNetwork, differences: Tensor) -> Tensor:
+def keypoint_errors(network: InstrumentNetwork, differences: Tensor) -> Tensor:
     """Distances along the axes of places (..., points, 3) in the network's unit.
 
-    In units of `POINT_ERROR_M`: a millimetre is as wrong at the tail, which moves most and tells
+    In units of `KEYPOINT_ERROR_M`: a millimetre is as wrong at the tail, which moves most and tells
     friction, as at a point that hardly moves.
     """
-    return differences.abs() * (network.points_spread_m / POINT_ERROR_M)
+    return differences.abs() * (network.points_spread_m / KEYPOINT_ERROR_M)
 
 
 def chance_score(friction: np.ndarray) -> float:
@@ -140,7 +142,7 @@ def losses(
     -------
     dict
         ``friction`` (in mu), ``material``, ``order``, ``points`` (mean distance along an axis, in
-        units of `POINT_ERROR_M`); and ``median_error``, without gradient.
+        units of `KEYPOINT_ERROR_M`); and ``median_error``, without gradient.
     """
     outputs = network(views, bfloat16, poses)
     count, spoilt = len(friction), len(ordered) - len(friction)
@@ -150,7 +152,7 @@ def losses(
         median = medians(cumulative, network.grid)
     off = torch.zeros(())
     if points is not None:
-        off = points_off(network, outputs["points"][:count] - points).mean()
+        off = keypoint_errors(network, outputs["points"][:count] - points).mean()
     return {
         "points": off,
         "friction": score,
@@ -187,7 +189,7 @@ def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.n
     return result
 
 
-def noisy_places(
+def noisy_keypoints(
     points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
 ) -> Tensor:
     """Places (n, frames, points, 3) in the network's unit as they might be found in images.
@@ -223,7 +225,7 @@ def training_views(
     places : ndarray of int, shape (len(pixels), frames)
         The frames that those in order show.
     """
-    places = phase_places(len(pixels), pixels.shape[1], frames, generator)
+    places = phase_frames(len(pixels), pixels.shape[1], frames, generator)
     videos = pixels[np.arange(len(pixels))[:, None], places]
     chosen = generator.permutation(len(videos))[: max(1, len(videos) // DISORDERED)]
     spoilt = np.stack([disordered(video, generator) for video in videos[chosen]])
@@ -303,17 +305,17 @@ class InstrumentLearner(Learner):
             + self.settings.points_weight * part["points"]
         )
         if self.settings.through_points and self.settings.points_videos:
-            loss = loss + self._loss_of_places(generator)
+            loss = loss + self._loss_of_keypoints(generator)
         kept = {"loss": part["friction"], "error": part["median_error"]}
         if points is not None:
             kept["points"] = part["points"]
         return loss, {f"train_{name}": one.item() * len(batch) for name, one in kept.items()}
 
-    def _loss_of_places(self, generator: np.random.Generator) -> Tensor:
+    def _loss_of_keypoints(self, generator: np.random.Generator) -> Tensor:
         """Loss of what is read from simulated places of videos drawn at random, without images."""
         chosen = generator.choice(np.flatnonzero(self.training), self.settings.points_videos)
         others = self.next_friction[chosen]
-        places = phase_places(len(chosen), self.pixels.shape[1], self.frames, generator)
+        places = phase_frames(len(chosen), self.pixels.shape[1], self.frames, generator)
         share = torch.from_numpy(generator.random(len(chosen), np.float32))
         friction = torch.lerp(self.friction[chosen], self.friction[others], share)
         points = torch.lerp(
@@ -322,8 +324,8 @@ class InstrumentLearner(Learner):
             share[:, None, None, None],
         )
         noise_m = self.settings.points_noise_m
-        answers = self.network.of_places(
-            noisy_places(points, self.network.points_spread_m, noise_m, generator)
+        answers = self.network.of_keypoints(
+            noisy_keypoints(points, self.network.points_spread_m, noise_m, generator)
         )
         cumulative = mixture_cumulative(answers["friction"], self.network.middles)
         score = ranked_probability_score(cumulative, friction, self.network.grid)
@@ -349,7 +351,9 @@ class InstrumentLearner(Learner):
                 hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
                 if self.points is not None:
                     wanted = phased(self.points[batch], self.frames, None)
-                    off.append(points_off(self.network, outputs["points"] - wanted).mean((1, 2, 3)))
+                    off.append(
+                        keypoint_errors(self.network, outputs["points"] - wanted).mean((1, 2, 3))
+                    )
         found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
         if off:
             found.append(torch.cat(off))
