@@ -24,7 +24,8 @@ from slipstitch.images.camera import pose
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import save_instrument
-from slipstitch.learning.lrcn_model import load_model, train_network
+from slipstitch.learning.lrcn_model import load_model
+from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.trainer import Run
 
 KNOWN = [

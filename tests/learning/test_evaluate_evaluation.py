@@ -26,7 +26,7 @@ from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.lrcn_model import train_network
+from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.trainer import Run
 
 CONFIG = synthetic_videos.config(

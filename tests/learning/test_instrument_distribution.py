@@ -6,7 +6,12 @@ import torch
 from scipy.stats import norm
 
 from slipstitch.base.errors import BadInput
-from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.conformal import (
+    conformal_intervals,
+    conformal_scales,
+    covered,
+    grouped_quantile,
+)
 from slipstitch.learning.instrument.distribution import (
     friction_grid,
     mixture_cumulative,
@@ -16,7 +21,6 @@ from slipstitch.learning.instrument.distribution import (
     spread,
 )
 from slipstitch.learning.instrument.error_bars import fitted_spread
-from slipstitch.learning.instrument.measuring import conformal_intervals, conformal_scales
 
 GRID = friction_grid(1.5, 0.01)
 

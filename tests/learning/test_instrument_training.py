@@ -22,15 +22,17 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.curves import curve
 from slipstitch.learning.instrument import training as training_module
 from slipstitch.learning.instrument.augmentation import disordered, phased
+from slipstitch.learning.instrument.keypoints import (
+    KEYPOINT_ERROR_M,
+    keypoint_errors,
+    next_frictions,
+    noisy_keypoints,
+)
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import (
-    KEYPOINT_ERROR_M,
     chance_score,
-    keypoint_errors,
     losses,
-    next_frictions,
-    noisy_keypoints,
     train_instrument,
     training_views,
 )

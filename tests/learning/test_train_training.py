@@ -21,14 +21,10 @@ from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
-from slipstitch.learning.lrcn_model import (
-    TRUE,
-    learning_rate,
-    load_model,
-    progressive_schedule,
-    train_network,
-)
-from slipstitch.learning.trainer import DivergedError, Phase, PlateauError, Run, place
+from slipstitch.learning.lrcn_model import TRUE, load_model
+from slipstitch.learning.lrcn_training import train_network
+from slipstitch.learning.schedule import Phase, learning_rate, place, progressive_schedule
+from slipstitch.learning.trainer import DivergedError, PlateauError, Run
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]

@@ -111,7 +111,7 @@ def test_edited_simulate_code_reruns_the_simulations_and_what_follows(chain):
 
 
 def test_edited_train_code_reruns_training_and_what_follows(chain):
-    with chain.edited("learning/lrcn_model.py"):
+    with chain.edited("learning/lrcn_training.py"):
         assert stages(chain.pending()) == {"train", "evaluate", "report"}
 
 

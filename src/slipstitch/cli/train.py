@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.config import load_config
     from slipstitch.design.grid import classes
-    from slipstitch.learning.lrcn_model import train_network
+    from slipstitch.learning.lrcn_training import train_network
     from slipstitch.learning.trainer import Run
 
     check_at_least(arguments, threads=1, seed=0)

@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -27,6 +27,7 @@ from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.curves import curve
+from slipstitch.learning.schedule import Phase, place
 
 HISTORY = "history.csv"
 
@@ -37,58 +38,6 @@ class PlateauError(SlipstitchError):
 
 class DivergedError(SlipstitchError):
     """The loss is no finite number any more."""
-
-
-@dataclass(frozen=True)
-class Phase:
-    """Epochs of the schedule with the same viewpoints.
-
-    Attributes
-    ----------
-    name : str
-    viewpoints : tuple of str
-    epochs : int
-    flat_epochs : int, optional
-        The phase ends earlier once its lowest validation loss is so many epochs old, if the network
-        has left chance.
-    """
-
-    name: str
-    viewpoints: tuple[str, ...]
-    epochs: int
-    flat_epochs: int | None = None
-
-    def length(self, rows: Sequence[Mapping[str, Any]], left_chance: float) -> int:
-        """Return how many epochs the phase has.
-
-        Parameters
-        ----------
-        rows : sequence of mapping
-            History from the start of the phase on.
-        left_chance : float
-            Training loss below which a network has left chance.
-        """
-        lowest, age, least = math.inf, 0, math.inf
-        for number, row in enumerate(rows[: self.epochs], 1):
-            least = min(least, row["train_loss"])
-            age = 0 if row["validation_loss"] < lowest else age + 1
-            lowest = min(lowest, row["validation_loss"])
-            if self.flat_epochs is not None and age >= self.flat_epochs and least < left_chance:
-                return number
-        return self.epochs
-
-
-def place(
-    phases: Sequence[Phase], history: Sequence[Mapping[str, Any]], left_chance: float
-) -> tuple[Phase, int] | None:
-    """Return the phase of the next epoch and its number there, from 0; None at the end."""
-    first = 0
-    for phase in phases:
-        length = phase.length(history[first:], left_chance)
-        if len(history) < first + length:
-            return phase, len(history) - first
-        first += length
-    return None
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ STAGES: dict[str, tuple[str, ...]] = {
     "render": ("images",),
     "render.packing": ("images.packing",),
     "sample": ("dataset.dataset", "dataset.probes"),
-    "train": ("learning.lrcn_model",),
+    "train": ("learning.lrcn_training",),
     "instrument": ("learning.instrument",),
     "evaluate": ("learning.evaluation.evaluation",),
     "evaluate.captures": ("film.captures",),

@@ -16,8 +16,10 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.ablation.questions import QUESTIONS, Variant, selected
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.lrcn_model import FINE_TUNING, TRUE, LrcnModel, load_model, train_network
-from slipstitch.learning.trainer import DivergedError, Phase, Run
+from slipstitch.learning.lrcn_model import TRUE, LrcnModel, load_model
+from slipstitch.learning.lrcn_training import train_network
+from slipstitch.learning.schedule import FINE_TUNING, Phase
+from slipstitch.learning.trainer import DivergedError, Run
 
 SPLIT = "by_simulation"
 

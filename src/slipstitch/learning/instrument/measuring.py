@@ -19,12 +19,15 @@ from slipstitch.dataset.videos import Videos, resized
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.augmentation import augmented, phased
-from slipstitch.learning.instrument.conformal import least_groups
+from slipstitch.learning.instrument.conformal import (
+    conformal_intervals,
+    conformal_scales,
+    least_groups,
+)
 from slipstitch.learning.instrument.distribution import (
     friction_grid,
     mixture_cumulative,
     probabilities_on_grid,
-    quantiles,
     spread,
 )
 from slipstitch.learning.instrument.network import InstrumentNetwork
@@ -281,41 +284,6 @@ def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dic
     if network.points is not None:
         answer["points_m"] = network.keypoints_m(outputs["points"]).mean(0).numpy()
     return answer
-
-
-def conformal_intervals(
-    distributions: np.ndarray, grid: np.ndarray, coverage: float, scale: float
-) -> np.ndarray:
-    """Return medians and intervals, whose halves are scaled, shape (n, 3).
-
-    Either half is at least one step of the grid before scaling, so that a distribution that is
-    too sure of itself can be scaled at all. Clipped to the grid.
-    """
-    levels = np.array([(1 - coverage) / 2, 0.5, (1 + coverage) / 2])
-    low, median, high = quantiles(distributions, grid, levels).T
-    step = grid[1] - grid[0]
-    if not math.isfinite(scale):
-        return np.stack(
-            [median, np.full_like(median, grid[0]), np.full_like(median, grid[-1])], axis=1
-        )
-    below = median - scale * np.maximum(median - low, step)
-    above = median + scale * np.maximum(high - median, step)
-    return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
-
-
-def conformal_scales(
-    distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
-) -> np.ndarray:
-    """Return the conformal scale at which each interval reaches its truth, shape (n,)."""
-    return conformal_scales_of(conformal_intervals(distributions, grid, coverage, 1.0), truth)
-
-
-def conformal_scales_of(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
-    median, low, high = intervals.T
-    half = np.where(truth < median, median - low, high - median)
-    # A half that the grid's end cut off is never too short.
-    return np.abs(truth - median) / np.maximum(half, 1e-9)
 
 
 def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:

@@ -29,18 +29,21 @@ from slipstitch.learning.instrument.distribution import (
     ranked_probability_score,
 )
 from slipstitch.learning.instrument.error_bars import calibrated
+from slipstitch.learning.instrument.keypoints import (
+    keypoint_errors,
+    keypoints_in_unit,
+    next_frictions,
+    noisy_keypoints,
+)
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
+from slipstitch.learning.schedule import Phase
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
-from slipstitch.learning.trainer import Learner, Phase, Run, Trainer, simulations
+from slipstitch.learning.trainer import Learner, Run, Trainer, simulations
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 UNKNOWN = -1  # number of a fabric that does not train
-KEYPOINT_SPREAD_MIN_M = 1e-3
-KEYPOINT_ERROR_M = (
-    0.005  # the unit of the loss of places: in that of their spread, tails count little
-)
 
 
 def _training_videos(
@@ -80,31 +83,6 @@ def _training_videos(
             "(instrument.friction_max)"
         )
     return videos, training
-
-
-def unit_of_keypoints(points_m: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean of places (n, frames, points, 3) and mean distance from it, both (points, 3) float64."""
-    points_m = points_m.double()
-    mean_m = points_m.mean((0, 1))
-    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
-
-
-def _points(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
-    """Places of the videos' points in the network's unit, which it is given."""
-    points_m = torch.from_numpy(videos.points_m)
-    mean_m, spread_m = unit_of_keypoints(points_m[training])
-    network.points_mean_m.copy_(mean_m)
-    network.points_spread_m.copy_(spread_m)
-    return (points_m - network.points_mean_m) / network.points_spread_m
-
-
-def keypoint_errors(network: InstrumentNetwork, differences: Tensor) -> Tensor:
-    """Distances along the axes of places (..., points, 3) in the network's unit.
-
-    In units of `KEYPOINT_ERROR_M`: a millimetre is as wrong at the tail, which moves most and tells
-    friction, as at a point that hardly moves.
-    """
-    return differences.abs() * (network.points_spread_m / KEYPOINT_ERROR_M)
 
 
 def chance_score(friction: np.ndarray) -> float:
@@ -163,44 +141,6 @@ def losses(
         * len(ordered),
         "median_error": (median - friction).abs().mean(),
     }
-
-
-def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.ndarray:
-    """For every video, one of the same fabric and replicate at the next larger coefficient.
-
-    Itself without one.
-
-    Of videos that train, and only where one of the two lies between simulations itself: there a
-    cloth changes smoothly with the coefficient, so that places between theirs are a cloth's too.
-    """
-    result = np.arange(len(rows))
-    of_cloth: dict[tuple[str, str], list[int]] = {}
-    for number in np.flatnonzero(training):
-        cloth = rows[number]["material_id"], rows[number]["replicate_id"]
-        of_cloth.setdefault(cloth, []).append(int(number))
-    for numbers in of_cloth.values():
-        numbers.sort(key=lambda number: rows[number]["friction"])
-        for place, number in enumerate(numbers):
-            larger = numbers[place + 1 :]
-            friction = rows[number]["friction"]
-            other = next((one for one in larger if rows[one]["friction"] > friction), number)
-            if rows[number].get("interpolated") or rows[other].get("interpolated"):
-                result[number] = other
-    return result
-
-
-def noisy_keypoints(
-    points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
-) -> Tensor:
-    """Places (n, frames, points, 3) in the network's unit as they might be found in images.
-
-    Shifted as a whole, as by the error of a calibration; each point shifted; and in every frame
-    each point again.
-    """
-    videos, _, count, axes = points.shape
-    shapes = (videos, 1, 1, axes), (videos, 1, count, axes), points.shape
-    noise = sum(generator.standard_normal(shape, np.float32) for shape in shapes)
-    return points + noise_m * torch.from_numpy(noise) / spread_m
 
 
 def learning_rate(settings: InstrumentSettings, done: float) -> float:
@@ -421,7 +361,7 @@ def train_instrument(
         labels=torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows]),
         training=training,
         poses=scaled(poses_of(videos.rows)),
-        points=_points(network, videos, training) if settings.points_weight else None,
+        points=keypoints_in_unit(network, videos, training) if settings.points_weight else None,
     )
     trainer = Trainer(learner, run, videos, started)
     trainer.train()

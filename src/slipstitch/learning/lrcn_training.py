@@ -1,0 +1,309 @@
+"""Training of the paper's networks.
+
+Cycles of the training add a viewpoint each; the calibrated viewpoint alone is fine-tuned.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import start_clock
+from slipstitch.config.train import NETWORKS, REFLECTIVE, TrainSettings
+from slipstitch.dataset.videos import Videos
+from slipstitch.learning.classes import chance_loss, classes_of, labels_of
+from slipstitch.learning.lrcn import LRCN
+from slipstitch.learning.lrcn_model import (
+    ALL_VIEWS,
+    CARD,
+    TRUE,
+    WEIGHTS,
+    class_probabilities,
+    load_model,
+    save_model,
+)
+from slipstitch.learning.schedule import FINE_TUNING, Phase, learning_rate, progressive_schedule
+from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
+from slipstitch.learning.trainer import Learner, Run, Trainer
+
+# Adadelta's decay and the constant below its root: the paper's, and Keras' default.
+RHO, EPSILON = 0.95, 1e-7
+
+
+@dataclass
+class LrcnLearner(Learner):
+    """A network that tells classes, with the videos that it learns from.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
+    labels : ndarray of int64, shape (n,)
+    condition : ndarray of int64, shape (n,), or None
+        Material class numbers that a conditional network is told.
+    viewpoints : ndarray of str, shape (n,)
+    """
+
+    name: str
+    settings: TrainSettings
+    network: LRCN
+    phases: Sequence[Phase]
+    pixels: np.ndarray
+    labels: np.ndarray
+    condition: np.ndarray | None
+    training: np.ndarray
+    viewpoints: np.ndarray
+
+    stage = "train"
+
+    def __post_init__(self):
+        settings = self.settings
+        self.bfloat16 = computes_bfloat16(settings.precision)
+        self.optimizer = torch.optim.Adadelta(
+            self.network.parameters(), lr=settings.learning_rate, rho=RHO, eps=EPSILON
+        )
+        self.chance_loss = chance_loss(self.labels[self.training])
+        self.plateau_window = settings.epochs_per_cycle
+        self.plateau_epochs = settings.plateau_epochs
+        self.diverged_hint = f"a smaller train.learning_rate than {settings.learning_rate:g}"
+        self.plateau_hint = (
+            f"initialisation {settings.initialisation!r}, train.epochs_per_cycle "
+            f"{settings.epochs_per_cycle}"
+        )
+
+    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+        """Return those of the phase's viewpoints."""
+        in_view = np.isin(self.viewpoints, phase.viewpoints)
+        return np.flatnonzero(self.training & in_view), np.flatnonzero(~self.training & in_view)
+
+    def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
+        """Return that of the function of this name, by the share of the videos that were shown."""
+        done = (epoch + step * self.settings.batch_size / videos) / phase.epochs
+        return learning_rate(self.settings, self.phases, phase, done)
+
+    def batch_loss(
+        self, batch: np.ndarray, generator: np.random.Generator
+    ) -> tuple[Tensor, dict[str, float]]:
+        """Return the cross-entropy; its sum and the number of right answers."""
+        logits = self.network(
+            torch.from_numpy(self.pixels[batch]),
+            None if self.condition is None else torch.from_numpy(self.condition[batch]),
+            self.bfloat16,
+        )
+        truth = torch.from_numpy(self.labels[batch])
+        loss = nn.functional.cross_entropy(logits, truth)
+        right = int((logits.softmax(-1).argmax(1) == truth).sum())
+        return loss, {"train_loss": loss.item() * len(batch), "train_accuracy": right}
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Return loss and accuracy."""
+        if not len(numbers):
+            return {"validation_loss": math.nan, "validation_accuracy": math.nan}
+        probabilities = class_probabilities(
+            self.network,
+            self.pixels[numbers],
+            None if self.condition is None else self.condition[numbers],
+            bfloat16=self.bfloat16,
+            batch_size=self.settings.batch_size,
+        )
+        labels = self.labels[numbers]
+        of_truth = probabilities[np.arange(len(labels)), labels]
+        return {
+            "validation_loss": float(-np.log(np.maximum(of_truth, 1e-12)).mean()),
+            "validation_accuracy": float((probabilities.argmax(1) == labels).mean()),
+        }
+
+    def columns(self, phase: Phase) -> dict[str, Any]:
+        """Return name and viewpoints of the phase."""
+        return {"stage": phase.name, "viewpoints": "+".join(phase.viewpoints)}
+
+    def summary(self, row: dict[str, Any]) -> str:
+        """Return both accuracies."""
+        return f"accuracy {row['train_accuracy']:.3f}, validation {row['validation_accuracy']:.3f}"
+
+
+def train_network(
+    settings: TrainSettings,
+    run: Run,
+    network_name: str,
+    view_order: Sequence[str],
+    *,
+    material_model: str | os.PathLike | None = None,
+    expected_classes: dict[str, list] | None = None,
+    phases: list[Phase] | None = None,
+) -> dict[str, Any]:
+    """Train one network and write it.
+
+    Parameters
+    ----------
+    settings : TrainSettings
+    run : Run
+    network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
+    view_order : sequence of str
+        Training viewpoints by name; the first is the calibrated one.
+    material_model : path, optional
+        What friction_conditional is conditioned on, and for it only: folder of the
+        material_baseline of the same dataset, split and seed; or `TRUE`.
+    expected_classes : dict, optional
+        ``{"material": [names], "friction": [coefficients]}`` that the dataset must have.
+    phases : list of Phase, optional
+        Epochs by viewpoints; by default the `progressive_schedule`.
+
+    Returns
+    -------
+    dict
+        The model card.
+
+    Raises
+    ------
+    BadInput
+        If dataset, material model or arguments do not fit.
+    PlateauError
+        If the training loss is not below chance by `settings.plateau_margin` in the end, or after
+        `settings.plateau_epochs`.
+    DivergedError
+        If the loss is not finite.
+    """
+    started = start_clock()
+    if network_name not in NETWORKS:
+        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
+    conditional = network_name == "friction_conditional"
+    if conditional != (material_model is not None):
+        raise BadInput(
+            f"{network_name} {'requires' if conditional else 'does not take'} --material-model"
+        )
+    set_up_torch(run.threads)
+    videos, training = run.videos(settings.pixels, run.frames)
+    target = network_name.split("_")[0]
+    classes = classes_of(videos.rows, target)
+    labels = labels_of(videos.rows, classes, target)
+    _check_dataset(videos, expected_classes)
+    _check_training(videos, labels, classes, training, view_order, target)
+    condition, condition_classes, condition_digest = _conditioned_on(
+        material_model, run, videos, settings
+    )
+
+    torch.manual_seed(run.seed)
+    pixels = videos.pixels.shape[2]
+    network = LRCN(settings, len(classes), pixels, len(condition_classes))
+    mean, deviation = _colour_statistics(videos.pixels[training])
+    network.mean.copy_(torch.from_numpy(mean))
+    network.deviation.copy_(torch.from_numpy(deviation))
+    learner = LrcnLearner(
+        name=f"{network_name} {run.split} seed {run.seed}",
+        settings=settings,
+        network=network,
+        phases=phases or progressive_schedule(settings, view_order, run.split == REFLECTIVE),
+        pixels=videos.pixels,
+        labels=labels,
+        condition=condition,
+        training=training,
+        viewpoints=np.array([row["viewpoint"] for row in videos.rows]),
+    )
+    named = {
+        "network": network_name,
+        "condition_sha256": condition_digest,
+        "true_materials": material_model == TRUE,
+    }
+    trainer = Trainer(learner, run, videos, started, view_order=list(view_order), **named)
+
+    def save(folder: Path) -> dict[str, Any]:
+        facts = {
+            **named,
+            "target": target,
+            "split": run.split,
+            "seed": run.seed,
+            "classes": classes,
+            "condition_classes": condition_classes,
+            "pixels": pixels,
+            "frames": videos.pixels.shape[1],
+            "viewpoints": list(view_order),
+            **trainer.facts(),
+            "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
+            "performance on other videos, real ones included, is unknown",
+        }
+        return save_model(network, facts, folder)
+
+    files = [WEIGHTS, CARD]
+    if settings.keep_all_views and learner.phases[-1].name == FINE_TUNING:
+        files += [f"{ALL_VIEWS}/{name}" for name in files]
+        before = learner.phases[-2]
+        trainer.at_end_of = lambda phase: (
+            save(Path(run.out) / ALL_VIEWS) if phase is before else None
+        )
+    trainer.train()
+    card = save(Path(run.out))
+    told = [] if condition_digest is None else _weights_of(material_model, settings)
+    trainer.write_record(files, told)
+    return card
+
+
+def _weights_of(material_model: str | os.PathLike, settings: TrainSettings) -> list[Path]:
+    """Files of the network that tells a conditional one the material."""
+    folder = Path(material_model)
+    if settings.keep_all_views and (folder / ALL_VIEWS).is_dir():
+        folder /= ALL_VIEWS
+    return [folder / name for name in (WEIGHTS, CARD)]
+
+
+def _conditioned_on(
+    material_model: str | os.PathLike | None, run: Run, videos: Videos, settings: TrainSettings
+) -> tuple[np.ndarray | None, list[dict[str, Any]], str | None]:
+    """Material class numbers that a network is told of videos, the classes, the teller's digest."""
+    if material_model is None:
+        return None, [], None
+    if material_model == TRUE:
+        classes = classes_of(videos.rows, "material")
+        return labels_of(videos.rows, classes, "material"), classes, None
+    model = load_model(_weights_of(material_model, settings)[0].parent)
+    model.check_is_material_network_of(run.split, run.seed, videos.digest)
+    told = model.probabilities(videos, settings.batch_size).argmax(1)
+    return told, model.card["classes"], model.card["weights_sha256"]
+
+
+def _check_dataset(videos: Videos, expected: dict[str, list] | None) -> None:
+    """Refuse a dataset of other classes than those expected."""
+    for kind, values in (expected or {}).items():
+        key = "name" if kind == "material" else "value"
+        found = [entry[key] for entry in classes_of(videos.rows, kind)]
+        if found != list(values):
+            raise BadInput(
+                f"the dataset has {len(found)} {kind} classes ({', '.join(map(str, found))}), "
+                f"the configuration {len(values)} ({', '.join(map(str, values))})"
+            )
+
+
+def _check_training(videos, labels, classes, training, view_order, target) -> None:
+    """Refuse data that cannot train what is asked for."""
+    if len(classes) < 2:
+        raise BadInput(f"{len(classes)} {target} class: at least two are required")
+    for number, entry in enumerate(classes):
+        if not np.any(labels[training] == number):
+            raise BadInput(f"{target} class {entry['id']} has no training video")
+    present = {row["viewpoint"] for row in videos.rows}
+    trained = {row["viewpoint"] for row in compress(videos.rows, training)}
+    for name in view_order:
+        if name not in present:
+            raise BadInput(
+                f"the dataset has no training viewpoint {name!r}; known: "
+                f"{', '.join(sorted(present))}"
+            )
+        if name not in trained:
+            raise BadInput(f"viewpoint {name!r} has no training video")
+
+
+def _colour_statistics(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each colour over all pixels, from exact integer sums."""
+    count = pixels[..., 0].size
+    histogram = np.stack([np.bincount(pixels[..., c].ravel(), minlength=256) for c in range(3)])
+    values = np.arange(256.0)
+    mean = histogram @ values / count
+    variance = histogram @ values**2 / count - mean**2
+    return mean, np.sqrt(np.maximum(variance, 1.0))
