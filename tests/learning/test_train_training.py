@@ -1,7 +1,6 @@
 """A training learns, resumes to the same bits, and says so where it cannot."""
 
 import csv
-import json
 import math
 import shutil
 
@@ -253,26 +252,17 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, ch
     assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
 
 
-def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-
-    with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, changes=few, after_step=kill)
-    train(dataset, tmp_path, changes=few, seed=1)
-    assert "from another training" in capsys.readouterr().err
-    train(dataset, tmp_path / "fresh", changes=few, seed=1)
-    weights = "model.safetensors"
-    assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
-
-
-def test_a_checkpoint_with_another_number_of_threads_is_not_used(dataset, tmp_path, capsys):
+@pytest.mark.parametrize("other", [{"seed": 1}, {"threads": 2}], ids=["seed", "threads"])
+def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys, other):
     """Sums over several threads round otherwise: the result would be neither run's."""
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-
     with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, changes=few, after_step=kill, threads=2)
+        train(dataset, tmp_path, changes=few, after_step=kill, **other)
     train(dataset, tmp_path, changes=few)
     assert "from another training" in capsys.readouterr().err
+    train(dataset, tmp_path / "fresh", changes=few)
+    weights = "model.safetensors"
+    assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
 
 
 def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
@@ -285,13 +275,7 @@ def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys)
     assert "continuing from" in capsys.readouterr().err
 
 
-def test_a_damaged_checkpoint_is_said_and_not_used(dataset, tmp_path, capsys):
-    (tmp_path / "checkpoint.safetensors").write_bytes(b"no checkpoint")
-    train(dataset, tmp_path, changes={"epochs_per_cycle": 1, "plateau_margin": None})
-    assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape"])
+@pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape", "all"])
 def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
 
@@ -305,11 +289,13 @@ def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path
         tensors["network.fully_connected.3.bias"][0] += 1
     elif part == "shape":
         tensors["random"] = tensors["random"][None]
-    else:
+    elif part != "all":
         edited = {"progress": ('"step": 2', '"step": 1'), "identity": ('"seed": 0', '"seed": 1')}
         assert edited[part][0] in notes[part]
         notes[part] = notes[part].replace(*edited[part])
     save_file(tensors, path, notes)
+    if part == "all":
+        path.write_bytes(b"no checkpoint")
     train(dataset, tmp_path, seed=int(part == "identity"), changes=few)
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
@@ -330,40 +316,43 @@ def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
         train(dataset, tmp_path, changes={"learning_rate": 1e38})
 
 
-def test_a_leaking_split_is_refused(dataset, tmp_path):
-    def leak(rows):
-        rows[0]["split_by_simulation"] = "test"
-        rows[1]["split_by_simulation"] = "train"
-
-    leaking = altered_copy(dataset, tmp_path / "leaking", leak)
-    with pytest.raises(BadInput, match=r"leaks: m\d\d_f\d+_r\d\d is in train and test"):
-        train(leaking, tmp_path / "out")
+def leak(rows):
+    rows[0]["split_by_simulation"] = "test"
+    rows[1]["split_by_simulation"] = "train"
 
 
-def test_an_altered_manifest_is_refused(dataset, tmp_path):
-    def swap(rows):
-        for row in rows:
-            row["friction"] = 0.7 - row["friction"]
-
-    altered = altered_copy(dataset, tmp_path / "altered", swap, renew_digest=False)
-    with pytest.raises(BadInput, match="was altered"):
-        train(altered, tmp_path / "out")
+def swap(rows):
+    for row in rows:
+        row["friction"] = 0.7 - row["friction"]
 
 
-def test_a_class_without_training_videos_is_named(dataset, tmp_path):
-    def empty(rows):
-        for row in rows:
-            if row["friction_id"] == "f0600":
-                row["split_by_simulation"] = "validation"
-
-    emptied = altered_copy(dataset, tmp_path / "emptied", empty)
-    with pytest.raises(BadInput, match="friction class f0600 has no training video"):
-        train(emptied, tmp_path / "out")
+def empty(rows):
+    for row in rows:
+        if row["friction_id"] == "f0600":
+            row["split_by_simulation"] = "validation"
 
 
-def test_a_wrong_number_of_classes_is_refused(dataset, tmp_path):
-    with pytest.raises(BadInput, match=r"2 friction classes \(0\.1, 0\.6\), the configuration 3"):
-        train(dataset, tmp_path, expected_classes={"friction": [0.1, 0.3, 0.6]})
+@pytest.mark.parametrize(
+    ("change", "renew_digest", "options", "words"),
+    [
+        (leak, True, {}, r"leaks: m\d\d_f\d+_r\d\d is in train and test"),
+        (swap, False, {}, "was altered"),
+        (empty, True, {}, "friction class f0600 has no training video"),
+        (
+            None,
+            True,
+            {"expected_classes": {"friction": [0.1, 0.3, 0.6]}},
+            r"2 friction classes \(0\.1, 0\.6\), the configuration 3",
+        ),
+        (None, True, {"view_order": ["frontal"]}, "no training viewpoint 'frontal'"),
+    ],
+)
+def test_a_dataset_that_does_not_fit_is_refused(
+    dataset, tmp_path, change, renew_digest, options, words
+):
+    changed = altered_copy(dataset, tmp_path / "data", change or (lambda rows: None), renew_digest)
+    with pytest.raises(BadInput, match=words):
+        train(changed, tmp_path / "out", **options)
 
 
 def test_swapped_images_are_noticed(dataset, tmp_path):
@@ -385,11 +374,6 @@ def test_a_missing_file_of_the_dataset_is_named(dataset, tmp_path):
         read_videos(partial)
 
 
-def test_an_unknown_viewpoint_is_refused(dataset, tmp_path):
-    with pytest.raises(BadInput, match="no training viewpoint 'frontal'"):
-        train(dataset, tmp_path, view_order=["frontal"])
-
-
 def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_path):
     with pytest.raises(BadInput, match="has split 'by_simulation', 'by_video' is needed"):
         train(dataset, tmp_path, "friction_conditional", "by_video", material_model=material)
@@ -399,33 +383,23 @@ def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_pat
         train(dataset, tmp_path, "friction_baseline", material_model=material)
 
 
-def test_a_model_file_that_was_altered_is_refused(material, tmp_path):
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("model.safetensors", lambda old: old[:-1] + bytes([old[-1] ^ 1]), "altered or damaged"),
+        ("model.json", lambda old: old.replace(b"m00", b"m09"), "differs from the card inside"),
+        ("model.json", lambda old: b'{"architecture": "other"}', "not a model card of Slipstitch"),
+        ("model.json", None, r"model\.json: no such file"),
+    ],
+)
+def test_a_model_that_is_not_as_it_was_written_is_refused(material, tmp_path, file, change, words):
     for name in ("model.safetensors", "model.json"):
         (tmp_path / name).write_bytes((material / name).read_bytes())
-    weights = tmp_path / "model.safetensors"
-    content = bytearray(weights.read_bytes())
-    content[-1] ^= 1
-    weights.write_bytes(content)
-    with pytest.raises(BadInput, match="altered or damaged"):
-        load_model(tmp_path)
-
-
-def test_a_model_card_that_was_altered_is_refused(material, tmp_path):
-    for name in ("model.safetensors", "model.json"):
-        (tmp_path / name).write_bytes((material / name).read_bytes())
-    card = json.loads((tmp_path / "model.json").read_text())
-    card["classes"].reverse()
-    (tmp_path / "model.json").write_text(json.dumps(card))
-    with pytest.raises(BadInput, match="differs from the card inside"):
-        load_model(tmp_path)
-
-
-def test_a_foreign_model_file_is_refused(material, tmp_path):
-    (tmp_path / "model.safetensors").write_bytes((material / "model.safetensors").read_bytes())
-    with pytest.raises(BadInput, match=r"model\.json: no such file"):
-        load_model(tmp_path)
-    (tmp_path / "model.json").write_text('{"architecture": "something else"}')
-    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
+    if change is None:
+        (tmp_path / file).unlink()
+    else:
+        (tmp_path / file).write_bytes(change((material / file).read_bytes()))
+    with pytest.raises(BadInput, match=words):
         load_model(tmp_path)
 
 
