@@ -1,5 +1,8 @@
 """The scores mean what the paper's tables mean."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -77,6 +80,11 @@ def test_chance_the_best_constant_and_confusion_with_true_classes_in_rows():
     error = pytest.approx((0.2 + 0.5) / 5)
     assert found["chance"] == {"uniform": 0.25, "majority": 0.6, "mean_absolute_error": error}
     assert found["confusion"] == [[2, 1, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]
+
+
+def test_scores_need_no_torch():
+    code = "import slipstitch.learning.evaluation.scores, sys; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_an_altered_prediction_alters_the_scores():

@@ -6,13 +6,10 @@ import torch
 from scipy.stats import norm
 
 from slipstitch.base.errors import BadInput
-from slipstitch.learning.instrument.conformal import (
+from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
-    covered,
-    grouped_quantile,
-)
-from slipstitch.learning.instrument.distribution import (
     friction_grid,
     mixture_cumulative,
     probabilities_on_grid,

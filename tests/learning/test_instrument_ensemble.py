@@ -21,8 +21,8 @@ from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.calibration_answers import FILE, read_answers
 from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
 from slipstitch.learning.instrument.calibration_readings import kept_readings, read_readings
-from slipstitch.learning.instrument.conformal import conformal_scales, covered, grouped_quantile
-from slipstitch.learning.instrument.distribution import quantiles, spread
+from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.distribution import conformal_scales, quantiles, spread
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
 from slipstitch.learning.instrument.training import train_instrument

@@ -24,7 +24,7 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.augmentation import phased
-from slipstitch.learning.instrument.conformal import conformal_scales_of
+from slipstitch.learning.instrument.distribution import conformal_scales_of
 from slipstitch.learning.instrument.measuring import Instrument
 from slipstitch.learning.instrument.poses import poses_of
 

@@ -108,3 +108,38 @@ def quantiles(probabilities: np.ndarray, grid: np.ndarray, levels: np.ndarray) -
     edges, rising = _rising(probabilities, grid)
     rows = [np.interp(levels, row, edges) for row in rising]
     return np.clip(np.array(rows), grid[0], grid[-1])
+
+
+def conformal_intervals(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, scale: float
+) -> np.ndarray:
+    """Return medians and intervals, whose halves are scaled, shape (n, 3).
+
+    Either half is at least one step of the grid before scaling, so that a distribution that is
+    too sure of itself can be scaled at all. Clipped to the grid.
+    """
+    levels = np.array([(1 - coverage) / 2, 0.5, (1 + coverage) / 2])
+    low, median, high = quantiles(distributions, grid, levels).T
+    step = grid[1] - grid[0]
+    if not math.isfinite(scale):
+        return np.stack(
+            [median, np.full_like(median, grid[0]), np.full_like(median, grid[-1])], axis=1
+        )
+    below = median - scale * np.maximum(median - low, step)
+    above = median + scale * np.maximum(high - median, step)
+    return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
+
+
+def conformal_scales(
+    distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
+) -> np.ndarray:
+    """Return the conformal scale at which each interval reaches its truth, shape (n,)."""
+    return conformal_scales_of(conformal_intervals(distributions, grid, coverage, 1.0), truth)
+
+
+def conformal_scales_of(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
+    median, low, high = intervals.T
+    half = np.where(truth < median, median - low, high - median)
+    # A half that the grid's end cut off is never too short.
+    return np.abs(truth - median) / np.maximum(half, 1e-9)

@@ -19,12 +19,10 @@ from slipstitch.dataset.videos import Videos, resized
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.augmentation import augmented, phased
-from slipstitch.learning.instrument.conformal import (
+from slipstitch.learning.instrument.conformal import least_groups
+from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
-    least_groups,
-)
-from slipstitch.learning.instrument.distribution import (
     friction_grid,
     mixture_cumulative,
     probabilities_on_grid,
