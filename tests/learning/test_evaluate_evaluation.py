@@ -173,7 +173,8 @@ def test_the_tables_follow_from_the_predictions(evaluated):
         probe = row["network"].startswith(PREFIX)
         assert probe or sum(row["probabilities"]) == pytest.approx(1.0)
     assert recomputed(evaluated / "predictions.parquet") == metrics
-    held_out = {row["simulation"] for row in rows if row["split"] == "by_simulation"}
+    said = predictions(evaluated / "predictions.parquet")
+    held_out = {row["simulation"] for row in said if row["split"] == "by_simulation"}
     manifest = pq.read_table(evaluated.parent / "sample" / "manifest.parquet").to_pylist()
     trained = {row["simulation"] for row in manifest if row["split_by_simulation"] == "train"}
     assert held_out and not held_out & trained

@@ -33,6 +33,7 @@ from slipstitch.learning.evaluation.scores import (
     SCHEMA,
     details_of_table,
     metrics_of_table,
+    place_in_tables,
     predicts_material_alone,
     read_table,
 )
@@ -278,7 +279,7 @@ def write_evaluation(
     scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
     found = sorted(
         (row for row in table.rows if row["split"] in scored),
-        key=lambda row: order.index(row["split"]),
+        key=lambda row: (order.index(row["split"]), place_in_tables(row["network"])),
     )
     step = settings.friction_step
     metrics = metrics_of_table(found, table.models, step)

@@ -155,7 +155,7 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
         metrics[test] = {}
         by_entry: dict[str, list[str]] = {}
         by_network = grouped(of_test, "network")
-        for network in sorted(by_network, key=_place):
+        for network in sorted(by_network, key=place_in_tables):
             by_entry.setdefault(entries_of(network), []).append(network)
         for name, networks in by_entry.items():
             found = [by_network[network] for network in networks]
@@ -170,8 +170,8 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
     return metrics
 
 
-def _place(network: str) -> int:
-    """Place of a network among the rows of a table: the paper's, probes, instruments."""
+def place_in_tables(network: str) -> int:
+    """Return the place of a network among the rows of a table: the paper's, probes, instruments."""
     order = (MATERIAL, *MODELS.values())
     base = network.removesuffix(ALL_VIEWS)
     if base in order:
