@@ -527,6 +527,9 @@ def test_older_sources_are_not_compared(forger, monkeypatch):
 
     commit = {"git_commit": "ab" * 20, "git_dirty": False, "code_digest": "0" * 64}
     forger.edit_records("*", lambda one: (one["provenance"] or {}).update(commit))
+    forger.edit_records(  # a key of then that is a constant now
+        "simulate/*", lambda one: one["provenance"]["config"]["simulation"].update(former=1)
+    )
     (forger.release / "code/src/slipstitch/dataset").rename(forger.release / "code/src/sample")
     forger.reseal()
     monkeypatch.setattr(staleness, "_extract", older)

@@ -24,7 +24,7 @@ from slipstitch.dataset.release.records import Artefact, carried_file, recorded_
 from slipstitch.dataset.shards import decode, read_shard
 
 # How and beside what it ran; the trajectory's digest is of its times too.
-_OF_THE_RUN = frozenset({"device", "trajectory_sha256"})
+_OF_THE_RUN = frozenset({"device", "simulated_at_once", "trajectory_sha256"})
 
 
 @dataclass(frozen=True)
