@@ -132,11 +132,8 @@ def publish(
     digests = kept | {to: file_digest(path) for to, path in there.items()}
     unscored = _unscored([there.get(name, out / name) for name in SCORES], digests)
     if unscored and not partial:
-        more = f" and {len(unscored) - 1} more" if unscored[1:] else ""
-        raise BadInput(
-            f"{results}: the scores do not include {unscored[0]}{more}; {_AGAIN}, or publish with "
-            "--partial"
-        )
+        lacking = f"the scores do not include {unscored[0]}"
+        raise BadInput(f"{results}: {lacking}; {_AGAIN}, or publish with --partial")
     missing += [SCORES_OF + name for name in unscored]
     with atomic_path(out) as folder:
         record = provenance_record("publish", inputs=there.values(), config=config, started=started)
@@ -204,8 +201,7 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
 
 def _of_further(out: Path) -> list[str]:
     """Files of a published folder that are of datasets of other benches."""
-    files = (path for path in (out / FURTHER).rglob("*") if path.is_file())
-    return [path.relative_to(out).as_posix() for path in files]
+    return [one.relative_to(out).as_posix() for one in (out / FURTHER).rglob("*") if one.is_file()]
 
 
 def _of_run(config: Config) -> Config:
@@ -226,9 +222,8 @@ def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> N
         if (before / name).is_file():
             shutil.copyfile(before / name, folder / name)
     # Records of what is there again, but not published anew, are not those of the published files.
-    origin = read_json(folder / "origin.json").items()
-    renewed = {name: one for name, one in origin if name in anew}
-    write_json(folder / "origin.json", read_json(before / "origin.json") | renewed)
+    origin = {name: one for name, one in read_json(folder / "origin.json").items() if name in anew}
+    write_json(folder / "origin.json", read_json(before / "origin.json") | origin)
 
 
 def _check_target(out: Path, results: Path) -> None:
@@ -280,7 +275,7 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
         except FileNotFoundError:
             raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
         evaluated = {
-            name: one for name, one in inputs.items() if name.endswith((WEIGHTS, MANIFEST))
+            path: one for path, one in inputs.items() if path.endswith((WEIGHTS, MANIFEST))
         }
         others = sorted(name for name, one in evaluated.items() if one not in there.values())
         if others:
@@ -358,10 +353,9 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
 
 def _copy_table(source: Path, to: Path) -> None:
     table = read_parquet(source)
-    schema = pq.read_metadata(source).schema
-    columns = [schema.column(number) for number in range(len(schema))]
-    numbers = [one.path for one in columns if one.physical_type in ("FLOAT", "DOUBLE")]
-    others = [one.path for one in columns if one.path not in numbers]
+    columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
+    numbers = [path for path, kind in columns.items() if kind in ("FLOAT", "DOUBLE")]
+    others = [path for path in columns if path not in numbers]
     pq.write_table(
         table, to, compression="zstd", use_dictionary=others, use_byte_stream_split=numbers
     )

@@ -103,20 +103,7 @@ def crate_text(
         if name not in (SNAKEFILE, CRATE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
     }
     crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
-    for path, artefact in artefacts.items():
-        if path != ".":
-            entities[path] = crate.add(
-                ContextEntity(
-                    crate,
-                    f"#{path}",
-                    {
-                        "@type": "CreativeWork",
-                        "name": path,
-                        "sha256": artefact.sha256,
-                        "subjectOf": {"@id": record_file(path)},
-                    },
-                )
-            )
+    entities |= _between(crate, artefacts)
     actions = [
         _action(crate, artefact, entities)
         for artefact in artefacts.values()
@@ -131,6 +118,26 @@ def crate_text(
     )
     root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
     return json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n"
+
+
+def _between(crate: ROCrate, artefacts: Mapping[str, Artefact]) -> dict[str, ContextEntity]:
+    """Files between the jobs, which the records of the release describe."""
+    return {
+        path: crate.add(
+            ContextEntity(
+                crate,
+                f"#{path}",
+                {
+                    "@type": "CreativeWork",
+                    "name": path,
+                    "sha256": artefact.sha256,
+                    "subjectOf": {"@id": record_file(path)},
+                },
+            )
+        )
+        for path, artefact in artefacts.items()
+        if path != "."
+    }
 
 
 def _organised(crate: ROCrate, main, whole, actions: list):
