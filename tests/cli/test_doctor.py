@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from slipstitch.cli import doctor
 from slipstitch.cli.main import main
 from slipstitch.report import machine_checks as checks
 from slipstitch.report.machine_checks import Diagnosis, Standing
@@ -35,7 +34,7 @@ def test_before_anything_is_installed_it_says_what_is_missing():
 
 def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
     finding = Diagnosis("Blender", Standing.MISSING, "import bpy: no such module", "make setup")
-    monkeypatch.setattr(doctor, "examine", lambda: [finding])
+    monkeypatch.setattr(checks, "examine", lambda: [finding])
     assert main(["doctor"]) == 1
     shown = capsys.readouterr().out
     assert "MISSING Blender" in shown
@@ -43,7 +42,7 @@ def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
 
 
 def test_something_worth_a_note_is_no_failure(monkeypatch):
-    monkeypatch.setattr(doctor, "examine", lambda: [Diagnosis("GPU", Standing.NOTE, "none")])
+    monkeypatch.setattr(checks, "examine", lambda: [Diagnosis("GPU", Standing.NOTE, "none")])
     assert main(["doctor"]) == 0
 
 

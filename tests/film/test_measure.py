@@ -147,10 +147,10 @@ def test_a_stated_start(bench, capsys):
         (["--camera", "no.json"], "no.json: no such file"),
         (["--model", "nowhere"], "nowhere"),
         (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["--threads", "0"], "--threads must be at least 1"),
-        (["--threads", "100000000000"], "--threads: 100000000000: must be at most 1024"),
-        (["--threads", "9" * 5000], "must be at most 1024"),
-        (["--threads", "two"], "--threads: 'two': must be a whole number"),
+        (["--threads", "0"], "'--threads': 0 is not in the range 1<=x<=1024"),
+        (["--threads", "100000000000"], "'--threads': 100000000000 is not in the range"),
+        (["--threads", "9" * 5000], "is not a valid integer"),
+        (["--threads", "two"], "'--threads': 'two' is not a valid integer"),
     ],
 )
 def test_bad_input_is_one_line(bench, capsys, words, problem):

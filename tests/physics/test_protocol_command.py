@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from slipstitch.cli import protocol
+from slipstitch.cli import calibrate
 from slipstitch.cli.main import main
 from slipstitch.physics.experiments.demand import verdict
 from slipstitch.physics.experiments.registry import PROTOCOLS
 
 
 def test_every_experiment_is_listed_and_has_demands():
-    assert set(protocol.NAMES) == set(PROTOCOLS)
+    assert set(calibrate.NAMES) == set(PROTOCOLS)
 
 
 @pytest.mark.parametrize(

@@ -224,7 +224,7 @@ def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp
 
 def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
     assert run("protocol", "slope", "--out", tmp_path / "x.json") == 2
-    assert "choose from 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
+    assert "is not one of 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
 
 
 def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(tmp_path, capfd):

@@ -1,56 +1,53 @@
-"""slipstitch calibrate: compare the simulator with theory before any simulation."""
+"""The simulator against theory: calibration, single experiments, the convergence study."""
 
-import argparse
+import json
+import re
+import sys
 from collections.abc import Mapping
 
-from slipstitch.cli.options import add_config, output_json, output_picture, refuse
+import click
 
-SUMMARY = "choose numerical settings with a pushed strip, and check them against theory"
-EXAMPLE = (
-    "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
-    "--picture results/calibrate/calibration.png"
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.options import (
+    FOLDER,
+    JSON,
+    PARQUET,
+    PICTURE,
+    Arguments,
+    Output,
+    argument,
+    calibration_file,
+    config_files,
+    flag,
+    option,
+    refuse,
+    several,
+    switch,
+    verb,
 )
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add_config(parser, required=False)
-    parser.add_argument(
-        "--out",
-        type=output_json,
-        help="JSON file with settings and checks (with --sweep: its runs)",
-    )
-    parser.add_argument(
-        "--draw", metavar="FILE", help="instead: only draw the plots of this calibration"
-    )
-    parser.add_argument(
-        "--sweep",
-        metavar="KEY",
-        help="only sweep one key: base, time_step_s, vertices, "
-        "friction_tolerance, newton_iterations_max or damping_s",
-    )
-    parser.add_argument("--sweeps", nargs="+", help="files written by --sweep; run now if omitted")
-    parser.add_argument(
-        "--picture", type=output_picture, help="PNG or SVG: the checks, measurements against theory"
-    )
-    parser.add_argument(
-        "--strip-picture",
-        type=output_picture,
-        help="PNG or SVG: slip strain, and shapes of the strip",
-    )
-    parser.add_argument(
-        "--settings-picture", type=output_picture, help="PNG or SVG: errors by numerical setting"
-    )
-    parser.add_argument(
-        "--only-failures",
-        action="store_true",
-        help="draw only if a requirement is not met, as NAME.failed.png",
-    )
-
-
-def run(arguments: argparse.Namespace) -> None:
+@verb(
+    "choose numerical settings with a pushed strip, and check them against theory",
+    "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
+    "--picture results/calibrate/calibration.png",
+)
+@config_files(required=False)
+@option("--out", type=JSON, help="JSON file with settings and checks (with --sweep: its runs)")
+@option("--draw", metavar="FILE", help="instead: only draw the plots of this calibration")
+@option(
+    "--sweep",
+    metavar="KEY",
+    help="only sweep one key: base, time_step_s, vertices, friction_tolerance, "
+    "newton_iterations_max or damping_s",
+)
+@several("--sweeps", help="files written by --sweep; run now if omitted")
+@option("--picture", type=PICTURE, help="PNG or SVG: the checks, measurements against theory")
+@option("--strip-picture", type=PICTURE, help="PNG or SVG: slip strain, and shapes of the strip")
+@option("--settings-picture", type=PICTURE, help="PNG or SVG: errors by numerical setting")
+@switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
+def calibrate(arguments: Arguments) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.base.errors import BadInput
     from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.physics.calibration.calibration import calibrate_to_file
@@ -84,7 +81,20 @@ def run(arguments: argparse.Namespace) -> None:
 
             draw_pictures(pictures, calibration, record, failed)
 
-    calibration = calibrate_to_file(config, arguments.out, arguments.sweeps, draw)
+    sweeps = list(arguments.sweeps) or None
+    _print_calibration(calibrate_to_file(config, arguments.out, sweeps, draw))
+
+
+def _pictures(arguments: Arguments) -> dict[str, str]:
+    wanted = {
+        "checks": arguments.picture,
+        "strip": arguments.strip_picture,
+        "settings": arguments.settings_picture,
+    }
+    return {name: str(path) for name, path in wanted.items() if path}
+
+
+def _print_calibration(calibration: Mapping) -> None:
     for trial in calibration["strip"]["trials"]:
         print(_trial_line(trial, calibration["strip"]["chosen"]))
     for check in calibration["checks"]:
@@ -95,15 +105,6 @@ def run(arguments: argparse.Namespace) -> None:
             f"allowed {check['demand']:.2e}{unit}"
         )
     print(f"{len(calibration['checks'])} checks met")
-
-
-def _pictures(arguments: argparse.Namespace) -> dict[str, str]:
-    given = {
-        "checks": arguments.picture,
-        "strip": arguments.strip_picture,
-        "settings": arguments.settings_picture,
-    }
-    return {name: path for name, path in given.items() if path}
 
 
 def _trial_line(trial: dict, chosen: dict) -> str:
@@ -120,3 +121,168 @@ def _trial_line(trial: dict, chosen: dict) -> str:
         f"strip with {describe(trial):<32} {strain}, {trial['wrong_regimes']} of "
         f"{len(trial['runs'])} regimes wrong, {trial['cpu_s']:.1f} CPU s: {verdict}"
     )
+
+
+NAMES = (
+    "incline",
+    "tilt",
+    "flat-drag",
+    "strip-drag",
+    "strip",
+    "landed-strip",
+    "cantilever",
+    "lateral-buckling",
+    "capstan",
+)
+OPTIONS = (
+    "friction",
+    "slope_deg",
+    "static_kinetic",
+    "gravity_length_m",
+    "gamma",
+    "strain",
+    "width_over_length",
+    "wrap_deg",
+    "vertices",
+)
+
+
+@verb(
+    "run a known-answer experiment in the simulator and compare it with theory",
+    "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json",
+)
+@argument("name", metavar="NAME", type=click.Choice(NAMES), help=", ".join(NAMES))
+@option("--out", type=JSON, required=True, help="JSON file with measured and theoretical values")
+@option("--friction", type=float, help="friction coefficient")
+@option("--slope-deg", type=float, help="incline: slope in degrees")
+@option(
+    "--static-kinetic",
+    type=float,
+    help="tilt: static coefficient over the kinetic, less 1 (default 0)",
+)
+@option(
+    "--gravity-length-m",
+    type=float,
+    help="strip-drag, landed-strip: (B/w)^(1/3), in m (default 0.02)",
+)
+@option("--vertices", type=int, help="strip, landed-strip, strip-drag: vertices along it")
+@option("--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B")
+@option("--strain", type=float, help="strip: displacement of the push, relative to its length")
+@option(
+    "--width-over-length", type=float, help="lateral-buckling: width of the strip over its length"
+)
+@option("--wrap-deg", type=float, help="capstan: contact angle in degrees")
+@option("--time-step", type=float, metavar="S", help="time step in s")
+def protocol(arguments: Arguments) -> int:
+    """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
+    from slipstitch.config.load import resolve_config
+    from slipstitch.physics.experiments.registry import run_protocol_to_file
+
+    options = {name: getattr(arguments, name) for name in OPTIONS}
+    options = {name: value for name, value in options.items() if value is not None}
+    if arguments.slope_deg is not None and not arguments.slope_deg < 90:
+        raise BadInput(f"--slope-deg {arguments.slope_deg:g}: must be below 90")
+    asked = {"time_step_s": arguments.time_step}
+    if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
+        asked["vertices_per_side"] = options.pop("vertices", None)
+    overrides = {key: value for key, value in asked.items() if value is not None}
+    settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
+    try:
+        result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
+    except BadInput as error:
+        raise BadInput(_with_flags(str(error))) from None
+    # Curves and histories are in the file only.
+    numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
+    print(json.dumps(numbers, indent=1))
+    for key, demand in result["demands"].items():
+        print(_demand_line(key, demand), file=sys.stderr)
+    return 0 if result["passed"] else 1
+
+
+def _with_flags(message: str) -> str:
+    """A message with the options called as on the command line."""
+    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: flag(m[0]), message)
+
+
+def _demand_line(key: str, demand: dict) -> str:
+    shown = "passed" if demand["met"] else "FAILED"
+    if demand["error"] is None:
+        return f"{shown}: {key} is not theory's"
+    scale, unit = (100.0, " %") if demand["relative"] else (1.0, "")
+    off, allowed = scale * demand["error"], scale * demand["allowed"]
+    difference = f"differs from theory by {off:.2g}{unit}, allowed {allowed:g}{unit}"
+    return f"{shown}: {key} {difference}"
+
+
+@click.group(hidden=True)
+def convergence() -> None:
+    """Simulate the cases of the convergence study, compare them, publish the results."""
+
+
+@verb(
+    "simulate one case",
+    "slipstitch convergence run --config config.yaml --case m05_f0300_n41_h2 "
+    "--out results/convergence/runs/m05_f0300_n41_h2.parquet",
+    parent=convergence,
+)
+@config_files()
+@calibration_file()
+@option("--case", required=True, help="id of the case, e.g. m05_f0300_n41_h2")
+@option("--out", type=PARQUET, required=True, help="Parquet file, one row per frame")
+def run(arguments: Arguments) -> None:
+    """Simulate and write; print the cost."""
+    from slipstitch.config import load_config
+    from slipstitch.physics.convergence.case_run import simulate_case
+
+    config = load_config(*arguments.config, calibration=arguments.calibration)
+    done, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
+    print(f"{arguments.out}: {cpu_s:.1f} CPU s, {done.metadata['solver']}")
+
+
+@verb(
+    "compare the cases that were run",
+    "slipstitch convergence compare --config config.yaml --runs results/convergence/runs "
+    "--out results/convergence/convergence.json",
+    parent=convergence,
+)
+@config_files()
+@calibration_file()
+@option("--runs", required=True, help="folder with the files of the cases")
+@option("--out", type=JSON, required=True, help="JSON file")
+@option("--picture", type=Output(".png"), help="PNG file")
+def compare(arguments: Arguments) -> None:
+    """Compare and write; print one line per fabric, coefficient and kind of refinement."""
+    from slipstitch.config import load_config
+    from slipstitch.physics.convergence.study_files import compare_cases
+
+    config = load_config(*arguments.config, calibration=arguments.calibration)
+    study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
+    if study["missing"]:
+        print(f"not run, so not compared: {', '.join(study['missing'])}", file=sys.stderr)
+    for row in study["summary"]:
+        for kind in ("time_step", "mesh"):
+            if row[kind] is not None:
+                print(
+                    f"{row['material']:<20} friction {row['friction']:<4g} {kind:<10} "
+                    f"mean {1e3 * row[kind]['mean_m']:7.3f} mm, "
+                    f"at the worst time {1e3 * row[kind]['mean_largest_m']:6.2f} mm, "
+                    f"worst vertex {1e3 * row[kind]['worst_m']:7.2f} mm, "
+                    f"shifted mean {1e3 * row[kind]['shifted_mean_m']:7.3f} mm, "
+                    f"events up to {row[kind]['event_shift_s']:.2f} s apart: {row[kind]['verdict']}"
+                )
+
+
+@verb(
+    "copy a finished study to the published results and its summary to the package",
+    "slipstitch convergence publish --study results/convergence/convergence.json",
+    parent=convergence,
+)
+@option("--study", default="results/convergence/convergence.json", show_default=True)
+@option("--out", type=FOLDER, default="results/published/convergence", help="folder")
+def publish(arguments: Arguments) -> None:
+    """Copy; print where to."""
+    from slipstitch.physics.convergence.study_files import publish as publish_study
+    from slipstitch.physics.simulation.convergence import MEASURED
+
+    count = publish_study(arguments.study, arguments.out)
+    print(f"{arguments.out}, {MEASURED.name}: {count} cases")

@@ -1,37 +1,341 @@
-"""slipstitch capture: what is measured on a real bench; each kind is a word after the verb."""
+"""What is measured on a real bench: camera, videos, reference friction; and surrogates of it."""
 
-import argparse
-import importlib
+import sys
+from functools import partial
 
-SUMMARY = "process measurements from a real bench: camera, videos, reference friction"
-EXAMPLE = (
+import click
+
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.options import (
+    FOLDER,
+    JSON,
+    PATH,
+    PICTURE,
+    TABLE,
+    Arguments,
+    Output,
+    argument,
+    config_files,
+    exactly_one,
+    flag,
+    option,
+    refuse,
+    require,
+    trained_instrument,
+    verb,
+)
+
+CAMERA_EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
     "--place-mm 50 -60 --out camera.json --picture camera.png board/*.png"
 )
 
 
-KINDS = ("camera", "check", "ingest", "reference", "surrogate", "trace")
+class _Captures(click.Group):
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write(f"\nexample:\n  {CAMERA_EXAMPLE}\n")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare what can be captured, each with its own options."""
-    kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
-    for name in KINDS:
-        module = _module(name)
-        verb = kinds.add_parser(
-            name,
-            help=module.SUMMARY,
-            description=module.SUMMARY,
-            epilog=f"example:\n  {module.EXAMPLE}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+@click.group(
+    cls=_Captures,
+    short_help="process measurements from a real bench: camera, videos, reference friction",
+    subcommand_metavar="WHAT [options]",
+)
+def capture() -> None:
+    """Process measurements from a real bench: camera, videos, reference friction."""
+
+
+@verb(
+    "calibrate a camera from images or a video of a checkerboard or ChArUco board",
+    CAMERA_EXAMPLE,
+    parent=capture,
+)
+@argument(
+    "views", nargs=-1, type=PATH, metavar="[FILE...]", help="images of the board, or one video"
+)
+@option(
+    "--from",
+    "source",
+    type=PATH,
+    metavar="FILE",
+    help="take the lens from a calibration of OpenCV (YAML, XML, JSON) or ROS (camera_info) "
+    "in place of images of the board",
+)
+@option(
+    "--board",
+    type=click.Choice(("checkerboard", "charuco")),
+    default="checkerboard",
+    show_default=True,
+)
+@option("--squares", metavar="MxN", help="number of squares along the board's width and height")
+@option("--square-mm", type=float, help="side length of a square")
+@option("--marker-mm", type=float, help="ChArUco: side length of a marker")
+@option(
+    "--dictionary", help="ChArUco: OpenCV's name of the marker dictionary (default: DICT_5X5_100)"
+)
+@option(
+    "--stage-view",
+    type=PATH,
+    metavar="IMAGE",
+    help="image of the board flat on the floor, from the camera's position on the bench; "
+    "without it the file lacks the camera's position and cannot be used for rendering",
+)
+@option(
+    "--place-mm",
+    nargs=2,
+    type=float,
+    metavar="X Y",
+    help="position of the board's first corner in that image, in the stage's coordinates",
+)
+@option(
+    "--angle-deg",
+    type=float,
+    help="angle from the stage's direction to the board's width, counter-clockwise from above",
+)
+@option(
+    "--thickness-mm", type=float, help="height of the board's face above the floor (default: 0)"
+)
+@option("--out", required=True, type=JSON, metavar="FILE", help="camera file")
+@option("--picture", type=PICTURE, metavar="FILE", help="the residuals (PNG or SVG)")
+def camera(arguments: Arguments) -> None:
+    """Calibrate, write the camera file and the picture, print the result in one line."""
+    from slipstitch.film.calibration_files import calibrate_to_file, import_to_file
+    from slipstitch.film.stage_pose import FloorPlace
+
+    for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
+        value = getattr(arguments, name)
+        if value is None:
+            continue
+        require(arguments, ["stage_view"], flag(name))
+        for one in value if isinstance(value, tuple) else [value]:
+            if not abs(one) <= most:
+                raise BadInput(f"{flag(name)}: {one:g}; must be from {-most} to {most}")
+    if bool(arguments.source) == bool(arguments.views):
+        raise BadInput("give images of the board, or the calibration of another program by --from")
+    if arguments.source:
+        refuse(arguments, ("picture",), "--from")
+    board = _board(arguments)
+    x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
+    place = FloorPlace(x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0)
+    stage_view, out, views = arguments.stage_view, arguments.out, list(arguments.views)
+    if board and views:
+        line = calibrate_to_file(board, views, stage_view, place, out, arguments.picture)
+    else:
+        line = import_to_file(arguments.source, board, stage_view, place, out)
+    print(f"{arguments.out}: {line}")
+
+
+def _board(arguments: Arguments):
+    """The board, None where no image shows one."""
+    from slipstitch.film.board import Board
+
+    is_board_seen = bool(arguments.views or arguments.stage_view)
+    if is_board_seen:
+        require(arguments, ["squares", "square_mm"], "an image of a board")
+    if arguments.board == "checkerboard":
+        refuse(arguments, ("dictionary",), "--board checkerboard")
+    if not is_board_seen:
+        return None
+    return Board.named(
+        arguments.board,
+        arguments.squares,
+        arguments.square_mm,
+        arguments.marker_mm,
+        arguments.dictionary or "DICT_5X5_100",
+    )
+
+
+# As for an alarm: a result, but not a usable one.
+OUTSIDE_EXIT_CODE = 3
+
+
+@verb(
+    "check whether a camera sees the track, from a pose in the training range of an instrument",
+    "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
+    "--picture check.png",
+    parent=capture,
+)
+@argument(
+    "camera",
+    type=PATH,
+    metavar="CAMERA.json",
+    help="camera file written by slipstitch capture camera",
+)
+@trained_instrument
+@option("--picture", type=PICTURE, metavar="FILE", help="PNG or SVG")
+def check(arguments: Arguments) -> int:
+    """Compare, draw, print; exit code 3 if the camera cannot be used."""
+    from slipstitch.base.page.figures import save_figure
+    from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
+    from slipstitch.film.measure.camera_check import check_camera, check_figure
+
+    started = start_clock()
+    found = check_camera(arguments.camera, arguments.model, arguments.config)
+    if arguments.picture:
+        record = provenance_record("measure", inputs=found.read, started=started)
+        with recorded_path(arguments.picture, record) as temporary:
+            save_figure(check_figure(found), temporary, arguments.picture.suffix[1:])
+    for line in found.lines():
+        print(line)
+    return OUTSIDE_EXIT_CODE if found.outside else 0
+
+
+@verb(
+    "convert videos of a bench to the format of the dataset: synchronised, rectified, cropped",
+    "slipstitch capture ingest bench/captures.csv --config results/config.json "
+    "--reference bench/reference.csv --out-dir results/captures/dataset",
+    parent=capture,
+)
+@argument(
+    "table",
+    type=PATH,
+    metavar="CAPTURES.csv",
+    help="columns video, material, substrate, repeat, mu_ref, mu_ref_error, reflective (yes or "
+    "no), camera; optional: start_s, frame_rate_hz; paths are relative to its folder",
+)
+@config_files("configuration of the dataset the networks were trained on", one_each=True)
+@option(
+    "--reference",
+    type=PATH,
+    metavar="FILE",
+    help="file written by slipstitch capture reference, for rows with an empty mu_ref",
+)
+@option("--out-dir", required=True, type=FOLDER, help="folder for the dataset")
+def ingest(arguments: Arguments) -> None:
+    """Ingest all videos of the table; say of each where it starts."""
+    from slipstitch.base.progress import progress
+    from slipstitch.config import load_config
+    from slipstitch.film.ingest_videos import ingest as ingest_table
+
+    bar = partial(progress, unit="video")
+    config = load_config(*arguments.config)
+    rows = ingest_table(config, arguments.table, arguments.out_dir, arguments.reference, bar)
+    for row in rows:
+        how = "found" if row["start_found"] else "stated"
+        print(
+            f"{row['video']}: {row['material']} on {row['substrate']}, repeat {row['repeat']}; "
+            f"the stage starts at {row['start_s']:.3f} s ({how})"
         )
-        module.configure(verb)
+        if row["notes"]:
+            print(f"{row['video']}: {row['notes']}", file=sys.stderr)
+    pairs = {row["pair"] for row in rows}
+    print(f"{arguments.out_dir}: {len(rows)} videos of {len(pairs)} pairs")
 
 
-def run(arguments: argparse.Namespace) -> int | None:
-    """Run the one that was asked for; its exit code."""
-    return _module(arguments.kind).run(arguments)
+@verb(
+    "compute the friction of each fabric and substrate from slip angles on an inclined plane",
+    "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
+    "--json bench/reference.json --picture bench/reference.svg",
+    parent=capture,
+)
+@argument(
+    "table",
+    type=PATH,
+    metavar="ANGLES.csv",
+    help="columns material, substrate, position, orientation, repeat, angle_deg, "
+    "bench_error_deg (the largest error of the bench's angle)",
+)
+@option("--out", required=True, type=TABLE, metavar="FILE", help="CSV, one row per pair")
+@option("--json", type=JSON, metavar="FILE", help="JSON with all details")
+@option("--picture", type=PICTURE, metavar="FILE", help="PNG or SVG")
+def reference(arguments: Arguments) -> None:
+    """Estimate, write, print one line per pair."""
+    from slipstitch.film.reference.reference_files import reference_to_files
+
+    for pair in reference_to_files(
+        arguments.table, arguments.out, arguments.json, arguments.picture
+    ):
+        print(_pair_line(pair))
 
 
-def _module(kind: str):
-    return importlib.import_module(f"slipstitch.cli.capture_{kind}")
+def _pair_line(pair) -> str:
+    parts = [f"{pair.material} on {pair.substrate}: {pair.mu:.3f} ± {pair.error:.3f}"]
+    for kind, means, p in (
+        ("positions", pair.by_position, pair.position_p),
+        ("orientations", pair.by_orientation, pair.orientation_p),
+    ):
+        if p is None:
+            parts.append(f"{kind}: one only" if len(means) == 1 else f"{kind}: cannot be compared")
+        else:
+            differ = "differ" if p < 0.05 else "do not differ significantly"
+            values = ", ".join(f"{name} {mean:.3f}" for name, (mean, _) in means.items())
+            parts.append(f"{len(means)} {kind} {differ} (p = {p:.2g}: {values})")
+    return "; ".join(parts)
+
+
+@verb(
+    "generate surrogate captures: simulated videos, labelled as surrogates",
+    "slipstitch capture surrogate --config results/config.json --film c00_r01 "
+    "--out results/captures/bench/c00_r01.mp4",
+    parent=capture,
+)
+@config_files()
+@option(
+    "--bench",
+    type=FOLDER,
+    metavar="DIR",
+    help="folder for the camera files, slip_angles.csv and captures.csv",
+)
+@option("--film", metavar="ID", help="instead: simulate and render one video, c00_r01 ...")
+@option("--out", type=Output(".mp4"), metavar="FILE", help="with --film: the video (MP4)")
+def surrogate(arguments: Arguments) -> None:
+    """Write the bench's tables, or one film."""
+    from slipstitch.config import load_config
+
+    mode = exactly_one(arguments, "bench", "film")
+    config = load_config(*arguments.config)
+    if mode == "bench":
+        if arguments.out:
+            raise BadInput("--out requires --film")
+        from slipstitch.film.surrogate_bench import write_bench
+
+        write_bench(config, arguments.bench)
+        print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
+        return
+    from slipstitch.base.progress import progress
+    from slipstitch.film.surrogate_bench import find_film
+    from slipstitch.film.surrogate_film import make_film
+
+    if not arguments.out:
+        raise BadInput("--film requires --out FILE.mp4")
+    film = find_film(config, arguments.film)
+    count = make_film(config, film, arguments.out, partial(progress, unit="frame"))
+    print(
+        f"{arguments.out}: {count} frames, {film.pair.material} on {film.pair.substrate}, "
+        f"repeat {film.repeat} (surrogate)"
+    )
+
+
+@verb(
+    "import the export of a testing machine as the trace of a case",
+    "slipstitch capture trace export.csv --columns time=Zeit,force=Standardkraft --units N "
+    "--out cases/linen-on-glass/spring_slider/t00.csv",
+    parent=capture,
+)
+@argument(
+    "file", type=PATH, metavar="FILE", help="CSV of one run; lines above the names are left out"
+)
+@option(
+    "--columns",
+    required=True,
+    metavar="KIND=NAME,...",
+    help="names of the file's columns of time, force (or force_x, force_y) and extension",
+)
+@option(
+    "--units",
+    default="",
+    metavar="UNIT,...",
+    help="of the force (mN, N, kN, cN, gf, kgf, lbf) and, where they are not s and mm, of time "
+    "and extension; a row of units in the file must say the same",
+)
+@option("--out", required=True, type=TABLE, metavar="FILE", help="CSV of a case")
+def trace(arguments: Arguments) -> None:
+    """Import, write, say what was read."""
+    from slipstitch.criticise.trace_import import import_trace
+
+    pairs = [part.partition("=") for part in arguments.columns.split(",")]
+    columns = {kind.strip(): name.strip() for kind, _, name in pairs}
+    if not all(columns.values()) or len(columns) < len(pairs):
+        raise BadInput("--columns: must be KIND=NAME,KIND=NAME, each kind once")
+    units = tuple(unit for unit in arguments.units.split(",") if unit)
+    print(f"{arguments.out}: {import_trace(arguments.file, columns, units, arguments.out)}")

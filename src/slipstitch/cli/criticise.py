@@ -1,85 +1,85 @@
-"""slipstitch criticise: find what the model gets wrong in measured data, and why."""
+"""Measured data: what the model gets wrong in them, and predictions of a new case."""
 
-import argparse
 import sys
 from pathlib import Path
 
-from slipstitch.cli.options import check_at_least, output_json, output_named, refuse
+import click
 
-SUMMARY = "find what the friction model gets wrong in a measured case, and why"
-EXAMPLE = "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
-    parser.add_argument(
-        "case", metavar="CASE_DIR", help="folder of one case (docs/criticise-your-data.md)"
-    )
-    parser.add_argument(
-        "--out", type=output_json, required=True, metavar="FILE", help="verdict as JSON"
-    )
-    parser.add_argument(
-        "--report",
-        type=output_named(".html", ".md"),
-        metavar="FILE",
-        help="the verdict as an HTML page, or as Markdown without pictures",
-    )
-    parser.add_argument(
-        "--picture", type=output_named(".svg"), metavar="FILE", help="plot of the residuals, as SVG"
-    )
-    parser.add_argument(
-        "--model",
-        type=output_named(".yaml", ".yml"),
-        metavar="FILE",
-        help="the extended model as YAML",
-    )
-    parser.add_argument(
-        "--resimulate",
-        type=output_json,
-        metavar="FILE",
-        help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
-        "simulator (about a second per run), each with models found without its specimen; errors "
-        "and gain as JSON, and on the page",
-    )
-    parser.add_argument(
-        "--validate",
-        metavar="NEW_CASE",
-        help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest) and "
-        "score it with the measured values (OUT.validation.json); a prediction locked earlier is "
-        "kept, and a case without measured values is only predicted",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the simulated maxima (default 1)"
-    )
-    parser.add_argument(
-        "--power",
-        action="store_true",
-        help="power analysis of a design before the measurement: only run tables are read; --out "
-        "contains the smallest detectable effect of every mechanism",
-    )
-    parser.add_argument(
-        "--replicates",
-        type=int,
-        default=300,
-        help="simulated data sets for each family-wise p (default 300)",
-    )
-    parser.add_argument(
-        "--campaigns",
-        type=int,
-        default=0,
-        help="simulate the rate of false alarms with as many campaigns of this design, noise and "
-        "scatter that hold nothing (each as long as the criticism itself; default 0: only the "
-        "limit is stated)",
-    )
+from slipstitch.cli.options import (
+    JSON,
+    TABLE,
+    Arguments,
+    Output,
+    argument,
+    option,
+    refuse,
+    switch,
+    verb,
+)
 
 
-def run(arguments: argparse.Namespace) -> int:
+@verb(
+    "find what the friction model gets wrong in a measured case, and why",
+    "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html",
+)
+@argument("case", metavar="CASE_DIR", help="folder of one case (docs/criticise-your-data.md)")
+@option("--out", type=JSON, required=True, metavar="FILE", help="verdict as JSON")
+@option(
+    "--report",
+    type=Output(".html", ".md"),
+    metavar="FILE",
+    help="the verdict as an HTML page, or as Markdown without pictures",
+)
+@option("--picture", type=Output(".svg"), metavar="FILE", help="plot of the residuals, as SVG")
+@option("--model", type=Output(".yaml", ".yml"), metavar="FILE", help="the extended model as YAML")
+@option(
+    "--resimulate",
+    type=JSON,
+    metavar="FILE",
+    help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
+    "simulator (about a second per run), each with models found without its specimen; errors "
+    "and gain as JSON, and on the page",
+)
+@option(
+    "--validate",
+    metavar="NEW_CASE",
+    help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest) and "
+    "score it with the measured values (OUT.validation.json); a prediction locked earlier is "
+    "kept, and a case without measured values is only predicted",
+)
+@option(
+    "--seed",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="seed of the simulated maxima",
+)
+@switch(
+    "--power",
+    "power analysis of a design before the measurement: only run tables are read; --out "
+    "contains the smallest detectable effect of every mechanism",
+)
+@option(
+    "--replicates",
+    type=click.IntRange(50),
+    default=300,
+    show_default=True,
+    help="simulated data sets for each family-wise p",
+)
+@option(
+    "--campaigns",
+    type=click.IntRange(0),
+    default=0,
+    help="simulate the rate of false alarms with as many campaigns of this design, noise and "
+    "scatter that hold nothing (each as long as the criticism itself; default 0: only the "
+    "limit is stated)",
+)
+def criticise(arguments: Arguments) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import criticise_to_files
 
-    check_at_least(arguments, seed=0, replicates=50, campaigns=0)
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
         refuse(arguments, ignored, "--power")
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     print(line)
     if arguments.validate:
-        _validate(Path(arguments.out), Path(arguments.validate))
+        _validate(arguments.out, Path(arguments.validate))
     return 0
 
 
@@ -126,3 +126,28 @@ def _validate(out: Path, case: Path) -> None:
     found = score(case, prediction, record)
     write_json(out.with_suffix(".validation.json"), found)
     print(score_words(found))
+
+
+@verb(
+    "predict a new case with the null and the extended model of a verdict",
+    "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv",
+)
+@argument("verdict", metavar="VERDICT", help="JSON written by slipstitch criticise")
+@argument(
+    "case", metavar="CASE_DIR", help="folder of the new case; its measured values are ignored"
+)
+@option("--out", type=TABLE, required=True, metavar="FILE", help="predictions as CSV")
+def predict(arguments: Arguments) -> None:
+    """Write one line per run and quantity."""
+    from slipstitch.base.progress import note
+    from slipstitch.base.provenance import atomic_path
+    from slipstitch.criticise.case import read_case
+    from slipstitch.criticise.prediction.predictive import predictions, read_verdict
+
+    verdict = read_verdict(Path(arguments.verdict))
+    case = read_case(arguments.case, with_measurements=False)
+    note(*case.notes)
+    table = predictions(verdict, case)
+    with atomic_path(arguments.out) as temporary:
+        table.to_csv(temporary, index=False)
+    print(f"{len(table)} predictions written to {arguments.out}")

@@ -1,105 +1,83 @@
-"""The command line: ``slipstitch VERB ...``; each verb is a module in this package.
+"""The command line: ``slipstitch VERB ...``; each module of this package holds a few verbs.
 
-A verb's module is imported only when that verb runs: ``slipstitch --help`` stays fast and works
-even without bpy or torch. The summaries are read from the sources, not by importing.
-A verb has ``SUMMARY``, ``EXAMPLE``, ``configure(parser)`` and ``run(arguments)``, which may return
-an exit code.
+A verb's module is imported only when that verb, or the overview, needs it, and the module imports
+its wing only when the verb runs: ``slipstitch --help`` stays fast and works without bpy or torch.
 """
 
-import argparse
-import ast
 import difflib
 import importlib
 import os
 import resource
 import sys
-from pathlib import Path
-from typing import NoReturn
+
+import click
 
 from slipstitch import __version__
 from slipstitch.base.errors import BadInput, SlipstitchError, refused_by_the_machine
 from slipstitch.base.threads import use_one_thread
-from slipstitch.cli.options import refuse_overwriting
 
-# In the order of the chain.
-VERBS = (
-    "doctor",
-    "init",
-    "calibrate",
-    "simulate",
-    "render",
-    "sample",
-    "train",
-    "instrument",
-    "evaluate",
-    "ablate",
-    "report",
-    "status",
-    "publish",
-    "release",
-    "audit",
-    "capture",
-    "measure",
-    "criticise",
-    "predict",
-    "protocol",
-)
+# Verb -> its module, in the order of the chain.
+VERBS = {
+    "doctor": "project",
+    "init": "project",
+    "calibrate": "calibrate",
+    "simulate": "simulate",
+    "render": "render",
+    "sample": "dataset",
+    "train": "learning",
+    "instrument": "learning",
+    "evaluate": "learning",
+    "ablate": "learning",
+    "report": "report",
+    "status": "project",
+    "publish": "report",
+    "release": "dataset",
+    "audit": "audit",
+    "capture": "capture",
+    "measure": "measure",
+    "criticise": "criticise",
+    "predict": "criticise",
+    "protocol": "calibrate",
+}
 # Only called by the workflow and the Makefile; hidden.
-WORKFLOW_VERBS = ("grid", "convergence", "schema")
+WORKFLOW_VERBS = {"grid": "project", "convergence": "calibrate", "schema": "project"}
 
 # Bytes; mostly for the libraries of Blender, Warp and PyTorch, even if unused.
 LEAST_ADDRESS_SPACE = 2 * 2**30
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that reports bad usage in one line instead of the whole usage."""
+class _Verbs(click.Group):
+    """All verbs, each imported when it is asked for."""
 
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
 
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        module = (VERBS | WORKFLOW_VERBS).get(cmd_name)
+        if module is None:
+            return None
+        return getattr(importlib.import_module(f"slipstitch.cli.{module}"), cmd_name)
 
-def summary(verb: str) -> str:
-    """The verb's ``SUMMARY``, read from its source without importing it."""
-    source = Path(__file__).with_name(f"{verb}.py").read_text(encoding="utf-8")
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.Assign) and any(
-            isinstance(target, ast.Name) and target.id == "SUMMARY" for target in node.targets
-        ):
-            return str(ast.literal_eval(node.value))
-    return ""
-
-
-def _overview() -> str:
-    width = max(map(len, VERBS))
-    lines = [f"  {verb:<{width}}  {summary(verb)}" for verb in VERBS]
-    return "\n".join(
-        [
-            "usage: slipstitch VERB [options]",
-            "",
-            "Measure the friction coefficient of cloth from video.",
-            "",
-            "verbs:",
-            *lines,
-            "",
-            "slipstitch VERB --help shows a verb's options and an example;",
-            "snakemake --cores 2 all runs the whole chain.",
-        ]
-    )
+    def resolve_command(self, ctx: click.Context, args: list[str]):
+        if args[0] not in VERBS | WORKFLOW_VERBS:
+            close = difflib.get_close_matches(args[0], VERBS, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(VERBS)}"
+            raise click.UsageError(f"unknown verb {args[0]!r}; {hint}", ctx)
+        return super().resolve_command(ctx, args)
 
 
-def _parser(verb: str, module) -> argparse.ArgumentParser:
-    example = getattr(module, "EXAMPLE", "")
-    parser = _Parser(
-        prog=f"slipstitch {verb}",
-        description=getattr(module, "SUMMARY", ""),
-        epilog=f"example:\n  {example}" if example else None,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    module.configure(parser)
-    return parser
+program = _Verbs(
+    "slipstitch",
+    help="Measure the friction coefficient of cloth from video.",
+    epilog="slipstitch VERB --help shows a verb's options and an example; "
+    "snakemake --cores 2 all runs the whole chain.",
+    subcommand_metavar="VERB [options]",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+click.version_option(__version__, prog_name="slipstitch", message="%(prog)s %(version)s")(program)
 
 
-def _one_line(error: BaseException) -> str:
+def _one_line(error: BaseException | str) -> str:
     """The message of an error as one printable line."""
     words = " ".join(str(error).split()) or type(error).__name__
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
@@ -128,6 +106,17 @@ def _say_cpu_time() -> None:
     print(f"CPU time: {sum(os.times()[:4]) + cpu_s:.2f} s", file=sys.stderr)
 
 
+def _run(words: list[str]) -> int:
+    """Parse, run; the verb's exit code."""
+    with program.make_context("slipstitch", words) as context:
+        _refuse_tight_memory()
+        status = program.invoke(context)
+        sys.stdout.flush()
+        if "SLIPSTITCH_CPU_TIME" in os.environ:  # a job of the workflow: for its log
+            _say_cpu_time()
+        return int(status or 0)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb.
 
@@ -139,7 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0 success, 2 bad input, 1 anything else. Unexpected exceptions are
+        0 success, 2 bad input, 3 an alarm, 1 anything else. Unexpected exceptions are
         raised: their traceback reports a bug. Errors of the machine (disk, memory,
         permission) are reported in one line, too.
     """
@@ -147,50 +136,39 @@ def main(arguments: list[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
-    if not words or words[0] in ("-h", "--help"):
-        print(_overview(), file=sys.stdout if words else sys.stderr)
-        return 0 if words else 2
-    if words[0] == "--version":
-        print(f"slipstitch {__version__}")
-        return 0
-    verb = words[0]
-    if verb not in VERBS + WORKFLOW_VERBS:
-        close = difflib.get_close_matches(verb, VERBS, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"verbs: {', '.join(VERBS)}"
-        print(f"slipstitch: error: unknown verb {verb!r}; {hint}", file=sys.stderr)
-        return 2
+    called = f"slipstitch {words[0]}" if words else "slipstitch"
     use_one_thread()
     try:
-        module = importlib.import_module(f"slipstitch.cli.{verb}")
-        parser = _parser(verb, module)
-        parsed = parser.parse_args(words[1:])
-        refuse_overwriting(parser, parsed)
-        _refuse_tight_memory()
-        status = module.run(parsed)
-        sys.stdout.flush()
-        if "SLIPSTITCH_CPU_TIME" in os.environ:  # a job of the workflow: for its log
-            _say_cpu_time()
-        return int(status or 0)
-    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
-        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+        return _run(words)
+    except click.exceptions.Exit as stop:  # --help, --version
+        return stop.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else called
+        message = _one_line(error.format_message())
+        hint = "" if path == "slipstitch" else f" (see {path} --help)"
+        print(f"{path}: error: {message}{hint}", file=sys.stderr)
+        return 2
     except BadInput as error:
-        print(f"slipstitch {verb}: error: {_one_line(error)}", file=sys.stderr)
+        print(f"{called}: error: {_one_line(error)}", file=sys.stderr)
         return 2
     except SlipstitchError as error:
-        print(f"slipstitch {verb}: failed: {_one_line(error)}", file=sys.stderr)
+        print(f"{called}: failed: {_one_line(error)}", file=sys.stderr)
         return 1
     except BrokenPipeError:  # `slipstitch ... | head`: not an error, and nothing left to flush to
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        print(f"slipstitch {verb}: interrupted", file=sys.stderr)
+        print(f"{called}: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
         refused = refused_by_the_machine(error)
         if refused is None:
             raise
-        reason = _one_line(SlipstitchError(refused))
-        print(f"slipstitch {verb}: failed: {reason}; no partial output is left", file=sys.stderr)
+        reason = _one_line(refused)
+        print(f"{called}: failed: {reason}; no partial output is left", file=sys.stderr)
         return 1
 
 

@@ -1,98 +1,113 @@
-"""slipstitch measure: friction with its error bar from videos of one pair."""
+"""Friction with its error bar from videos of one pair."""
 
-import argparse
-from pathlib import Path
+import math
 
+from slipstitch.base.errors import BadInput
 from slipstitch.cli.options import (
-    add_instrument,
-    add_threads,
-    check_at_least,
+    JSON,
+    PAGE,
+    PATH,
+    TABLE,
+    Arguments,
+    argument,
     flag,
-    output_json,
-    output_page,
-    output_table,
+    option,
+    switch,
+    thread_count,
+    trained_instrument,
+    verb,
 )
-
-SUMMARY = "measure the friction coefficient in a video, with an error bar, the fabric and an alarm"
-EXAMPLE = "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "videos",
-        nargs="*",
-        type=Path,
-        metavar="VIDEO",
-        help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
-        "measured individually and together",
-    )
-    parser.add_argument(
-        "--example",
-        action="store_true",
-        help="measure the video that comes with Slipstitch: a simulated one, not a real one",
-    )
-    parser.add_argument(
-        "--camera",
-        type=Path,
-        metavar="FILE",
-        help="camera file written by slipstitch capture camera, with the camera's position at "
-        "the stage",
-    )
-    add_instrument(parser)
-    parser.add_argument(
-        "--out", type=output_page, metavar="FILE", help="write the result as an HTML page"
-    )
-    parser.add_argument(
-        "--json", type=output_json, metavar="FILE", help="write all numbers as JSON"
-    )
-    parser.add_argument(
-        "--csv", type=output_table, metavar="FILE", help="write a table, one row per video"
-    )
-    parser.add_argument(
-        "--start-s",
-        type=float,
-        metavar="S",
-        help="start of the stage's motion in the video (default: found in the frames)",
-    )
-    parser.add_argument(
-        "--frame-rate-hz",
-        type=float,
-        metavar="HZ",
-        help="frame rate of the camera, if the file's timestamps are wrong",
-    )
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="measure, with an alarm, even if the pose of the camera is outside the training range",
-    )
-    add_threads(parser, default=2)
-
 
 # A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
 
 
-def run(arguments: argparse.Namespace) -> int:
+@verb(
+    "measure the friction coefficient in a video, with an error bar, the fabric and an alarm",
+    "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html",
+)
+@argument(
+    "videos",
+    nargs=-1,
+    type=PATH,
+    metavar="[VIDEO...]",
+    help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
+    "measured individually and together",
+)
+@switch(
+    "--example", "measure the video that comes with Slipstitch: a simulated one, not a real one"
+)
+@option(
+    "--camera",
+    type=PATH,
+    metavar="FILE",
+    help="camera file written by slipstitch capture camera, with its position at the stage",
+)
+@trained_instrument
+@option("--out", type=PAGE, metavar="FILE", help="write the result as an HTML page")
+@option("--json", type=JSON, metavar="FILE", help="write all numbers as JSON")
+@option("--csv", type=TABLE, metavar="FILE", help="write a table, one row per video")
+@option(
+    "--start-s",
+    type=float,
+    metavar="S",
+    help="start of the stage's motion in the video (default: found in the frames)",
+)
+@option(
+    "--frame-rate-hz",
+    type=float,
+    metavar="HZ",
+    help="frame rate of the camera, if the file's timestamps are wrong",
+)
+@switch(
+    "--force",
+    "measure, with an alarm, even if the pose of the camera is outside the training range",
+)
+@thread_count(default=2)
+def measure(arguments: Arguments) -> int:
     """Measure, write the page, print the result.
 
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
     """
-    import math
-
-    from slipstitch.base.errors import BadInput
     from slipstitch.base.provenance import start_clock
     from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
     from slipstitch.film.measure.measuring_bench import measuring_bench
 
-    check_at_least(arguments, threads=1)
+    _check(arguments)
+    videos, camera = list(arguments.videos), arguments.camera
+    if arguments.example:
+        videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
+    started = start_clock()
+    bench = measuring_bench(
+        camera, arguments.model, arguments.config, threads=arguments.threads, force=arguments.force
+    )
+    pair = measured_pair(
+        videos, bench, start_s=arguments.start_s, frame_rate_hz=arguments.frame_rate_hz
+    )
+    # Before the files: should one of them fail, the result is not lost.
+    for line in pair.videos[0].lines() if len(videos) == 1 else pair.lines():
+        print(line)
+    if arguments.example:
+        print(known_of_example())
+    write_measurements(
+        pair,
+        [*videos, camera, bench.config_path],
+        started,
+        page_path=arguments.out,
+        numbers_path=arguments.json,
+        table_path=arguments.csv,
+    )
+    if pair.refused:
+        return BAD_INPUT_EXIT_CODE
+    return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0
+
+
+def _check(arguments: Arguments) -> None:
     if arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")
-        arguments.videos = [EXAMPLE_VIDEO]
-        arguments.camera = EXAMPLE_CAMERA
     elif not arguments.videos:
         raise BadInput("no video: give one, or --example")
     elif not arguments.camera:
@@ -104,30 +119,3 @@ def run(arguments: argparse.Namespace) -> int:
             raise BadInput(f"{flag(name)} {value:g}: must be {least}")
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s cannot be combined with several videos")
-    started = start_clock()
-    bench = measuring_bench(
-        arguments.camera,
-        arguments.model,
-        arguments.config,
-        threads=arguments.threads,
-        force=arguments.force,
-    )
-    pair = measured_pair(
-        arguments.videos, bench, start_s=arguments.start_s, frame_rate_hz=arguments.frame_rate_hz
-    )
-    # Before the files: should one of them fail, the result is not lost.
-    for line in pair.videos[0].lines() if len(arguments.videos) == 1 else pair.lines():
-        print(line)
-    if arguments.example:
-        print(known_of_example())
-    write_measurements(
-        pair,
-        [*arguments.videos, arguments.camera, bench.config_path],
-        started,
-        page_path=arguments.out and Path(arguments.out),
-        numbers_path=arguments.json and Path(arguments.json),
-        table_path=arguments.csv and Path(arguments.csv),
-    )
-    if pair.refused:
-        return BAD_INPUT_EXIT_CODE
-    return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0

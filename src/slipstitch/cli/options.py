@@ -1,57 +1,197 @@
-"""Options shared by several verbs, and checks common to all."""
+"""Verbs as click commands: options shared by several verbs, and checks common to all."""
 
-import argparse
-import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import click
 
 from slipstitch.base.errors import BadInput
 
+Arguments = SimpleNamespace
 THREADS_MAX = 1024
 
 
-def _refuse_target(text: str, folder: bool) -> None:
-    """Refuse an output path that cannot be written, before any work is done."""
-    path = Path(text)
+class Verb(click.Command):
+    """A verb: its function takes the values of all options as attributes of one object.
+
+    Parameters
+    ----------
+    run : callable
+        Takes `Arguments`; may return an exit code.
+    example : str
+        Shown at the end of the help.
+    """
+
+    def __init__(self, run: Callable[[Arguments], int | None], example: str, **settings: Any):
+        super().__init__(callback=lambda **given: run(Arguments(**given)), **settings)
+        self.example = example
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example as it stands: it can be copied."""
+        formatter.write(f"\nexample:\n  {self.example}\n")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read ``--config A B`` as ``--config A --config B``, then as click does."""
+        several = {name for one in self.params if isinstance(one, Several) for name in one.opts}
+        spelled: list[str] = []
+        current = None
+        for word in args:
+            if word.startswith("-") and word != "-":
+                current = word if word in several else None
+            elif current is not None and spelled[-1] != current:
+                spelled.append(current)
+            spelled.append(word)
+        return super().parse_args(ctx, spelled)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Refuse to overwrite what is read, then run."""
+        refuse_overwriting(ctx)
+        return super().invoke(ctx)
+
+
+def verb(summary: str, example: str, *, parent: click.Group | None = None, **settings: Any):
+    """Make a verb of a function that takes `Arguments`; its name is the function's."""
+
+    def decorate(run: Callable[[Arguments], int | None]) -> Verb:
+        params = list(reversed(getattr(run, "__click_params__", ())))
+        command = Verb(
+            run,
+            example,
+            name=run.__name__,
+            help=summary,
+            short_help=summary,
+            params=params,
+            context_settings={"max_content_width": 100},
+            **settings,
+        )
+        if parent is not None:
+            parent.add_command(command)
+        return command
+
+    return decorate
+
+
+class Several(click.Option):
+    """An option that takes several values, ``--config A B``, and may be repeated."""
+
+    def __init__(self, *args: Any, **settings: Any):
+        super().__init__(*args, multiple=True, **settings)
+
+    def make_metavar(self, ctx: click.Context) -> str:
+        """Return the name of a value and dots."""
+        return f"{super().make_metavar(ctx)} ..."
+
+
+def option(*names: str, **settings: Any):
+    """Declare an option."""
+    return click.option(*names, **settings)
+
+
+def several(*names: str, **settings: Any):
+    """Declare an option that takes several values."""
+    return click.option(*names, cls=Several, **settings)
+
+
+def switch(name: str, help: str):
+    """Declare an option without a value."""
+    return click.option(name, is_flag=True, help=help)
+
+
+def argument(name: str, **settings: Any):
+    """Declare an argument."""
+    return click.argument(name, **settings)
+
+
+class ChoiceOf(click.ParamType):
+    """One of some names; looked up when needed, since their module is slow to import."""
+
+    name = "choice"
+
+    def __init__(self, names: Callable[[], Sequence[str]]):
+        self.names = names
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the names."""
+        return f"[{'|'.join(self.names())}]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name, if it is one of them."""
+        if value not in self.names():
+            self.fail(f"{value!r} is not one of {', '.join(self.names())}", param, ctx)
+        return value
+
+
+class Output(click.ParamType):
+    """A file to write, by its endings, or a folder: refused before any work if it cannot be."""
+
+    name = "file"
+
+    def __init__(self, *endings: str, folder: bool = False, or_stdout: bool = False):
+        self.endings = endings
+        self.folder = folder
+        self.or_stdout = or_stdout
+        self.name = "dir" if folder else "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path."""
+        path = Path(value)
+        if self.or_stdout and str(value) == "-":
+            return path
+        problem = _unwritable(path, self.folder)
+        if problem is None and self.endings and path.suffix.lower() not in self.endings:
+            problem = f"must end in {' or '.join(self.endings)}"
+        if problem:
+            self.fail(f"{value}: {problem}", param, ctx)
+        return path
+
+
+def _unwritable(path: Path, folder: bool) -> str | None:
+    """Why an output path cannot be written; None if it can."""
     if folder and path.exists() and not path.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: is a file; must be a folder")
+        return "is a file; must be a folder"
     if not folder and path.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: is a folder; must be a file")
+        return "is a folder; must be a file"
     if not folder and path.exists() and not path.is_file():
-        raise argparse.ArgumentTypeError(f"{text}: is a device or a pipe; must be a file")
+        return "is a device or a pipe; must be a file"
     above = next((parent for parent in path.absolute().parents if parent.exists()), path)
     if not above.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: {above} is a file, not a folder")
+        return f"{above} is a file, not a folder"
     try:  # permissions alone do not tell of a read-only disk, or of /proc
         with tempfile.TemporaryDirectory(prefix=".", dir=above):
-            pass
+            return None
     except OSError as error:
-        reason = (error.strerror or "refused").lower()
-        raise argparse.ArgumentTypeError(f"{text}: cannot be written: {reason}") from None
+        return f"cannot be written: {(error.strerror or 'refused').lower()}"
 
 
-def refuse_overwriting(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+PATH = click.Path(path_type=Path)
+FOLDER = Output(folder=True)
+PAGE = Output(".html", ".htm")
+JSON = Output(".json")
+TABLE = Output(".csv")
+PARQUET = Output(".parquet")
+PICTURE = Output(".png", ".svg")
+
+
+def refuse_overwriting(context: click.Context) -> None:
     """Refuse a file to be written that the command reads, or writes under another option, too."""
-    writes = {action.dest for action in _actions(parser) if hasattr(action.type, "writes")}
+    writes = {
+        one.name
+        for one in context.command.params
+        if isinstance(one.type, Output) and not one.type.folder
+    }
     outputs: dict[Path, tuple[str, str]] = {}
-    for name in sorted(writes & set(vars(arguments))):
-        for file, text in _files(getattr(arguments, name)).items():
+    for name in sorted(writes):
+        for file, text in _files(context.params.get(name)).items():
             if file in outputs:
                 raise BadInput(f"{flag(name)} {text}: is the file of {outputs[file][0]}, too")
             outputs[file] = flag(name), text
-    for name in sorted(set(vars(arguments)) - writes):
-        for file in _files(getattr(arguments, name)):
+    for name in sorted(set(context.params) - writes):
+        for file in _files(context.params[name]):
             if file in outputs:
                 raise BadInput(f"{' '.join(outputs[file])}: the command reads this file")
-
-
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for verb in action.choices.values():
-                yield from _actions(verb)
 
 
 def _files(value: object) -> dict[Path, str]:
@@ -62,160 +202,88 @@ def _files(value: object) -> dict[Path, str]:
     }
 
 
-def output_named(*endings: str) -> Callable[[str], str]:
-    """The type of an option that names a file to write, of a format: other endings are refused."""
-
-    def check(text: str) -> str:
-        _refuse_target(text, folder=False)
-        if Path(text).suffix.lower() not in endings:
-            raise argparse.ArgumentTypeError(f"{text}: must end in {' or '.join(endings)}")
-        return text
-
-    return writing(check)
-
-
-def writing(check: Callable) -> Callable:
-    """An option's type, marked as one of files to be written."""
-    check.writes = True  # type: ignore[attr-defined]
-    return check
-
-
-output_page = output_named(".html", ".htm")
-output_json = output_named(".json")
-output_table = output_named(".csv")
-output_parquet = output_named(".parquet")
-output_picture = output_named(".png", ".svg")
-
-
-def output_path(*endings: str) -> Callable[[str], Path]:
-    """As `output_named`, as a path."""
-    check = output_named(*endings)
-    return writing(lambda text: Path(check(text)))
-
-
-def output_folder(text: str) -> str:
-    """The type of an option that names a folder to write."""
-    _refuse_target(text, folder=True)
-    return text
-
-
-def output_folder_path(text: str) -> Path:
-    """The type of an option that names a folder to write, as a path."""
-    return Path(output_folder(text))
-
-
-def add_config(
-    parser: argparse.ArgumentParser,
-    description: str = "YAML or JSON configuration; later files override earlier ones key by key",
+def config_files(
+    help: str = "YAML or JSON configuration; later files override earlier ones key by key",
     *,
     required: bool = True,
     one_each: bool = False,
-) -> None:
-    """``--config FILE ...``: ``arguments.config`` lists the files, empty if optional and not given.
+):
+    """Declare ``--config FILE ...``: a tuple of the files, empty if optional and not given.
 
     Parameters
     ----------
     one_each : bool
         For verbs that take other files without an option: ``--config`` takes one, and is repeated.
     """
-    several = {"action": "append"} if one_each else {"action": "extend", "nargs": "+"}
-    parser.add_argument(
-        "--config", required=required, default=[], metavar="FILE", help=description, **several
+    declare = option if one_each else several
+    more = {"multiple": True} if one_each else {}
+    return declare("--config", required=required, metavar="FILE", help=help, **more)
+
+
+def calibration_file():
+    """Declare ``--calibration FILE``."""
+    return option(
+        "--calibration", metavar="FILE", help="use the numerical settings of this calibration file"
     )
 
 
-def add_calibration(parser: argparse.ArgumentParser) -> None:
-    """``--calibration FILE``."""
-    parser.add_argument("--calibration", help="use the numerical settings of this calibration file")
-
-
-def _thread_count(text: str) -> int:
-    """A whole number that the libraries underneath can take."""
-    if not re.fullmatch(r"[+-]?\d+", text):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number")
-    if len(text) > 9 or int(text) > THREADS_MAX:
-        raise argparse.ArgumentTypeError(f"{text}: must be at most {THREADS_MAX}")
-    return int(text)
-
-
-def add_threads(parser: argparse._ActionsContainer, default: int = 1) -> None:
-    """``--threads COUNT``; `parser` may be a group."""
-    parser.add_argument(
+def thread_count(default: int = 1):
+    """Declare ``--threads COUNT``."""
+    return option(
         "--threads",
-        type=_thread_count,
+        type=click.IntRange(1, THREADS_MAX),
         default=default,
+        show_default=True,
         metavar="COUNT",
-        help="number of threads (default: %(default)s)",
+        help="number of threads",
     )
 
 
-def add_instrument(parser: argparse.ArgumentParser) -> None:
-    """``--model DIR`` and ``--config FILE`` of a trained instrument."""
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="DIR",
-        help="a trained instrument (default: the one that comes with Slipstitch)",
-    )
-    parser.add_argument(
+def trained_instrument(run: Callable):
+    """Declare ``--model DIR`` and ``--config FILE`` of a trained instrument."""
+    run = option(
         "--config",
-        type=Path,
+        type=PATH,
         metavar="FILE",
         help="configuration the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
-    )
+    )(run)
+    return option(
+        "--model",
+        type=PATH,
+        metavar="DIR",
+        help="a trained instrument (default: the one that comes with Slipstitch)",
+    )(run)
 
 
-def add_training(
-    parser: argparse.ArgumentParser, out: str, seed: argparse._ActionsContainer | None = None
-) -> None:
-    """Dataset, split, seed and folder of one training.
-
-    Parameters
-    ----------
-    seed : group of `parser`, optional
-        Gets ``--seed``, of which that group says whether it is required. What else a training
-        requires is then optional too.
-    """
-    from slipstitch.config.train import TRAINED_ON
-
-    alone = seed is None
-    add_config(parser, required=alone)
-    parser.add_argument("--dataset", required=alone, help="folder written by `slipstitch sample`")
-    parser.add_argument("--split", required=alone, choices=TRAINED_ON)
-    if seed is None:
-        parser.add_argument("--seed", required=True, type=int)
-    else:
-        seed.add_argument("--seed", type=int)
-    parser.add_argument("--out-dir", type=output_folder, required=True, help=out)
-    add_threads(parser)
-
-
-def check_at_least(arguments: argparse.Namespace, **smallest: int) -> None:
-    """Refuse options, by their names in `arguments`, that are below their minimum."""
-    for name, least in smallest.items():
-        value = getattr(arguments, name)
-        if value is not None and value < least:
-            raise BadInput(f"{flag(name)} must be at least {least}")
-
-
-def refuse(arguments: argparse.Namespace, names: Iterable[str], mode: str) -> None:
+def refuse(arguments: Arguments, names: Iterable[str], mode: str) -> None:
     """Refuse options, by their names in `arguments`, that were given and `mode` would ignore."""
     for name in names:
-        if _given(arguments, name):
+        if given(arguments, name):
             raise BadInput(f"{flag(name)} cannot be combined with {mode}")
 
 
-def require(arguments: argparse.Namespace, names: Iterable[str], mode: str) -> None:
+def require(arguments: Arguments, names: Iterable[str], mode: str) -> None:
     """Refuse `mode` without all of these options, by their names in `arguments`."""
     for name in names:
-        if not _given(arguments, name):
+        if not given(arguments, name):
             raise BadInput(f"{mode} requires {flag(name)}")
 
 
-def _given(arguments: argparse.Namespace, name: str) -> bool:
+def exactly_one(arguments: Arguments, *names: str) -> str:
+    """Return the name of the one of these options that was given; refuse none or several."""
+    found = [name for name in names if given(arguments, name)]
+    if len(found) > 1:
+        raise BadInput(f"{flag(found[1])} cannot be combined with {flag(found[0])}")
+    if not found:
+        raise BadInput(f"one of {', '.join(map(flag, names))} is required")
+    return found[0]
+
+
+def given(arguments: Arguments, name: str) -> bool:
+    """Return whether an option was given."""
     value = getattr(arguments, name)
-    return value is not None and value is not False and value != []
+    return value is not None and value is not False and value != ()
 
 
 def flag(name: str) -> str:

@@ -1,90 +1,26 @@
-"""``slipstitch render``: images of simulations, their verification, and previews."""
+"""Images of simulations, their verification, and previews."""
 
-import argparse
 import sys
 from functools import partial
 from pathlib import Path
 
 from slipstitch.cli.options import (
-    add_config,
+    FOLDER,
+    PARQUET,
+    PATH,
+    Arguments,
+    Output,
+    argument,
+    config_files,
     flag,
-    output_folder_path,
-    output_path,
+    given,
+    option,
     refuse,
     require,
+    several,
+    switch,
+    verb,
 )
-
-SUMMARY = "render a simulation from one viewpoint with every texture; verify images; write previews"
-EXAMPLE = (
-    "slipstitch render --config config.yaml --trajectory results/simulate/m05_f0300_r00.parquet "
-    "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet"
-)
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add_config(
-        parser,
-        "YAML or JSON configuration, later files override earlier ones (default: built-in)",
-        required=False,
-        one_each=True,
-    )
-    parser.add_argument(
-        "--trajectory", type=Path, metavar="FILE", help="trajectory written by simulate"
-    )
-    parser.add_argument(
-        "--viewpoint",
-        metavar="ID",
-        help="id of the configuration (v00 ...) or name of the catalogue (calibrated ...)",
-    )
-    parser.add_argument(
-        "--out",
-        type=output_path(".parquet", ".json"),
-        metavar="FILE",
-        help="image shard to write (Parquet); with --verify: comparisons (JSON)",
-    )
-    halves = parser.add_argument_group("in two steps: shading in Blender, then textures without it")
-    halves.add_argument(
-        "--shading",
-        type=output_path(".parquet"),
-        metavar="FILE",
-        help="write a shading pack instead of images",
-    )
-    halves.add_argument(
-        "--from-shading",
-        type=Path,
-        nargs="+",
-        metavar="FILE",
-        help="use the shading of these packs of the trajectory, without Blender",
-    )
-    halves.add_argument(
-        "--out-dir",
-        type=output_folder_path,
-        metavar="DIR",
-        help="folder for the image shards, named like the packs",
-    )
-    verification = parser.add_argument_group("verification of finished shards")
-    verification.add_argument(
-        "--verify",
-        action="store_true",
-        help="render a random sample of the images in SHARDS directly and compare",
-    )
-    verification.add_argument(
-        "--trajectories", type=Path, metavar="DIR", help="folder of the simulations"
-    )
-    verification.add_argument(
-        "--packs", type=Path, metavar="DIR", help="folder of the shading packs"
-    )
-    previews = parser.add_argument_group("previews of finished shards, without Blender")
-    previews.add_argument("--preview", action="store_true", help="write previews of SHARDS")
-    previews.add_argument(
-        "--out-sheet", type=output_path(".png"), metavar="FILE", help="contact sheet (PNG)"
-    )
-    previews.add_argument(
-        "--out-video", type=output_path(".mp4"), metavar="FILE", help="video (MP4)"
-    )
-    previews.add_argument("shards", type=Path, nargs="*", metavar="SHARDS", help="image shards")
-
 
 # What each way to run needs and what it takes besides; all else is refused.
 MODES = {
@@ -96,10 +32,59 @@ MODES = {
 }
 
 
-def run(arguments: argparse.Namespace) -> None:
+@verb(
+    "render a simulation from one viewpoint with every texture; verify images; write previews",
+    "slipstitch render --config config.yaml --trajectory results/simulate/m05_f0300_r00.parquet "
+    "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet",
+)
+@config_files(
+    "YAML or JSON configuration, later files override earlier ones (default: built-in)",
+    required=False,
+    one_each=True,
+)
+@option("--trajectory", type=PATH, metavar="FILE", help="trajectory written by simulate")
+@option(
+    "--viewpoint",
+    metavar="ID",
+    help="id of the configuration (v00 ...) or name of the catalogue (calibrated ...)",
+)
+@option(
+    "--out",
+    type=Output(".parquet", ".json"),
+    metavar="FILE",
+    help="image shard to write (Parquet); with --verify: comparisons (JSON)",
+)
+@option(
+    "--shading",
+    type=PARQUET,
+    metavar="FILE",
+    help="first of two steps: write a shading pack, made in Blender, instead of images",
+)
+@several(
+    "--from-shading",
+    type=PATH,
+    metavar="FILE",
+    help="second step: texture the shading of these packs of the trajectory, without Blender",
+)
+@option(
+    "--out-dir",
+    type=FOLDER,
+    metavar="DIR",
+    help="with --from-shading: folder for the image shards, named like the packs",
+)
+@switch("--verify", "render a random sample of the images in SHARDS directly and compare")
+@option("--trajectories", type=PATH, metavar="DIR", help="with --verify: folder of the simulations")
+@option("--packs", type=PATH, metavar="DIR", help="with --verify: folder of the shading packs")
+@switch("--preview", "write previews of SHARDS, without Blender")
+@option(
+    "--out-sheet", type=Output(".png"), metavar="FILE", help="with --preview: contact sheet (PNG)"
+)
+@option("--out-video", type=Output(".mp4"), metavar="FILE", help="with --preview: video (MP4)")
+@argument("shards", nargs=-1, type=PATH, metavar="[SHARDS...]", help="finished image shards")
+def render(arguments: Arguments) -> None:
     """Preview, verify, compose or render; print one line on each result."""
     runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _render}
-    chosen = next((name for name in runs if getattr(arguments, name)), None)
+    chosen = next((name for name in runs if given(arguments, name)), None)
     mode = "rendering" if chosen is None else flag(chosen)
     needed, taken = MODES[mode]
     others = [name for names in MODES.values() for group in names for name in group]
@@ -109,26 +94,26 @@ def run(arguments: argparse.Namespace) -> None:
     (runs[chosen] if chosen else _render)(arguments)
 
 
-def _preview(arguments: argparse.Namespace) -> None:
+def _preview(arguments: Arguments) -> None:
     from slipstitch.base.errors import BadInput
     from slipstitch.images.preview import preview
 
     if not (arguments.out_sheet or arguments.out_video):
         raise BadInput("--preview requires --out-sheet or --out-video")
-    preview(arguments.shards, arguments.out_sheet, arguments.out_video)
+    preview(list(arguments.shards), arguments.out_sheet, arguments.out_video)
     for path in (arguments.out_sheet, arguments.out_video):
         if path:
             print(path)
 
 
-def _verify(arguments: argparse.Namespace) -> None:
+def _verify(arguments: Arguments) -> None:
     from slipstitch.base.progress import progress
     from slipstitch.config import load_config
     from slipstitch.images.verification import verify
 
     done = verify(
         load_config(*arguments.config),
-        arguments.shards,
+        list(arguments.shards),
         arguments.trajectories,
         arguments.packs,
         arguments.out,
@@ -138,17 +123,17 @@ def _verify(arguments: argparse.Namespace) -> None:
         print(f"{image.video} frame {image.frame}: {image.psnr_db:.1f} dB, SSIM {image.ssim:.3f}")
 
 
-def _compose(arguments: argparse.Namespace) -> None:
+def _compose(arguments: Arguments) -> None:
     from slipstitch.config import load_config
     from slipstitch.images.image_shards import render_shards_from_packs
 
     config = load_config(*arguments.config)
-    packs, folder = arguments.from_shading, arguments.out_dir
+    packs, folder = list(arguments.from_shading), arguments.out_dir
     for out, done in render_shards_from_packs(config, arguments.trajectory, packs, folder):
         print(f"{out}: {done['images']} images of {done['frames']} frames, {done['viewpoint']}")
 
 
-def _render(arguments: argparse.Namespace) -> None:
+def _render(arguments: Arguments) -> None:
     from slipstitch.base.progress import progress
     from slipstitch.config import load_config
     from slipstitch.images.image_shards import render_shard

@@ -1,68 +1,63 @@
-"""slipstitch simulate: a single drop-and-drag run, or simulations of the grid."""
+"""A single drop-and-drag run, or simulations of the grid."""
 
-import argparse
-
-from slipstitch.cli.options import add_calibration, add_config, output_parquet, refuse
-
-SUMMARY = "simulate a drop-and-drag run of a fabric at a friction coefficient"
-EXAMPLE = "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "--out",
-        type=output_parquet,
-        required=True,
-        nargs="+",
-        help="Parquet file, one row per frame; one file per simulation",
-    )
-    add_config(parser, required=False)
-    add_calibration(parser)
-    parser.add_argument(
-        "--simulation",
-        nargs="+",
-        metavar="ID",
-        help="id in the configured grid, e.g. m05_f0300_r00; several are simulated in turn",
-    )
-    parser.add_argument(
-        "--device",
-        help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ... (default: "
-        "compute.device of the configuration)",
-    )
-    parser.add_argument(
-        "--handed-out",
-        metavar="DIR",
-        help="folder of simulations, or a release: a simulation that is there is not computed "
-        "(default: compute.handed_out of the configuration)",
-    )
-    parser.add_argument("--material", help="a fabric of the catalogue")
-    parser.add_argument(
-        "--friction", type=float, help="friction coefficient between cloth and floor"
-    )
-    parser.add_argument(
-        "--seed", type=int, help="seed of the perturbation of the bench (default: 0)"
-    )
-    parser.add_argument(
-        "--model", metavar="FILE", help="extended model written by slipstitch criticise --model"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help="any simulation setting, e.g. time_step_s=0.01; may be repeated",
-    )
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.cli.options import (
+    PARQUET,
+    Arguments,
+    calibration_file,
+    config_files,
+    option,
+    refuse,
+    several,
+    verb,
+)
 
 
-def run(arguments: argparse.Namespace) -> None:
+@verb(
+    "simulate a drop-and-drag run of a fabric at a friction coefficient",
+    "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet",
+)
+@several(
+    "--out",
+    type=PARQUET,
+    required=True,
+    help="Parquet file, one row per frame; one file per simulation",
+)
+@config_files(required=False)
+@calibration_file()
+@several(
+    "--simulation",
+    metavar="ID",
+    help="id in the configured grid, e.g. m05_f0300_r00; several are simulated in turn",
+)
+@option(
+    "--device",
+    help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ... (default: "
+    "compute.device of the configuration)",
+)
+@option(
+    "--handed-out",
+    metavar="DIR",
+    help="folder of simulations, or a release: a simulation that is there is not computed "
+    "(default: compute.handed_out of the configuration)",
+)
+@option("--material", help="a fabric of the catalogue")
+@option("--friction", type=float, help="friction coefficient between cloth and floor")
+@option("--seed", type=int, help="seed of the perturbation of the bench (default: 0)")
+@option("--model", metavar="FILE", help="extended model written by slipstitch criticise --model")
+@option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="any simulation setting, e.g. time_step_s=0.01; may be repeated",
+)
+def simulate(arguments: Arguments) -> None:
     """Simulate and write; print one line per result."""
-    from slipstitch.base.errors import BadInput, NotConverged
     from slipstitch.config.section import FRICTION_MAX
 
     by_hand = arguments.material is not None and arguments.friction is not None
-    if arguments.simulation is not None:
+    if arguments.simulation:
         refuse(arguments, ("material", "friction", "seed"), "--simulation")
         if not arguments.config:
             raise BadInput("--simulation requires --config")
@@ -84,15 +79,14 @@ def run(arguments: argparse.Namespace) -> None:
         runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
     else:
         runs = [run_of_the_grid(config, name) for name in arguments.simulation]
-    if len(runs) != len(arguments.out):
-        raise BadInput(
-            f"{len(arguments.out)} files in --out for {len(runs)} simulations: must be one each"
-        )
-    if len(set(arguments.out)) < len(arguments.out):
+    out = [str(path) for path in arguments.out]
+    if len(runs) != len(out):
+        raise BadInput(f"{len(out)} files in --out for {len(runs)} simulations: must be one each")
+    if len(set(out)) < len(out):
         raise BadInput("--out: names a file twice")
     failed = []
     options = {name: getattr(arguments, name) for name in ("device", "calibration", "handed_out")}
-    for (run, ids), path in zip(runs, arguments.out, strict=True):
+    for (run, ids), path in zip(runs, out, strict=True):
         try:
             trajectory, record = simulate_to_file(config, run, ids, path, **options)
         except NotConverged as error:  # the others are simulated all the same
@@ -110,9 +104,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise NotConverged("; ".join(failed))
 
 
-def _configuration(arguments: argparse.Namespace, by_hand: bool):
+def _configuration(arguments: Arguments, by_hand: bool):
     """The configuration, then the calibration's settings, then ``--set``."""
-    from slipstitch.base.errors import BadInput
     from slipstitch.base.provenance import load_yaml
     from slipstitch.config import load_config
 

@@ -55,6 +55,24 @@ def examine() -> list[Diagnosis]:
     ]
 
 
+def print_findings() -> int:
+    """Print all findings with their remedies; return 1 if a requirement is missing."""
+    findings = examine()
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        print(f"{finding.state.value:<7} {finding.name:<{width}}  {finding.found}")
+    remedies = [f"{finding.name}: {finding.remedy}" for finding in findings if finding.remedy]
+    if remedies:
+        print("", *remedies, sep="\n")
+    missing = [finding.name for finding in findings if finding.state is Standing.MISSING]
+    print()
+    if missing:
+        print(f"Slipstitch cannot run everything; missing: {', '.join(missing)} (see above).")
+    else:
+        print("All requirements of Slipstitch are met.")
+    return 1 if missing else 0
+
+
 def check_python() -> Diagnosis:
     """Python 3.11, the only one that bpy 4.5 is built for."""
     found = f"{platform.python_version()} in {sys.prefix}"

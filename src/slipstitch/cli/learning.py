@@ -1,0 +1,347 @@
+"""Networks and instruments: train, evaluate, ablate."""
+
+from typing import Any
+
+import click
+
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.options import (
+    FOLDER,
+    JSON,
+    PAGE,
+    PARQUET,
+    Arguments,
+    ChoiceOf,
+    config_files,
+    exactly_one,
+    flag,
+    option,
+    refuse,
+    require,
+    several,
+    switch,
+    thread_count,
+    verb,
+)
+
+
+def _splits() -> tuple[str, ...]:
+    from slipstitch.config.train import TRAINED_ON
+
+    return TRAINED_ON
+
+
+def _networks() -> tuple[str, ...]:
+    from slipstitch.config.train import NETWORKS
+
+    return NETWORKS
+
+
+def _questions() -> tuple[str, ...]:
+    from slipstitch.config.ablate import QUESTIONS
+
+    return QUESTIONS
+
+
+def _variants() -> list[str]:
+    from slipstitch.config.ablate import VARIANTS
+
+    return sorted({one for of in VARIANTS.values() for names in of.values() for one in names})
+
+
+SPLIT, NETWORK = ChoiceOf(_splits), ChoiceOf(_networks)
+QUESTION, VARIANT = ChoiceOf(_questions), ChoiceOf(_variants)
+SEED = click.IntRange(0)
+DATASET = "folder written by `slipstitch sample`"
+
+
+@verb(
+    "train a network that predicts material or friction from the sampled frames",
+    "slipstitch train --config results/config.json --dataset results/sample "
+    "--network friction_baseline --split by_video --seed 0 "
+    "--out-dir results/train/by_video/friction_baseline/seed0",
+)
+@config_files()
+@option("--dataset", required=True, help=DATASET)
+@option("--split", required=True, type=SPLIT)
+@option("--seed", required=True, type=SEED)
+@option("--out-dir", type=FOLDER, required=True, help="folder for the trained model")
+@thread_count()
+@option("--network", required=True, type=NETWORK)
+@option(
+    "--material-model",
+    help="folder of the material_baseline of the same split and seed (friction_conditional)",
+)
+def train(arguments: Arguments) -> None:
+    """Train, write the model, print a summary."""
+    from slipstitch.config import load_config
+    from slipstitch.design.grid import classes
+    from slipstitch.learning.lrcn_training import train_network
+
+    config = load_config(*arguments.config)
+    card = train_network(
+        config.train,
+        _run(arguments, config),
+        arguments.network,
+        config.view_order,
+        material_model=arguments.material_model,
+        expected_classes=classes(config.grid),
+    )
+    print(
+        f"{card['network']} {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
+        f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
+        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f})"
+    )
+
+
+def _run(arguments: Arguments, config):
+    """What one training is given."""
+    from slipstitch.learning.trainer import Run
+
+    return Run(
+        arguments.dataset,
+        arguments.split,
+        arguments.seed,
+        arguments.out_dir,
+        frames=config.sample.frames,
+        threads=arguments.threads,
+    )
+
+
+@verb(
+    "train, average and calibrate the measuring instrument for friction and its alarm",
+    "slipstitch instrument --config results/config.json --dataset results/sample "
+    "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0",
+)
+@config_files(required=False)
+@option("--dataset", help=DATASET)
+@option("--split", type=SPLIT)
+@option("--out-dir", type=FOLDER, required=True, help="folder for the instrument")
+@thread_count()
+@option("--seed", type=SEED, help="train an instrument with this seed")
+@several(
+    "--members",
+    metavar="DIR",
+    help="instead: average these instruments, trained with other seeds, and calibrate the average",
+)
+@option(
+    "--recalibrate",
+    metavar="DIR",
+    help="instead: stretch the intervals of this average by --calibration-datasets or --readings",
+)
+@several(
+    "--calibration-datasets",
+    metavar="DIR",
+    help="with --members or --recalibrate: datasets of which all videos calibrate too",
+)
+@several(
+    "--readings",
+    metavar="FILE",
+    help="with --recalibrate: JSON files of its readings of videos of known friction",
+)
+def instrument(arguments: Arguments) -> None:
+    """Train, average or recalibrate, write, print a summary."""
+    mode = exactly_one(arguments, "seed", "members", "recalibrate")
+    if mode == "recalibrate":
+        refuse(arguments, ("config", "dataset", "split"), flag(mode))
+        from slipstitch.learning.instrument.ensemble import recalibrate_instrument
+
+        if not (arguments.calibration_datasets or arguments.readings):
+            raise BadInput("--recalibrate requires --calibration-datasets, --readings or both")
+        _print_average(
+            recalibrate_instrument(
+                arguments.recalibrate,
+                arguments.out_dir,
+                list(arguments.calibration_datasets),
+                list(arguments.readings),
+                threads=arguments.threads,
+            )
+        )
+        return
+    refuse(arguments, ("readings",), flag(mode))
+    require(arguments, ("config", "dataset", "split"), flag(mode))
+    from slipstitch.config import load_config
+
+    config = load_config(*arguments.config)
+    if mode == "members":
+        from slipstitch.learning.instrument.ensemble import combine_instruments
+
+        _print_average(
+            combine_instruments(
+                list(arguments.members),
+                arguments.dataset,
+                arguments.split,
+                arguments.out_dir,
+                list(arguments.calibration_datasets),
+                threads=arguments.threads,
+            )
+        )
+        return
+    refuse(arguments, ("calibration_datasets",), flag(mode))
+    from slipstitch.learning.instrument.training import train_instrument
+
+    run = _run(arguments, config)
+    card = train_instrument(config.instrument, run, config.instrument_views)
+    print(
+        f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
+        f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
+        f"loss {card['train_loss']:.4f} (chance {card['chance_loss']:.4f}); {_error_bars(card)}"
+    )
+
+
+def _print_average(card: dict[str, Any]) -> None:
+    seeds = ", ".join(map(str, card["seeds"]))
+    print(f"instrument {card['split']}, average of seeds {seeds}; {_error_bars(card)}")
+
+
+def _error_bars(card: dict[str, Any]) -> str:
+    """On how many simulations they are calibrated, and whether these suffice."""
+    bars = card["error_bars"]
+    if bars is None:
+        return "not calibrated: no simulations available"
+    calibrated = f"calibrated on {card['calibration_simulations']} simulations"
+    return calibrated + (", too few for an interval" if bars["factor"] is None else "")
+
+
+@verb(
+    "evaluate the trained networks: metrics, confusion, predictions",
+    "slipstitch evaluate --config results/config.json --dataset results/sample "
+    "--models results/train --out results/evaluate/metrics.json "
+    "--predictions results/evaluate/predictions.parquet",
+)
+@config_files()
+@option("--dataset", required=True, help=DATASET)
+@option("--models", help="folder {split}/{network}/seed{seed}/")
+@option("--instruments", help="folder {split}/seed{seed}/ of instruments")
+@option("--out", type=JSON, required=True, help="metrics.json")
+@option("--predictions", type=PARQUET, required=True, help="predictions.parquet")
+@option(
+    "--details",
+    type=JSON,
+    help="chance level, seeds, viewpoints, confusion (default: details.json beside --out)",
+)
+@switch("--update", "keep the scores of models that are unchanged since --out was written")
+@thread_count()
+@switch(
+    "--captures",
+    "the dataset is of captures, real or surrogate, written by `slipstitch capture ingest`",
+)
+@option("--page", type=PAGE, help="with --captures: tables and plots (HTML)")
+def evaluate(arguments: Arguments) -> None:
+    """Evaluate, write, print the table."""
+    from slipstitch.config import load_config
+    from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
+    from slipstitch.learning.evaluation.text_table import test_set_lines
+    from slipstitch.learning.evaluation.trained import Trained
+
+    config = load_config(*arguments.config)
+    if not (arguments.models or arguments.instruments):
+        raise BadInput("--models, --instruments or both are required")
+    trained = Trained(
+        arguments.models, arguments.instruments, config.train, config.instrument.seeds
+    )
+    if arguments.captures:
+        _captures(config, arguments, trained)
+        return
+    if arguments.page:
+        raise BadInput("--page requires --captures")
+    details = arguments.details or arguments.out.with_name("details.json")
+    metrics = write_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        trained,
+        Outputs(arguments.out, arguments.predictions, details),
+        calibrated=config.calibrated_view,
+        update=arguments.update,
+        threads=arguments.threads,
+    )
+    print(*test_set_lines(metrics), sep="\n")
+
+
+def _captures(config, arguments: Arguments, trained) -> None:
+    """Evaluate on captures; print one line per model and subset."""
+    from slipstitch.film.captures.evaluation import write_captures_evaluation
+    from slipstitch.learning.evaluation.text_table import capture_lines
+
+    refuse(arguments, ("details", "update"), "--captures")
+    metrics = write_captures_evaluation(
+        config.evaluate,
+        arguments.dataset,
+        trained,
+        arguments.out,
+        arguments.predictions,
+        arguments.page,
+        threads=arguments.threads,
+    )
+    print(*capture_lines(metrics), sep="\n")
+
+
+@verb(
+    "ablations: change one training choice at a time, at an equal budget",
+    "slipstitch ablate --config results/config.json --dataset results/sample "
+    "--question diversity --network lrcn --variant textures --seed 0 "
+    "--out results/ablate/diversity/lrcn_textures_seed0.json\n  "
+    "slipstitch ablate --config results/config.json --summary results/ablate "
+    "--out results/ablate/ablate.json --page results/ablate/index.html",
+)
+@config_files()
+@option("--out", type=JSON, required=True, help="the result, or the summary (JSON)")
+@option("--dataset", help=DATASET)
+@option("--question", type=QUESTION, help="train and test one variant of a question")
+@option("--network", type=click.Choice(("lrcn", "instrument")))
+@option("--variant", type=VARIANT)
+@option("--seed", type=SEED)
+@thread_count()
+@option(
+    "--summary",
+    metavar="FOLDER",
+    help="instead: sum up the results in a folder, {question}/{network}_{variant}_seed{seed}.json",
+)
+@option("--page", type=PAGE, help="with --summary: conclusions, plots and tables (HTML)")
+def ablate(arguments: Arguments) -> None:
+    """Train and test one variant or summarise all results; print the outcome."""
+    from slipstitch.config import load_config
+
+    one = ("dataset", "question", "network", "variant", "seed")
+    config = load_config(*arguments.config)
+    if arguments.summary:
+        refuse(arguments, one, "--summary")
+        _summary(config, arguments)
+        return
+    if any(getattr(arguments, name) is None for name in one) or arguments.page:
+        raise BadInput(
+            "--dataset, --question, --network, --variant and --seed are required, or --summary "
+            "(--page requires --summary)"
+        )
+    from slipstitch.config.ablate import VARIANTS
+    from slipstitch.learning.ablation.run import Case, write_case
+
+    if arguments.variant not in VARIANTS[arguments.question].get(arguments.network, ()):
+        raise BadInput(
+            f"{arguments.question} has no variant {arguments.network} {arguments.variant}"
+        )
+    case = Case(arguments.question, arguments.network, arguments.variant, arguments.seed)
+    found = write_case(config, arguments.dataset, case, arguments.out, arguments.threads)
+    if found["left_out"]:
+        print(f"left out: {found['left_out']}")
+        return
+    ending = found["failure"] or "learnt"
+    if found["stayed_at_chance"]:
+        ending = "stayed at chance"
+    print(
+        f"{case.question} seed {case.seed}: {case.network} {case.variant}: "
+        f"{found['training_videos']} videos of {found['training_simulations']} "
+        f"simulations, {found['passes']:g} passes: {ending}"
+    )
+
+
+def _summary(config, arguments: Arguments) -> None:
+    """Write summary and page; print the sentences."""
+    from slipstitch.learning.ablation.summary import write_summary
+
+    summary = write_summary(config, arguments.summary, arguments.out, arguments.page)
+    for name, question in summary["questions"].items():
+        if question["left_out"]:
+            print(f"left out: {question['left_out']}")
+        for found in question["comparisons"]:
+            print(f"{name}: {found['sentence']}")
