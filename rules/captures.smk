@@ -13,7 +13,7 @@ SURROGATE_CAMERA = (
     "render.camera",
     *(
         f"render.bench_camera.{reach}"
-        for reach in ("yaw_deg", "pitch_deg", "roll_deg", "distance", "aim_m", "calibrated_share")
+        for reach in ("yaw_deg", "pitch_deg", "distance", "calibrated_share")
     ),
 )
 

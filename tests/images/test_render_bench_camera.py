@@ -12,6 +12,7 @@ from slipstitch.base.provenance import read_metadata
 from slipstitch.cli.main import main
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.config.render import RenderSettings
+from slipstitch.images import bench_camera
 from slipstitch.images.bench_camera import BenchCamera, Rectifier, draw_bench_camera
 from slipstitch.images.calibrated_view import CalibratedView, cloth_room, crop_to
 from slipstitch.images.camera import pose, relative_pose
@@ -106,6 +107,9 @@ def _decoded(png):
     return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
 
 
+EXACT = {"ROTATION_SD_DEG": 0, "POSITION_SD_M": 0, "FOCAL_SD": 0, "START_ERROR_MAX_S": 0}
+
+
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory):
     """Renders one simulation with these settings of the family; metadata and images."""
@@ -113,7 +117,7 @@ def shard(tmp_path_factory):
     motion = synthetic_cloth.motion(6, n=11, frame_rate_hz=0.1)
     write_trajectory(folder / "m05_f0300_r00.parquet", Trajectory(**motion))
 
-    def render(viewpoint, **family):
+    def render(viewpoint, errors=EXACT, **family):
         render = {"pixels": 48, "textures": ["dots"], "bench_camera": family}
         render["viewpoints"] = ["calibrated", "bench_1"]
         config = {"render": render, "sample": {"frames": 3}, "simulation": {"frames": 6}}
@@ -122,14 +126,14 @@ def shard(tmp_path_factory):
         out = folder / f"{viewpoint}.parquet"
         files = ["--trajectory", str(folder / "m05_f0300_r00.parquet"), "--out", str(out)]
         words = ["--config", str(folder / "config.json"), "--viewpoint", viewpoint]
-        assert main(["render", *words, *files]) == 0
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in errors.items():
+                patch.setattr(bench_camera, name, value)
+            assert main(["render", *words, *files]) == 0
         rows = pq.read_table(out).to_pylist()
         return read_metadata(out), {row["frame"]: _decoded(row["image"]["bytes"]) for row in rows}
 
     return render
-
-
-EXACT = {"rotation_error_deg": 0, "position_error_m": 0, "focal_error": 0, "start_error_s": 0}
 
 
 def _difference(some, others):
@@ -141,11 +145,11 @@ def _difference(some, others):
 
 def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
     _, calibrated = shard("calibrated")
-    metadata, same_pose = shard("bench_1", calibrated_share=1, **EXACT)
+    metadata, same_pose = shard("bench_1", calibrated_share=1)
     assert metadata["pose"] == pytest.approx(dict.fromkeys(metadata["pose"], 0.0), abs=1e-6)
     assert metadata["camera"]["pixels"] == 72
     assert all(image.shape == (48, 48, 3) for image in same_pose.values())
-    metadata, turned = shard("bench_1", calibrated_share=0, **EXACT)
+    metadata, turned = shard("bench_1", calibrated_share=0)
     assert abs(metadata["pose"]["yaw_deg"]) > 1
     # Resampled only; seen from elsewhere, what lies off the stage plane is shifted.
     smoothed = {key: cv2.GaussianBlur(image, (0, 0), 0.4) for key, image in calibrated.items()}
@@ -156,18 +160,18 @@ def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
 
 @pytest.fixture(scope="module")
 def exact(shard):
-    return shard("bench_1", calibrated_share=1, **EXACT)[1]
+    return shard("bench_1", calibrated_share=1)[1]
 
 
 @pytest.mark.parametrize(
-    ("error", "size", "drawn"),
+    ("error", "constant", "size", "drawn"),
     [
-        ("position_error_m", 0.02, 0.003),
-        ("rotation_error_deg", 1.0, 0.1),
-        ("focal_error", 0.05, 0.005),
+        ("position_error_m", "POSITION_SD_M", 0.02, 0.003),
+        ("rotation_error_deg", "ROTATION_SD_DEG", 1.0, 0.1),
+        ("focal_error", "FOCAL_SD", 0.05, 0.005),
     ],
 )
-def test_a_wrong_calibration_shifts_the_image(shard, exact, error, size, drawn):
-    metadata, wrong = shard("bench_1", calibrated_share=1, **EXACT | {error: size})
+def test_a_wrong_calibration_shifts_the_image(shard, exact, error, constant, size, drawn):
+    metadata, wrong = shard("bench_1", EXACT | {constant: size}, calibrated_share=1)
     assert np.linalg.norm(metadata["camera"]["bench"][error]) > drawn
     assert _difference(exact, wrong) > 3

@@ -68,65 +68,19 @@ class CaptureSettings(Section):
     time_step_s: float = Field(
         0.042, gt=0, le=0.1, description="surrogates: largest time step; shorter than in training"
     )
-    bench_variation: float = Field(
-        1.5,
-        ge=0,
-        le=10,
-        description="surrogates: spread of clamps and fabric between videos, relative to the "
-        "defaults of simulation.yaw_sd_deg, height_sd_m and fabric_sd_rel",
-    )
-    friction_sd_rel: float = Field(
-        0.03,
-        ge=0,
-        le=0.3,
-        description="surrogates: variation of friction between positions on a substrate",
-    )
     width_px: int = Field(
         256,
         ge=64,
         le=1920,
         description="surrogates: width of the video; its height is three quarters",
     )
-    frame_rate_hz: float = Field(
-        12.0, ge=6, le=60, description="surrogates: frame rate of the video while the stage starts"
-    )
     later_every: int = Field(
         4, ge=1, le=6, description="surrogates: afterwards one frame in this many is recorded"
-    )
-    camera_turn_deg: float = Field(
-        2.0, ge=0, le=15, description="surrogates: angle of the camera from the viewpoint"
     )
     own_cameras: bool = Field(
         False,
         description="surrogates: every video has a camera of its own, of the family of "
-        "render.bench_camera, in place of one turned by camera_turn_deg",
-    )
-    lens_k1: float = Field(
-        -0.12, ge=-0.4, le=0.4, description="surrogates: distortion coefficient k1 of the lens"
-    )
-    camera_error_m: float = Field(
-        0.001,
-        ge=0,
-        le=0.05,
-        description="surrogates: position error in the camera file, along each axis",
-    )
-    exposure_drift_stops: float = Field(
-        0.25, ge=0, le=2, description="surrogates: drift of the exposure over a video"
-    )
-    colour_cast: float = Field(
-        0.06, ge=0, le=0.5, description="surrogates: scaling of red and blue"
-    )
-    noise: float = Field(
-        0.02, ge=0, le=0.2, description="surrogates: camera noise, as render.augmentation.noise"
-    )
-    quality_crf: int = Field(
-        26,
-        ge=0,
-        le=51,
-        description="surrogates: constant rate factor of H.264; higher means lower quality",
-    )
-    incline_error_deg: float = Field(
-        0.3, ge=0, le=5, description="surrogates: largest error of the inclined plane's angle"
+        "render.bench_camera, in place of one turned by 2 degrees",
     )
 
     @model_validator(mode="after")

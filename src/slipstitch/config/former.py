@@ -38,6 +38,27 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "strip_drag_tail_m": 1e-3,
     },
     "compute": {"batch": 1},
+    "captures": {
+        "bench_variation": 1.5,
+        "friction_sd_rel": 0.03,
+        "frame_rate_hz": 12.0,
+        "camera_turn_deg": 2.0,
+        "lens_k1": -0.12,
+        "camera_error_m": 0.001,
+        "exposure_drift_stops": 0.25,
+        "colour_cast": 0.06,
+        "noise": 0.02,
+        "quality_crf": 26,
+        "incline_error_deg": 0.3,
+    },
+    "render.bench_camera": {
+        "roll_deg": 2.0,
+        "aim_m": 0.01,
+        "rotation_error_deg": 0.05,
+        "position_error_m": 0.001,
+        "focal_error": 0.001,
+        "start_error_s": 0.02,
+    },
     "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3},
 }
 

@@ -56,15 +56,8 @@ class BenchCameraSettings(Section):
 
     yaw_deg: float = Field(15.0, ge=0, le=30, description="largest rotation about the vertical")
     pitch_deg: float = Field(8.0, ge=0, le=15, description="largest change of the elevation")
-    roll_deg: float = Field(2.0, ge=0, le=10, description="largest rotation about the optical axis")
     distance: float = Field(
         0.2, ge=0, lt=0.6, description="largest relative change of the distance"
-    )
-    aim_m: float = Field(
-        0.01,
-        ge=0,
-        le=0.05,
-        description="largest offset of the point the camera is aimed at, along each axis",
     )
     calibrated_share: float = Field(
         1 / 3, ge=0, le=1, description="share of cameras in the calibrated pose"
@@ -74,18 +67,6 @@ class BenchCameraSettings(Section):
         ge=1,
         le=4,
         description="camera pixels per pixel of the rectified image, along each axis",
-    )
-    rotation_error_deg: float = Field(
-        0.05, ge=0, le=1, description="standard deviation of the calibrated rotation, each axis"
-    )
-    position_error_m: float = Field(
-        0.001, ge=0, le=0.02, description="standard deviation of the calibrated position, each axis"
-    )
-    focal_error: float = Field(
-        0.001, ge=0, le=0.05, description="relative standard deviation of the focal length"
-    )
-    start_error_s: float = Field(
-        0.02, ge=0, le=0.2, description="largest error of the time at which the stage starts"
     )
 
 

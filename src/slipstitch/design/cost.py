@@ -379,7 +379,7 @@ def estimate_captures(config: Config) -> StageEstimate:
     )
     films = 0 if settings.table else len(settings.pairs) * settings.repeats
     # The start at the full rate, then every so many-th frame; the image is a square with a margin.
-    frames = settings.frame_rate_hz * (3 + duration_s / settings.later_every)
+    frames = 12.0 * (3 + duration_s / settings.later_every)
     size = 0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
     mirrors = sum(FLOORS[pair.substrate].reflectance[1] > 0 for pair in settings.pairs)
     size *= 1 + mirrors / len(settings.pairs) * (_cost("mirror_factor") - 1)

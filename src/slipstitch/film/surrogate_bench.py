@@ -26,6 +26,15 @@ from slipstitch.images.camera_file import camera_record, write_camera_file
 from slipstitch.images.surroundings import LAMP_POSITION_M, Surroundings, draw_look, generator
 
 # With this focal length (in image widths) the whole travel is in the image.
+# A bench is less exact than training's: what it varies by between videos, and is wrong by.
+BENCH_VARIATION = 1.5  # of clamps and fabric, times the defaults of the section simulation
+FRICTION_SD_REL = 0.03  # between positions on a substrate
+INCLINE_ERROR_DEG = 0.3  # largest, of the inclined plane's angle
+CAMERA_TURN_DEG = 2.0  # from the viewpoint
+CAMERA_ERROR_M = 0.001  # of the position in the camera file, along each axis
+LENS_K1 = -0.12  # barrel distortion of a cheap lens
+FRAME_RATE_HZ = 12.0  # while the stage starts
+
 _FOCAL_WIDTHS = 1.72
 _ZOOM_MARGIN = 0.93  # so that it still is from 15 degrees aside
 _FAMILY_VIEWPOINT = "bench_1"
@@ -64,7 +73,7 @@ def films(config: Config) -> list[Film]:
         pair = settings.pairs[int(name[1:3])]
         repeat = int(name[-2:])
         rng = generator(config.seed, "surrogate", pair.material, pair.substrate, str(repeat))
-        friction = pair.friction * float(np.exp(settings.friction_sd_rel * rng.standard_normal()))
+        friction = pair.friction * float(np.exp(FRICTION_SD_REL * rng.standard_normal()))
         seed = simulation_seed(config.seed + 1, f"surrogate {name}", repeat)
         made.append(Film(name, pair, repeat, friction, seed))
     return made
@@ -83,13 +92,13 @@ def surrogate_simulation(config: Config) -> SimulationSettings:
     settings, training = config.captures, config.simulation
     duration_s = training.recorded_s
     # Not in units of the training's own variation: that of the paper's experiment is none.
-    factor, usual = settings.bench_variation, SimulationSettings()
+    factor, usual = BENCH_VARIATION, SimulationSettings()
     return training.model_copy(
         update={
             "vertices_per_side": settings.vertices_per_side,
             "time_step_s": settings.time_step_s,
-            "frame_rate_hz": settings.frame_rate_hz,
-            "frames": int(np.ceil(duration_s * settings.frame_rate_hz)) + 2,
+            "frame_rate_hz": FRAME_RATE_HZ,
+            "frames": int(np.ceil(duration_s * FRAME_RATE_HZ)) + 2,
             "yaw_sd_deg": factor * usual.yaw_sd_deg,
             "height_sd_m": min(factor * usual.height_sd_m, 0.005),
             "fabric_sd_rel": min(factor * usual.fabric_sd_rel, 0.3),
@@ -118,9 +127,9 @@ def true_camera(config: Config, film: str) -> Camera:
         place = bench.pose(*place)
         focal *= _ZOOM_MARGIN * bench.distance
     else:
-        place = turned(*place, settings.camera_turn_deg)
+        place = turned(*place, CAMERA_TURN_DEG)
     matrix = np.array([[focal, 0, 0.49 * width], [0, 1.006 * focal, 0.51 * height], [0, 0, 1.0]])
-    k1 = settings.lens_k1
+    k1 = LENS_K1
     distortion = np.array([k1, -0.4 * k1, 0.0008, -0.0006, 0.0])
     return Camera(*place, matrix, width, height, distortion)
 
@@ -130,7 +139,7 @@ def calibrated_camera(config: Config, film: str) -> Camera:
     true = true_camera(config, film)
     own = [film] if config.captures.own_cameras else []
     rng = generator(config.seed, "surrogate", "calibration", *own)
-    error_m = config.captures.camera_error_m
+    error_m = CAMERA_ERROR_M
     eye = -true.rotation.T @ true.translation_m + error_m * rng.standard_normal(3)
     # An error of the place comes with one of the direction, which keeps the board where it was.
     tilt, _ = cv2.Rodrigues(error_m / 1.4 * rng.standard_normal(3))
@@ -156,13 +165,13 @@ def surroundings(config: Config, pair: PairSettings) -> Surroundings:
 
 def slip_angles(config: Config) -> list[dict]:
     """Measurements of each pair by an inclined plane with its own error."""
-    error_deg = config.captures.incline_error_deg
+    error_deg = INCLINE_ERROR_DEG
     rows = []
     for pair in config.captures.pairs:
         rng = generator(config.seed, "surrogate", "incline", pair.material, pair.substrate)
         bias_deg = rng.uniform(-error_deg, error_deg)
         for place in range(_PLACES):
-            local = pair.friction * np.exp(config.captures.friction_sd_rel * rng.standard_normal())
+            local = pair.friction * np.exp(FRICTION_SD_REL * rng.standard_normal())
             for orientation, share in _ORIENTATIONS.items():
                 for repeat in range(1, _REPEATS + 1):
                     friction = local * (1 + share + _ANGLE_SCATTER * rng.standard_normal())

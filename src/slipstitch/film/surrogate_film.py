@@ -10,6 +10,7 @@ import numpy as np
 from slipstitch.base.provenance import atomic_path, provenance_record, start_clock, write_sidecar
 from slipstitch.config import Config
 from slipstitch.film.surrogate_bench import (
+    FRAME_RATE_HZ,
     Film,
     film_size,
     surrogate_simulation,
@@ -26,6 +27,12 @@ from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_dr
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 # The cloth hangs still for this long; the stage's start is filmed at the full rate for that long.
+# What a consumer camera does to a video.
+EXPOSURE_DRIFT_STOPS = 0.25
+COLOUR_CAST = 0.06  # scaling of red and blue
+NOISE = 0.02  # as render.augmentation.noise
+QUALITY_CRF = "26"  # constant rate factor of H.264
+
 _REST_S = 3.4
 _START_S = 3.0
 # What the lens pulls in from beyond the pinhole's image.
@@ -114,23 +121,22 @@ def _write(config: Config, film: Film, images, path) -> int:
     """The video: rest, then frames with drifting exposure, sensor noise and H.264 compression."""
     import av
 
-    settings = config.captures
     rng = generator(config.seed, "surrogate", film.id, "camera")
-    red, blue = 1 + settings.colour_cast * rng.uniform(-1, 1, 2)
-    drift, phase = settings.exposure_drift_stops * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
+    red, blue = 1 + COLOUR_CAST * rng.uniform(-1, 1, 2)
+    drift, phase = EXPOSURE_DRIFT_STOPS * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
     duration_s = config.simulation.recorded_s + _REST_S
 
     def photograph(light: np.ndarray, time_s: float) -> np.ndarray:
         share = time_s / duration_s
-        stops = drift * share + 0.2 * settings.exposure_drift_stops * np.sin(9 * share + phase)
-        camera = CameraEffects(float(stops), float(red), float(blue), settings.noise)
+        stops = drift * share + 0.2 * EXPOSURE_DRIFT_STOPS * np.sin(9 * share + phase)
+        camera = CameraEffects(float(stops), float(red), float(blue), NOISE)
         return camera.photograph(light, rng)
 
     count = 0
     with av.open(str(path), "w", format="mp4") as container:
-        options = {"crf": str(settings.quality_crf), "preset": "medium", "threads": "1"}
+        options = {"crf": QUALITY_CRF, "preset": "medium", "threads": "1"}
         stream = container.add_stream("libx264", rate=30, options=options)
-        stream.width, stream.height = film_size(settings)
+        stream.width, stream.height = film_size(config.captures)
         stream.pix_fmt = "yuv420p"
         stream.time_base = stream.codec_context.time_base = _CLOCK
         container.metadata["comment"] = "Slipstitch surrogate capture: simulated, not real"
@@ -143,11 +149,11 @@ def _write(config: Config, film: Film, images, path) -> int:
             container.mux(stream.encode(frame))
             count += 1
 
-        rest = int(_REST_S * settings.frame_rate_hz)
+        rest = int(_REST_S * FRAME_RATE_HZ)
         for time_s, light in images:
             if time_s == 0:
                 for k in range(rest):
-                    add(light, k / settings.frame_rate_hz)
-            add(light, rest / settings.frame_rate_hz + time_s)
+                    add(light, k / FRAME_RATE_HZ)
+            add(light, rest / FRAME_RATE_HZ + time_s)
         container.mux(stream.encode())
     return count

@@ -21,6 +21,14 @@ from slipstitch.images.mean_cloth import cloth_surface, stage_plane
 from slipstitch.images.rectification import fine_source_pixels, resample
 from slipstitch.images.surroundings import drawn_by, generator
 
+# How far a bench's camera is off besides what the configuration says, and how exactly it is known.
+ROLL_MAX_DEG = 2.0
+AIM_MAX_M = 0.01  # of the point that it is aimed at, along each axis
+ROTATION_SD_DEG = 0.05  # errors of a good calibration, each axis
+POSITION_SD_M = 0.001
+FOCAL_SD = 0.001  # relative
+START_ERROR_MAX_S = 0.02  # of the time at which the stage starts
+
 _NO_DISTORTION = np.zeros(5)
 _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 
@@ -99,7 +107,7 @@ def draw_bench_camera(
     Parameters
     ----------
     settings : RenderSettings
-        Its ``bench_camera`` says how far it may stand off, and how exactly it is known.
+        Its ``bench_camera`` says how far it may stand off.
     seed : int
         The configuration's.
     simulation : str
@@ -110,20 +118,20 @@ def draw_bench_camera(
     family = settings.bench_camera
     rng = generator(seed, drawn_by(simulation, viewpoint), viewpoint, "bench camera")
     yaw, pitch, roll, distance = rng.uniform(-1, 1, 4)
-    aim = rng.uniform(-1, 1, 3) * family.aim_m
+    aim = rng.uniform(-1, 1, 3) * AIM_MAX_M
     if rng.uniform() < family.calibrated_share:
         yaw = pitch = roll = distance = 0.0
         aim = np.zeros(3)
     return BenchCamera(
         yaw_deg=float(yaw * family.yaw_deg),
         pitch_deg=float(pitch * family.pitch_deg),
-        roll_deg=float(roll * family.roll_deg),
+        roll_deg=float(roll * ROLL_MAX_DEG),
         distance=float(1 + distance * family.distance),
         aim_m=_triple(aim),
-        rotation_error_deg=_triple(rng.normal(size=3) * family.rotation_error_deg),
-        position_error_m=_triple(rng.normal(size=3) * family.position_error_m),
-        focal_error=float(rng.normal() * family.focal_error),
-        start_error_s=float(rng.uniform(-1, 1) * family.start_error_s),
+        rotation_error_deg=_triple(rng.normal(size=3) * ROTATION_SD_DEG),
+        position_error_m=_triple(rng.normal(size=3) * POSITION_SD_M),
+        focal_error=float(rng.normal() * FOCAL_SD),
+        start_error_s=float(rng.uniform(-1, 1) * START_ERROR_MAX_S),
     )
 
 
