@@ -50,8 +50,6 @@ SETTINGS = InstrumentSettings(
     epochs=40,
     rectification_error=0.01,  # a quarter of a pixel
     blur_px=0.0,
-    material_weight=0.5,
-    order_weight=0.5,
     precision="float32",
 )
 

@@ -38,6 +38,17 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "strip_drag_tail_m": 1e-3,
     },
     "compute": {"batch": 1},
+    "instrument": {
+        "position_channels": 16,
+        "components": 3,
+        "weight_decay": 0.02,
+        "material_weight": 0.1,
+        "points_noise_m": 0.0015,
+        "points_videos": 32,
+        "order_weight": 0.1,
+        "coverage": 0.9,
+        "false_alarms": 0.05,
+    },
     "captures": {
         "bench_variation": 1.5,
         "friction_sd_rel": 0.03,

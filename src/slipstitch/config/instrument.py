@@ -4,11 +4,13 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.section import Section, Seeds
+from slipstitch.config.section import RecordedSection, Seeds
 
 
-class InstrumentSettings(Section):
+class InstrumentSettings(RecordedSection):
     """The measuring network, its training and its error bars."""
+
+    NAME = "instrument"
 
     seeds: Seeds = Field([0], description="one instrument per seed")
     calibration_datasets: list[str] = Field(
@@ -34,14 +36,10 @@ class InstrumentSettings(Section):
         min_length=2,
         description="output channels of the convolutions, each of stride 2",
     )
-    position_channels: int = Field(
-        16, ge=1, description="channels of the last feature map, flattened with their positions"
-    )
     features: int = Field(128, ge=8, description="number of features per frame")
     recurrent_units: int = Field(
         96, ge=8, description="units of the recurrent layer in each direction"
     )
-    components: int = Field(3, ge=1, le=10, description="components of the normal mixture for mu")
     friction_max: float = Field(
         1.5, gt=0, le=10, description="upper end of the grid of mu, which starts at 0"
     )
@@ -52,11 +50,7 @@ class InstrumentSettings(Section):
     learning_rate: float = Field(
         2e-3, gt=0, description="maximum learning rate of AdamW; one cycle, cosine"
     )
-    weight_decay: float = Field(0.02, ge=0, description="AdamW's")
     dropout: float = Field(0.1, ge=0, lt=1, description="dropout of the frames' features")
-    material_weight: float = Field(
-        0.1, ge=0, description="weight of the material's cross-entropy relative to the loss of mu"
-    )
     points_weight: float = Field(
         0.0,
         ge=0,
@@ -67,25 +61,6 @@ class InstrumentSettings(Section):
         False,
         description="the recurrent layer sees the places of the points, as the network finds them, "
         "and nothing else of a frame; requires points_weight",
-    )
-    points_noise_m: float = Field(
-        0.0015,
-        ge=0,
-        le=0.05,
-        description="through_points: error of the places from which the recurrent layer learns "
-        "beside images: standard deviation of the cloth's shift, each point's and each frame's",
-    )
-    points_videos: int = Field(
-        32,
-        ge=0,
-        le=10_000,
-        description="through_points: number of videos in each step of whose simulated places, with "
-        "that error, the recurrent layer learns; they need no image",
-    )
-    order_weight: float = Field(
-        0.1,
-        ge=0,
-        description="weight of the loss that separates videos from shuffled ones, for the alarm",
     )
     rectification_error: float = Field(
         0.006,
@@ -118,10 +93,6 @@ class InstrumentSettings(Section):
     draws: int = Field(
         4, ge=1, le=64, description="augmented views of a video whose predictions are averaged"
     )
-    coverage: float = Field(
-        0.9, ge=0.9, le=0.9, description="coverage of the intervals, which are 90 % ones everywhere"
-    )
-    false_alarms: float = Field(0.05, gt=0, lt=0.5, description="false alarm rate on valid videos")
 
     @model_validator(mode="after")
     def _points_are_learnt(self) -> "InstrumentSettings":

@@ -19,9 +19,10 @@ from slipstitch.learning.instrument.calibration_answers import CalibrationAnswer
 from slipstitch.learning.instrument.calibration_readings import CalibrationReadings
 from slipstitch.learning.instrument.conformal import grouped_quantile
 from slipstitch.learning.instrument.distribution import ranked_probability_score, spread
-from slipstitch.learning.instrument.measuring import ErrorBars, Instrument
+from slipstitch.learning.instrument.measuring import COVERAGE, ErrorBars, Instrument
 from slipstitch.learning.instrument.poses import poses_of
 
+FALSE_ALARMS = 0.05  # of the alarm, on valid videos
 TEMPERATURES = (0.2, 25.0)
 SPREADS = (1.0, 30.0)
 
@@ -140,7 +141,6 @@ def with_error_bars(
     names = instrument.card["materials"]
     known = [k for k, row in enumerate(held.rows) if row["material"] in names]
     width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
-    coverage = instrument.settings.coverage
     scores = instrument.needed_scale(spread(held.probabilities, instrument.grid, width), friction)
     bars = ErrorBars(
         spread=width,
@@ -152,10 +152,8 @@ def with_error_bars(
         )
         if known
         else 1.0,
-        conformal_scale=grouped_quantile(scores, groups, coverage),
-        alarm=calibrated_alarm(
-            statistics, held.strangeness, groups, instrument.settings.false_alarms
-        ),
+        conformal_scale=grouped_quantile(scores, groups, COVERAGE),
+        alarm=calibrated_alarm(statistics, held.strangeness, groups, FALSE_ALARMS),
     )
     return dataclasses.replace(instrument, error_bars=bars)
 
@@ -183,7 +181,7 @@ def rescaled_by(
     scale = grouped_quantile(
         np.concatenate([own, [row["stretch"] for row in readings.rows]]),
         [*(f"own {group}" for group in held.groups), *readings.groups],
-        instrument.settings.coverage,
+        COVERAGE,
     )
     bars = instrument.error_bars
     rescaled = bars and dataclasses.replace(bars, conformal_scale=scale)

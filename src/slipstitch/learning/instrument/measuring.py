@@ -38,6 +38,7 @@ WEIGHTS = "instrument.safetensors"
 CARD = "instrument.json"
 ALARM = "alarm."
 NETWORKS_MAX = 16
+COVERAGE = 0.9  # of intervals: pages, columns and combined intervals say 90 %
 NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 
@@ -158,13 +159,11 @@ class Instrument:
 
     def intervals(self, distributions: np.ndarray) -> np.ndarray:
         """Median, lower and upper end of the intervals, shape (n, 3)."""
-        return conformal_intervals(
-            distributions, self.grid, self.settings.coverage, self.conformal_scale
-        )
+        return conformal_intervals(distributions, self.grid, COVERAGE, self.conformal_scale)
 
     def needed_scale(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
         """Return the scale at which each interval would just hold its truth, shape (n,)."""
-        return conformal_scales(distributions, self.grid, self.settings.coverage, friction)
+        return conformal_scales(distributions, self.grid, COVERAGE, friction)
 
     @property
     def conformal_scale(self) -> float:
@@ -176,7 +175,7 @@ class Instrument:
         """Why intervals are the whole grid, as they are then; empty where they are not."""
         if self.error_bars and math.isfinite(self.error_bars.conformal_scale):
             return ""
-        needed = least_groups(self.settings.coverage)
+        needed = least_groups(COVERAGE)
         groups = self.card.get("calibration_simulations", 0)
         of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
         return f"no error bar: calibrated on {of_them}; {needed} are needed"

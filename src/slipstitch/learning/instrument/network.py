@@ -18,6 +18,8 @@ from slipstitch.images.camera import POSE
 from slipstitch.images.keypoints import KEYPOINTS_UV
 from slipstitch.learning.instrument.distribution import friction_grid
 
+POSITION_CHANNELS = 16  # of the last feature map, flattened with their positions
+COMPONENTS = 3  # of the normal mixture for mu
 SHARE_SHIFTED = 8  # one channel in so many, either way
 
 
@@ -95,9 +97,9 @@ class InstrumentNetwork(nn.Module):
             raise BadInput(
                 f"{pixels} pixels are too few for {len(settings.channels)} convolutions of stride 2"
             )
-        self.place = nn.Conv2d(inputs, settings.position_channels, 1)
+        self.place = nn.Conv2d(inputs, POSITION_CHANNELS, 1)
         self.frame_features = nn.Sequential(
-            nn.Linear(settings.position_channels * side**2, settings.features),
+            nn.Linear(POSITION_CHANNELS * side**2, settings.features),
             nn.LayerNorm(settings.features),
             nn.GELU(),
             nn.Dropout(settings.dropout),
@@ -119,7 +121,7 @@ class InstrumentNetwork(nn.Module):
         self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)
         self.attention = nn.Linear(2 * units, 1)
         self.friction = nn.Sequential(
-            nn.Linear(2 * units, units), nn.GELU(), nn.Linear(units, 3 * settings.components)
+            nn.Linear(2 * units, units), nn.GELU(), nn.Linear(units, 3 * COMPONENTS)
         )
         self.material = nn.Linear(2 * units, materials)
         self.order = nn.Linear(2 * units, 1)
@@ -136,7 +138,7 @@ class InstrumentNetwork(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 nn.init.zeros_(module.bias)
-        count, largest = self.settings.components, self.settings.friction_max
+        count, largest = COMPONENTS, self.settings.friction_max
         last = self.friction[-1]
         with torch.no_grad():
             last.weight.mul_(0.1)

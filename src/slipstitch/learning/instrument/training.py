@@ -43,6 +43,14 @@ from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 from slipstitch.learning.trainer import Learner, Run, Trainer, simulations
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
+WEIGHT_DECAY = 0.02  # AdamW's
+# Of the losses of fabric and order, relative to that of mu: they shape features and the alarm.
+MATERIAL_WEIGHT = 0.1
+ORDER_WEIGHT = 0.1
+# Videos a step of whose simulated keypoints, with this error (of the cloth's shift, each point's
+# and each frame's), the recurrent layer learns beside images.
+POINTS_VIDEOS = 32
+POINTS_NOISE_M = 0.0015
 UNKNOWN = -1  # number of a fabric that does not train
 
 
@@ -215,9 +223,7 @@ class InstrumentLearner(Learner):
         settings = self.settings
         self.bfloat16 = computes_bfloat16(settings.precision)
         self.next_friction = next_frictions(self.rows, self.training)
-        self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), weight_decay=settings.weight_decay
-        )
+        self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=WEIGHT_DECAY)
         self.chance_loss = chance_score(self.friction.numpy()[self.training])
         self.diverged_hint = f"a smaller instrument.learning_rate than {settings.learning_rate:g}"
         self.plateau_hint = "instrument.epochs, instrument.learning_rate"
@@ -240,11 +246,11 @@ class InstrumentLearner(Learner):
         part = losses(self.network, views, friction, labels, ordered, self.bfloat16, poses, points)
         loss = (
             part["friction"] / self.chance_loss
-            + self.settings.material_weight * part["material"]
-            + self.settings.order_weight * part["order"]
+            + MATERIAL_WEIGHT * part["material"]
+            + ORDER_WEIGHT * part["order"]
             + self.settings.points_weight * part["points"]
         )
-        if self.settings.through_points and self.settings.points_videos:
+        if self.settings.through_points:
             loss = loss + self._loss_of_keypoints(generator)
         kept = {"loss": part["friction"], "error": part["median_error"]}
         if points is not None:
@@ -253,7 +259,7 @@ class InstrumentLearner(Learner):
 
     def _loss_of_keypoints(self, generator: np.random.Generator) -> Tensor:
         """Loss of what is read from simulated places of videos drawn at random, without images."""
-        chosen = generator.choice(np.flatnonzero(self.training), self.settings.points_videos)
+        chosen = generator.choice(np.flatnonzero(self.training), POINTS_VIDEOS)
         others = self.next_friction[chosen]
         places = phase_frames(len(chosen), self.pixels.shape[1], self.frames, generator)
         share = torch.from_numpy(generator.random(len(chosen), np.float32))
@@ -263,14 +269,13 @@ class InstrumentLearner(Learner):
             self.points[others[:, None], places],
             share[:, None, None, None],
         )
-        noise_m = self.settings.points_noise_m
         answers = self.network.of_keypoints(
-            noisy_keypoints(points, self.network.points_spread_m, noise_m, generator)
+            noisy_keypoints(points, self.network.points_spread_m, POINTS_NOISE_M, generator)
         )
         cumulative = mixture_cumulative(answers["friction"], self.network.middles)
         score = ranked_probability_score(cumulative, friction, self.network.grid)
         material = torch.nn.functional.cross_entropy(answers["material"], self.labels[chosen])
-        return score.mean() / self.chance_loss + self.settings.material_weight * material
+        return score.mean() / self.chance_loss + MATERIAL_WEIGHT * material
 
     def validation(self, numbers: np.ndarray) -> dict[str, float]:
         """Loss, error and accuracy."""
