@@ -380,7 +380,7 @@ def _status(add, results: Path) -> None:
     events.append({"event": "end", "time": 4, "success": 0, "own_cpu_s": 1, "jobs_cpu_s": 2})
     (folder / "journal.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
     for name in ("plan.json", "journal.jsonl"):
-        add(f"status, {name}", folder / name, lambda: status(results, None))
+        add(f"status, {name}", folder / name, lambda: status(results, 3))
 
 
 def _release(add, config, results: Path, folder: Path) -> None:

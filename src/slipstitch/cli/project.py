@@ -51,13 +51,11 @@ def init(arguments: Arguments) -> None:
 
 
 @verb(
-    "show the state of a run: jobs done, running and failed, cost, time remaining, disk use",
+    "show the state of a run: failures in plain words, jobs done by stage",
     "slipstitch status --results results",
 )
 @option("--results", default="results", show_default=True, help="results folder")
-@config_files(
-    "YAML or JSON configuration (default: config.json in the results folder)", required=False
-)
+@several("--config", hidden=True, help="not needed any more")
 @option(
     "--lines",
     type=click.IntRange(0),
@@ -70,18 +68,13 @@ def status(arguments: Arguments) -> int:
     from pathlib import Path
 
     from slipstitch.base.errors import BadInput
-    from slipstitch.config import load_config
     from slipstitch.report.status.state import status as state_of
-    from slipstitch.report.status.status_text import text
 
     folder = Path(arguments.results)
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder; give the results folder of the snakemake run")
-    resolved = folder / "config.json"
-    files = arguments.config or ([str(resolved)] if resolved.is_file() else [])
-    found = state_of(folder, load_config(*files) if files else None)
-    print(text(folder, found, arguments.lines))
-    stopped = found.run is not None and found.alive is False and found.run.success is not True
+    text, stopped = state_of(folder, arguments.lines)
+    print(text)
     return 1 if stopped else 0
 
 

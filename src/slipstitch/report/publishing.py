@@ -31,8 +31,8 @@ from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.report.benchmark import read_benchmark
 from slipstitch.report.results import STAGES, Results
-from slipstitch.report.status.state import read_benchmark
 
 # In the folder of the results, as records call files elsewhere by their names alone.
 _AGAIN = "run slipstitch evaluate again, in the folder that contains the results"

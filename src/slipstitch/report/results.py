@@ -26,8 +26,8 @@ from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.grid import Simulation, simulations
 from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.report.benchmark import read_benchmark
 from slipstitch.report.status.runs import Failure, Run, failures, read_runs
-from slipstitch.report.status.state import read_benchmark
 
 STAGES = (
     "calibrate",

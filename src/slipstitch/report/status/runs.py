@@ -48,8 +48,6 @@ class Run:
         The journal's first entry of the run.
     state : dict of int to str
         Last event of each job that had one: started, finished or failed.
-    started_s : dict of int to float
-        When each job was last started.
     failures : list of dict
         The journal's lines.
     success : bool or None
@@ -62,7 +60,6 @@ class Run:
 
     head: dict[str, Any]
     state: dict[int, str] = field(default_factory=dict)
-    started_s: dict[int, float] = field(default_factory=dict)
     failures: list[dict[str, Any]] = field(default_factory=list)
     success: bool | None = None
     last_s: float = 0.0
@@ -133,9 +130,7 @@ def read_runs(folder: str | os.PathLike) -> list[Run]:
             run.own_cpu_s, run.jobs_cpu_s = event["own_cpu_s"], event["jobs_cpu_s"]
         elif "job" in event:
             run.state[event["job"]] = event["event"]
-            if event["event"] == "started":
-                run.started_s[event["job"]] = event["time"]
-            elif event["event"] == "failed":
+            if event["event"] == "failed":
                 run.failures.append(event)
     return runs
 
