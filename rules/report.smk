@@ -8,7 +8,7 @@ rule report:
 
 rule report_page:
     input:
-        calibration=rules.calibrate_settings.output,
+        calibration=rules.calibrate.input,
         simulations=rules.simulate.input,
         grid="results/grid.parquet",
         previews=rules.render.input.previews,
@@ -40,7 +40,9 @@ rule report_page:
             "results/captures/metrics.json",
             "results/captures/predictions.parquet",
             "results/convergence/convergence.json",
+            "results/convergence/convergence.png",
             "results/published/convergence/convergence.json",
+            "results/published/convergence/convergence.png",
         ),
         config=CONFIG_FILE,
     message:

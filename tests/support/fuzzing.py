@@ -15,6 +15,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -351,8 +352,8 @@ def _cases(add, folder: Path) -> None:
 def _report(add, config, results: Path) -> None:
     found = Results(results, config)
     evaluate = results / "evaluate"
-    add("metrics", evaluate / "metrics.json", found.metrics)
-    add("details", evaluate / "details.json", found.details)
+    add("metrics", evaluate / "metrics.json", partial(found.json, "evaluate", "metrics.json"))
+    add("details", evaluate / "details.json", partial(found.json, "evaluate", "details.json"))
     add("predictions", evaluate / "predictions.parquet", found.predictions)
     history = sorted((results / "train").rglob("history.csv"))[0]
     add("training history", history, found.histories)
@@ -360,7 +361,11 @@ def _report(add, config, results: Path) -> None:
     add("benchmark table", table, found.benchmarks)
     add("manifest for the report", results / "sample/manifest.parquet", found.manifest)
     calibration = results / "calibrate/calibration.json"
-    add("calibration for the report", calibration, found.calibration)
+    add(
+        "calibration for the report",
+        calibration,
+        partial(found.json, "calibrate", calibration.name),
+    )
 
 
 def _status(add, results: Path) -> None:

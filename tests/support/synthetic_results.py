@@ -116,6 +116,8 @@ def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) ->
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate.calibration", config=sections)
     write_calibration(result, path, record)
+    for name in ("calibration", "strip", "settings"):
+        Image.new("RGB", (60, 40), "white").save(path.with_name(f"{name}.png"))
 
 
 def write_simulate(config: Config, folder: Path, residuals: dict[str, float] | None = None) -> None:
@@ -217,12 +219,19 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
                         "predicted": f"f{100 + 100 * b:04d}",
                         "true_value": float(frictions[a]),
                         "predicted_value": float(frictions[b]),
+                        "low": None,
+                        "high": None,
+                        "probabilities": np.eye(3)[b].tolist(),
                     }
                     for k, (a, b) in enumerate(zip(true, predicted, strict=True))
                 ]
             details[split][network] = {
                 **common,
                 **_over_seeds(scores),
+                "classes": [
+                    {"id": f"f{1000 * mu:04.0f}", "value": mu} for mu in frictions.tolist()
+                ],
+                "confusion": np.bincount(3 * true + predicted, minlength=9).reshape(3, 3).tolist(),
                 "chance": {"uniform": 1 / 3, "majority": 1 / 3, "mean_absolute_error": 0.3},
                 "viewpoints": {"calibrated": {"n": 12, "simulations": 5, **_over_seeds(scores)}},
             }
@@ -305,6 +314,9 @@ def write_audit(folder: Path, verdict: str = "intact") -> None:
         "notes": ["no independently published digest of SHA256SUMS was given (--expect)"],
     }
     write_json(folder / "audit" / "audit.json", content)
+    preview = folder / "release" / "previews" / "through_time.png"
+    preview.parent.mkdir(parents=True)
+    Image.new("RGB", (60, 40), "white").save(preview)
 
 
 def write_benchmarks(config: Config, folder: Path) -> None:

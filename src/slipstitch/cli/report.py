@@ -25,7 +25,7 @@ def report(arguments: Arguments) -> None:
         "train": context["networks"],
         "evaluate": context["test_sets"],
         "criticise": context["criticism"],
-        "release": context["release"],
+        "release": context["audit"],
     }
     missing = [name for name, made in there.items() if not made]
     size = arguments.out.stat().st_size / 1e6

@@ -1,92 +1,92 @@
-"""Dataset section of the report: images by label, sizes of the splits."""
+"""Dataset section of the report: images by label, whole videos frame by frame, sizes of splits."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from slipstitch.base.page.figures import png_uri
+from slipstitch.base.page.figures import data_uri, png_uri
 from slipstitch.base.page.wording import evenly
 from slipstitch.design.grid import Simulation, simulations, textures, viewpoints
 from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.report.physics import MOST_FRICTIONS_SHOWN
 from slipstitch.report.results import Results
-from slipstitch.report.simulations import MOST_FRICTIONS_SHOWN
 
 # The middle of the first forward stroke (paper, Sec. 4.1: 7 s down, then 31 s per stroke).
 MID_STROKE_S = 22.5
+FRAMES_IN_STRIP = 10
+MOST_MATERIALS_SHOWN = 4
+# A page that a browser opens at once, at the paper's scale too.
+FILM_BYTES_MAX = 3_000_000
 
 
 def dataset(results: Results) -> dict[str, Any] | None:
     """Sampled images: by material and friction, by viewpoint and texture, and two whole videos."""
-    rows = results.manifest()
+    rows, config = results.manifest(), results.config
     if rows is None:
         return None
-    config = results.config
     by_name = {row["video"]: row for row in rows}
-    grid = [simulation for simulation in simulations(config) if simulation.replicate_id == "r00"]
+    view, texture = viewpoints(config)[0], textures(config)[0]
     kept = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     time_s = kept / config.simulation.frame_rate_hz
-    mid_stroke = [int(abs(time_s - MID_STROKE_S).argmin())]
-    view = viewpoints(config)[0]
-    texture = textures(config)[0]
+    middle = [int(abs(time_s - MID_STROKE_S).argmin())]
 
-    def cell(simulation: Simulation, texture_id: str, view_id: str, position: list[int]):
-        row = by_name.get(f"{simulation.id}_{texture_id}_{view_id}")
-        images = results.images(row, position) if row else []
-        return png_uri(images[0]) if images else None
+    def images(one: Simulation, positions: Sequence[int], texture_id: str, view_id: str):
+        row = by_name.get(f"{one.id}_{texture_id}_{view_id}")
+        return [png_uri(image) for image in (results.images(row, positions) if row else [])]
 
+    def cell(one: Simulation, texture_id: str = texture["id"], view_id: str = view["id"]):
+        return next(iter(images(one, middle, texture_id, view_id)), None)
+
+    grid = [one for one in simulations(config) if one.replicate_id == "r00"]
     frictions = evenly(config.grid.frictions, MOST_FRICTIONS_SHOWN)
-    materials = {
-        material: [
-            cell(simulation, texture["id"], view["id"], mid_stroke)
-            for simulation in grid
-            if simulation.material == material and simulation.friction in frictions
-        ]
-        for material in config.grid.materials
+    same = [one for one in grid if one.material == grid[0].material]
+    chosen = same[len(same) // 2]
+    ends = [one for one in same if one.friction in (frictions[0], frictions[-1])]
+    every = evenly(range(len(kept)), FRAMES_IN_STRIP)
+    strips = {
+        f"{one.material}, µ = {one.friction:g}": images(one, every, texture["id"], view["id"])
+        for one in ends
     }
-    same = [simulation for simulation in grid if simulation.material == grid[0].material]
-    middle = same[len(same) // 2]
-    views = {
-        item["name"] + (" (mirrors)" if item["floor_role"] == "test" else ""): [
-            cell(middle, kind["id"], item["id"], mid_stroke) for kind in textures(config)
-        ]
-        for item in viewpoints(config)
-    }
-    strips = []
-    for simulation in dict.fromkeys((same[0], same[-1])):
-        row = by_name.get(f"{simulation.id}_{texture['id']}_{view['id']}")
-        positions = evenly(range(len(kept)), 10)
-        images = results.images(row, list(positions)) if row else []
-        if images:
-            strips.append(
-                {
-                    "title": f"{simulation.material}, µ = {simulation.friction:g}",
-                    "images": [png_uri(image) for image in images],
-                }
-            )
-    sides = {
-        split: {
-            side: sum(
-                row[f"split_{split}"] == side and row["floor_role"] == "train" for row in rows
-            )
-            for side in ("train", "validation", "test")
-        }
-        for split in ("by_video", "by_simulation")
-    }
-    held_out = {row["simulation"] for row in rows if row["split_by_simulation"] == "test"}
     return {
         "videos": len(rows),
         "images": sum(row["frames"] for row in rows),
-        "frictions": frictions,
-        "materials": materials,
+        "frictions": [f"µ = {friction:g}" for friction in frictions],
+        "materials": {
+            name: [cell(o) for o in grid if o.material == name and o.friction in frictions]
+            for name in evenly(config.grid.materials, MOST_MATERIALS_SHOWN)
+        },
         "view": view["name"],
-        "texture": texture["name"],
-        "textures": [item["name"] + _role(item) for item in textures(config)],
-        "views": views,
-        "middle": f"{middle.material}, µ = {middle.friction:g}",
-        "strips": strips,
-        "sides": sides,
-        "held_out": len(held_out),
+        "textures": [
+            item["name"] + (" (test)" if item["role"] == "test" else "")
+            for item in textures(config)
+        ],
+        "views": {
+            item["name"] + (" (mirrors)" if item["floor_role"] == "test" else ""): [
+                cell(chosen, kind["id"], item["id"]) for kind in textures(config)
+            ]
+            for item in viewpoints(config)
+        },
+        "middle": f"{chosen.material}, µ = {chosen.friction:g}",
+        "strips": {title: frames for title, frames in strips.items() if frames},
+        "parts": {split: _parts(rows, split) for split in ("by_video", "by_simulation")},
+        "held_out": len({r["simulation"] for r in rows if r["split_by_simulation"] == "test"}),
     }
 
 
-def _role(item: Mapping[str, str]) -> str:
-    return " (test only)" if item["role"] == "test" else ""
+def _parts(rows: Sequence[Mapping[str, Any]], split: str) -> list[int]:
+    """Number of videos to train, to validate and to test."""
+    return [
+        sum(row[f"split_{split}"] == part and row["floor_role"] == "train" for row in rows)
+        for part in ("train", "validation", "test")
+    ]
+
+
+def film(results: Results) -> dict[str, str] | None:
+    """The film of the simulation in the middle of those that have one, if it is small."""
+    paths = {one: ("render", "preview", f"{one.id}.mp4") for one in results.simulated()}
+    there = [one for one, path in paths.items() if results.folder.joinpath(*path).exists()]
+    content = results.content(*paths[there[len(there) // 2]]) if there else None
+    if not content or len(content) > FILM_BYTES_MAX:
+        return None
+    one = there[len(there) // 2]
+    title = f"{one.material}, µ = {one.friction:g}"
+    return {"title": title, "video": data_uri(content, "video/mp4")}

@@ -8,25 +8,68 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.base.errors import BadInput
-from slipstitch.base.page.figures import new_figure, styled
-from slipstitch.base.page.palette import BLUE, GREEN, INK, LINE, MEASURED, ORANGE, THEORY
+from slipstitch.base.page.figures import a_few, legend_above, new_figure, styled
+from slipstitch.base.page.palette import (
+    BLUE,
+    GREEN,
+    INK,
+    INTERVAL,
+    LINE,
+    MEASURED,
+    ORANGE,
+    SERIES,
+    THEORY,
+)
+from slipstitch.base.page.wording import evenly
 from slipstitch.learning.evaluation.cumulative import draw_cumulative
-from slipstitch.learning.evaluation.scores import AVERAGE, TRAINING
 from slipstitch.report.results import History
+from slipstitch.report.scores import NETWORK_TITLES, SPLIT_NAMES
 
-NETWORK_NAMES = {
-    "material_baseline": "material",
-    "friction_baseline": "friction, baseline",
-    "friction_conditional": "friction, given the material",
-    TRAINING: "instrument (score in µ)",
-    AVERAGE: "instruments averaged",
-}
-SPLIT_NAMES = {
-    "by_video": "by video (the paper's)",
-    "by_simulation": "by simulation",
-    "by_video_reflective": "by video, mirrors too",
-}
+MOST_MARKS = 400
+
+
+@styled
+def predicted_against_true(
+    rows: Sequence[Mapping[str, Any]], materials: Mapping[str, str]
+) -> Figure | None:
+    """Predicted against true friction, a mark a video with its 90 % interval.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of predictions.parquet: one network, one split.
+    materials : mapping
+        Id of a fabric, as simulations are named by it -> its name.
+    """
+    if not rows:
+        return None
+    rows = evenly(rows, MOST_MARKS)
+    ends = [row[key] for row in rows for key in ("true_value", "predicted_value")]
+    low, high = min(ends), max(ends)
+    margin = max(0.08 * (high - low), 0.02)
+    line = np.array([low - margin, high + margin])
+    figure = new_figure(5.2, 3.7)
+    axes = figure.subplots()
+    axes.fill_between(line, line - 0.1, line + 0.1, color=INTERVAL, lw=0)
+    axes.plot(line, line, color=THEORY, lw=0.9)
+    names = sorted({row["simulation"].split("_")[0] for row in rows})
+    for number, name in enumerate(names):
+        own = [row for row in rows if row["simulation"].split("_")[0] == name]
+        # Fabrics side by side, and the videos of each in order: marks of one class do not hide.
+        spread = (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5) * 0.7 + number
+        place = np.array([row["true_value"] for row in own])
+        place = place + margin * ((spread + 0.5) / len(names) - 0.5)
+        predicted = np.array([row["predicted_value"] for row in own])
+        colour = SERIES[number % len(SERIES)]
+        limits = np.array([[row["low"], row["high"]] for row in own], float)
+        for x, (lower, upper) in zip(place, limits, strict=True):
+            axes.plot([x, x], [lower, upper], color=colour, lw=0.8, alpha=0.45)
+        label = materials.get(name, name)
+        axes.plot(place, predicted, "o", color=colour, ms=3.6, mew=0, label=label)
+    axes.set(xlim=line, ylim=line, xlabel="true µ", ylabel="predicted µ")
+    if len(names) > 1:
+        legend_above(figure, dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)), 3)
+    return figure
 
 
 def _phase_changes(epochs: Sequence[Mapping[str, Any]]) -> list[float]:
@@ -38,98 +81,59 @@ def _phase_changes(epochs: Sequence[Mapping[str, Any]]) -> list[float]:
     ]
 
 
+def _draw_history(axes: Axes, history: History, lines: dict[str, Any]) -> None:
+    """Loss against epoch of one network; chance as a dotted line."""
+    epochs = [row["epoch"] for row in history.epochs]
+    for key, colour in (("train_loss", BLUE), ("validation_loss", MEASURED)):
+        values = [row.get(key) for row in history.epochs]
+        values = [value if isinstance(value, float) else np.nan for value in values]
+        marker = {"marker": "o", "ms": 2.5} if len(epochs) < 40 else {}
+        (line,) = axes.plot(epochs, values, lw=1.3, color=colour, **marker)
+        lines.setdefault(key.split("_")[0].replace("train", "training"), line)
+    chance = history.epochs[0].get("chance_loss")
+    if isinstance(chance, float):
+        lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
+    for where in _phase_changes(history.epochs):
+        axes.axvline(where, color=LINE, lw=0.8, zorder=0)
+
+
 @styled
 def training(histories: Sequence[History]) -> Figure | None:
-    """Loss against epoch, one panel per network and split; chance as a dotted line."""
-    if not histories:
+    """Loss against epoch, one panel per network and split."""
+    networks = [name for name in NETWORK_TITLES if any(one.network == name for one in histories)]
+    if not networks:
         return None
-    networks = [
-        name for name in NETWORK_NAMES if any(history.network == name for history in histories)
-    ]
-    splits = list(dict.fromkeys(history.split for history in histories))
-    splits.sort(key=lambda name: list(SPLIT_NAMES).index(name) if name in SPLIT_NAMES else 9)
-    figure = new_figure(3.2 * len(networks) + 0.4, 2.2 * len(splits) + 0.6)
-    panels = figure.subplots(len(splits), len(networks), sharex=True, squeeze=False)
+    splits = [name for name in SPLIT_NAMES if any(one.split == name for one in histories)]
+    figure = new_figure(2.5 * len(networks) + 0.4, 1.8 * len(splits) + 0.6)
+    panels = figure.subplots(len(splits), len(networks), sharex="col", squeeze=False)
     lines: dict[str, Any] = {}
     for history in histories:
-        if history.network not in networks:
-            continue
-        axes = panels[splits.index(history.split)][networks.index(history.network)]
-        epochs = [row["epoch"] for row in history.epochs]
-        for key, name, style in (
-            ("train_loss", "training", {"color": BLUE}),
-            ("validation_loss", "validation", {"color": MEASURED}),
-        ):
-            values = [row.get(key) for row in history.epochs]
-            values = [value if isinstance(value, float) else np.nan for value in values]
-            marker = {"marker": "o", "ms": 2.5} if len(epochs) < 40 else {}
-            (line,) = axes.plot(epochs, values, lw=1.3, **marker, **style)
-            lines.setdefault(name, line)
-        chance = history.epochs[0].get("chance_loss")
-        if isinstance(chance, float):
-            lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
-        for where in _phase_changes(history.epochs):
-            axes.axvline(where, color=LINE, lw=0.8, zorder=0)
+        if history.network in networks:
+            place = splits.index(history.split), networks.index(history.network)
+            _draw_history(panels[place], history, lines)
     for axes, network in zip(panels[0], networks, strict=True):
-        axes.set_title(NETWORK_NAMES[network])
+        axes.set_title(NETWORK_TITLES[network])
     for row, split in zip(panels, splits, strict=True):
-        row[0].set_ylabel(f"{SPLIT_NAMES.get(split, split)}\nloss", fontsize=8)
+        row[0].set_ylabel(f"{SPLIT_NAMES[split]}\nloss", fontsize=8)
         for axes in row:
             axes.set_ylim(0, None)
     figure.supxlabel("epoch", fontsize=9)
-    figure.legend(
-        [*lines.values()], [*lines], loc="outside upper center", ncols=3, frameon=False, fontsize=8
-    )
+    legend_above(figure, lines)
     return figure
 
 
-def _friction_rows(predictions, split: str, network: str) -> tuple[np.ndarray, np.ndarray]:
-    rows = [row for row in predictions or () if row["split"] == split and row["network"] == network]
-    return (
-        np.array([row["true_value"] for row in rows], float),
-        np.array([row["predicted_value"] for row in rows], float),
-    )
-
-
-def confusion_counts(
-    predictions, split: str, network: str, frictions: Sequence[float]
-) -> np.ndarray:
-    """Counts of (true, predicted) friction coefficients; rows are true.
-
-    Returns
-    -------
-    ndarray of int, shape (len(frictions), len(frictions))
-
-    Raises
-    ------
-    BadInput
-        If a coefficient is not one of `frictions`.
-    """
-    counts = np.zeros((len(frictions), len(frictions)), int)
-    number = {round(value, 9): index for index, value in enumerate(frictions)}
-    for pair in zip(*_friction_rows(predictions, split, network), strict=True):
-        for value in pair:
-            if round(value, 9) not in number:
-                raise BadInput(
-                    f"evaluate/predictions.parquet: {network} {split} has friction {value:g}, not "
-                    f"one of the configured grid's: {', '.join(f'{one:g}' for one in frictions)}; "
-                    "evaluate again, or give the configuration of these results"
-                )
-        true, predicted = (number[round(value, 9)] for value in pair)
-        counts[true, predicted] += 1
-    return counts
-
-
-def _draw_confusion(axes: Axes, counts: np.ndarray, frictions: Sequence[float]) -> None:
+def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> None:
+    """Counts of (true, predicted) classes; rows are true, darker is a larger share of the row."""
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0)
-    labels = [f"{value:g}" for value in frictions]
-    axes.set_xticks(range(len(labels)), labels, fontsize=7.5)
-    axes.set_yticks(range(len(labels)), labels, fontsize=7.5)
+    few = a_few(range(len(labels)), 8)
+    names = [labels[place] for place in few]
+    axes.set_xticks(few, names, fontsize=7, rotation=45 if max(map(len, names)) > 4 else 0)
+    axes.set_yticks(few, names, fontsize=7)
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
-    if len(frictions) <= 8:
+    if len(labels) <= 8:
         for (row, column), count in np.ndenumerate(counts):
             axes.text(
                 column, row, str(count), ha="center", va="center", fontsize=8,
@@ -138,160 +142,85 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, frictions: Sequence[float]) 
 
 
 @styled
-def confusions(predictions, frictions: Sequence[float]) -> Figure | None:
-    """True against predicted friction, for both splits and both friction networks."""
-    networks = ("friction_baseline", "friction_conditional")
-    found = [
-        (split, network, confusion_counts(predictions, split, network, frictions))
-        for split in SPLIT_NAMES
-        for network in networks
-    ]
-    found = [item for item in found if item[2].sum()]
-    if not found:
-        return None
-    splits = [name for name in SPLIT_NAMES if any(item[0] == name for item in found)]
-    figure = new_figure(2.7 * len(networks) + 0.6, 2.6 * len(splits) + 0.3)
-    panels = figure.subplots(len(splits), len(networks), squeeze=False)
-    for axes in panels.flat:
-        axes.set_axis_off()
-    for split, network, counts in found:
-        axes = panels[splits.index(split)][networks.index(network)]
-        axes.set_axis_on()
-        _draw_confusion(axes, counts, frictions)
-        axes.set_title(NETWORK_NAMES[network])
-        if network == networks[0]:
-            axes.set_ylabel(f"{SPLIT_NAMES[split]}\ntrue µ", fontsize=8)
-    for axes in panels[-1]:
-        axes.set_xlabel("predicted µ", fontsize=8)
-    return figure
-
-
-@styled
-def cumulative(predictions, frictions: Sequence[float]) -> Figure | None:
-    """Share of test videos against the error allowed, with a uniform guess for comparison."""
-    splits = [
-        name
-        for name in SPLIT_NAMES
-        if len(_friction_rows(predictions, name, "friction_baseline")[0])
-    ]
-    if not splits:
-        return None
-    figure = new_figure(3.9 * len(splits) + 0.3, 2.9)
-    panels = figure.subplots(1, len(splits), sharey=True, squeeze=False)[0]
-    widest = max(frictions) - min(frictions)
-    for axes, split in zip(panels, splits, strict=True):
-        for network, colour in (
-            ("friction_baseline", BLUE),
-            ("friction_conditional", MEASURED),
-            (TRAINING, INK),
-            (AVERAGE, GREEN),
-        ):
-            true, predicted = _friction_rows(predictions, split, network)
-            if not len(true):
-                continue
-            draw_cumulative(
-                axes, np.abs(predicted - true), widest, color=colour, lw=1.6,
-                label=NETWORK_NAMES[network],
-            )  # fmt: skip
-        true, _ = _friction_rows(predictions, split, "friction_baseline")
-        guess = np.abs(np.asarray(frictions)[None, :] - true[:, None]).ravel()
-        draw_cumulative(axes, guess, widest, color=THEORY, lw=0.9, ls=":", label="uniform guess")
-        axes.set(title=SPLIT_NAMES[split], xlabel="error of µ", xlim=(0, widest), ylim=(0, 1.02))
-    panels[0].set_ylabel("share of test videos")
-    panels[-1].legend(frameon=False, fontsize=8, loc="lower right")
-    return figure
-
-
-_LINES = {
-    "material_baseline": ("fabric, top 1", GREEN),
-    "friction_baseline": ("friction, baseline", BLUE),
-    "friction_conditional": ("friction, given the material", MEASURED),
-    TRAINING: ("instrument", INK),
-    AVERAGE: ("instruments averaged", ORANGE),
-}
-
-
-@styled
-def accuracy_by_turn(curves: Mapping[tuple[str, str], Mapping[int, Any]]) -> Figure | None:
-    """Share of right answers against the camera's turn, with the spread over seeds.
+def confusions(details: Mapping[str, Any]) -> Figure | None:
+    """True against predicted classes: fabrics and coefficients, a row a split.
 
     Parameters
     ----------
-    curves : mapping
-        (network, metric) -> turn in degrees -> (mean, spread or None).
+    details : mapping
+        details.json: split -> network -> ``confusion`` and ``classes``.
     """
-    figure = new_figure(7.8, 2.9)
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    lines = {}
-    for axes, metrics in zip(
-        panels, (("friction_lt_0.1", "material_top1"), ("friction_lt_0.2",)), strict=True
-    ):
-        for (network, metric), values in curves.items():
-            known = {turn: score for turn, score in values.items() if score[0] is not None}
-            if metric not in metrics or not known:
-                continue
-            name, colour = _LINES[network]
-            lines[name] = axes.errorbar(
-                list(known), [score[0] for score in known.values()],
-                yerr=[score[1] or 0.0 for score in known.values()], color=colour, lw=1.4,
-                marker="o", ms=3.5, capsize=2.5, ls="--" if network == "material_baseline" else "-",
-            )  # fmt: skip
-        axes.set(xlabel="rotation of the camera, degrees", ylim=(0, 1.04))
-        axes.set_xticks(sorted({turn for values in curves.values() for turn in values}))
-    panels[0].set(title="exact friction class (< 0.1); fabric", ylabel="share of test videos")
-    panels[1].set_title("within one friction class (< 0.2)")
-    figure.legend(
-        [*lines.values()], [*lines], loc="outside upper center", ncols=4, frameon=False, fontsize=8
-    )
+    found = {
+        (split, network): details[split][network]
+        for split in SPLIT_NAMES
+        for network in NETWORK_TITLES
+        if details.get(split, {}).get(network, {}).get("confusion")
+    }
+    if not found:
+        return None
+    splits = [name for name in SPLIT_NAMES if any(split == name for split, _ in found)]
+    networks = [name for name in NETWORK_TITLES if any(network == name for _, network in found)]
+    figure = new_figure(2.7 * len(networks) + 0.6, 2.5 * len(splits) + 0.3)
+    panels = figure.subplots(len(splits), len(networks), squeeze=False)
+    for (row, column), axes in np.ndenumerate(panels):
+        split, network = splits[row], networks[column]
+        axes.set_axis_off()
+        if (split, network) not in found:
+            continue
+        axes.set_axis_on()
+        classes = found[split, network]["classes"]
+        labels = [one.get("name") or f"{one['value']:g}" for one in classes]
+        _draw_confusion(axes, np.array(found[split, network]["confusion"]), labels)
+        axes.set_title(NETWORK_TITLES[network])
+        axes.set_xlabel("predicted", fontsize=8)
+        axes.set_ylabel(f"{SPLIT_NAMES[split]}\ntrue" if column == 0 else "", fontsize=8)
     return figure
 
 
-_CURVES = {
+CURVES = {
     "simulated test set": {"color": BLUE, "lw": 1.5},
     "all captures": {"color": INK, "lw": 1.9},
     "captures without reflective": {"color": GREEN, "lw": 1.3, "ls": "--"},
     "captures, reflective only": {"color": ORANGE, "lw": 1.3, "ls": "-."},
     "all captures, reflective training": {"color": MEASURED, "lw": 1.9, "ls": ":"},
+    "uniform guess": {"color": THEORY, "lw": 0.9, "ls": ":"},
 }
 
 
 @styled
-def cumulative_captures(
-    panels: Sequence[Mapping[str, Any]], paper_shares: Mapping[str, float]
+def cumulative(
+    panels: Mapping[str, Mapping[str, np.ndarray]], paper_shares: Mapping[str, float]
 ) -> Figure | None:
-    """Share of simulated videos, and of pairs of captures, against the error, a panel a model.
+    """Share of videos, or of pairs of captures, against the error allowed: a panel a model.
 
     Parameters
     ----------
-    panels : sequence of mapping
-        ``title``, and ``curves``: name -> errors, shape (n,).
+    panels : mapping
+        Title -> name of a curve, one of `CURVES` -> errors, shape (n,).
     paper_shares : mapping
         Name of a curve -> the paper's share of real pairs with an error of 0.1 at most.
     """
+    errors = [off for curves in panels.values() for off in curves.values() if len(off)]
+    if not errors:
+        return None
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    figure = new_figure(max(3.0 * columns + 0.3, 7.6), 2.8 * rows + 0.7)
+    figure = new_figure(max(3.0 * columns + 0.3, 6.4), 2.6 * rows + 0.7)
     drawn = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in drawn.flat[len(panels) :]:
         axes.set_axis_off()
-    curves = [errors for panel in panels for errors in panel["curves"].values() if len(errors)]
-    widest = max(0.3, *(float(errors.max()) for errors in curves))
+    widest = max(0.3, *(float(off.max()) for off in errors))
     lines: dict[str, Any] = {}
-    for axes, panel in zip(drawn.flat, panels, strict=False):
-        for name, errors in panel["curves"].items():
-            if len(errors):
-                draw_cumulative(axes, errors, widest, label=name, **_CURVES[name])
-        for name, share in paper_shares.items():
-            axes.plot(0.1, share, "*", color=_CURVES[name]["color"], ms=8, mec=INK, mew=0.4)
+    for axes, (title, curves) in zip(drawn.flat, panels.items(), strict=False):
+        for name, off in curves.items():
+            if len(off):
+                draw_cumulative(axes, off, widest, label=name, **CURVES[name])
+        for name, share in paper_shares.items() if "all captures" in curves else ():
+            axes.plot(0.1, share, "*", color=CURVES[name]["color"], ms=8, mec=INK, mew=0.4)
         axes.set(xlim=(0, widest), ylim=(0, 1.02))
-        axes.set_title(panel["title"], fontsize=8.5)
+        axes.set_title(title, fontsize=8.5)
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.supxlabel(
-        "error of µ; of captures, distance of a pair’s median from the reference’s interval",
-        fontsize=9,
-    )
-    figure.supylabel("share of videos; of captures, of pairs", fontsize=9)
-    figure.legend(
-        [*lines.values()], [*lines], loc="outside upper center", ncols=3, frameon=False, fontsize=8
-    )
+    figure.supxlabel("error of µ", fontsize=9)
+    figure.supylabel("share", fontsize=9)
+    legend_above(figure, lines, 3)
     return figure

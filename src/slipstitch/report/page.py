@@ -2,95 +2,30 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from slipstitch.base.page.figures import svg_uri
+from slipstitch.base.page.figures import data_uri, svg_uri
 from slipstitch.base.page.templates import render
-from slipstitch.base.page.wording import counted, time_of_making
+from slipstitch.base.page.wording import time_of_making
 from slipstitch.base.provenance import provenance_record, start_clock, write_text
 from slipstitch.config import Config
 from slipstitch.design.grid import films
 from slipstitch.learning.evaluation import paper
-from slipstitch.learning.evaluation.metrics import TEST_SETS, metrics_of
-from slipstitch.report import learning_pictures
-from slipstitch.report.captures_section import captures_section
-from slipstitch.report.cost import cost_section
-from slipstitch.report.criticism import criticism_section, release_section
-from slipstitch.report.dataset import dataset
-from slipstitch.report.learning import (
-    alarms,
-    headline,
-    not_tested,
-    table_2,
-    test_sets,
-    unseen_texture,
-)
-from slipstitch.report.limits import limits
-from slipstitch.report.physics import convergence, physics
+from slipstitch.report import learning_pictures, scores
+from slipstitch.report.captures import figure_6
+from slipstitch.report.cost import cost_section, failure_table, provenance
+from slipstitch.report.criticism import criticism_section
+from slipstitch.report.dataset import dataset, film
+from slipstitch.report.headline import headline
+from slipstitch.report.physics import convergence, physics, simulation_section
 from slipstitch.report.results import Results
-from slipstitch.report.simulations import simulation_section
-from slipstitch.report.status.runs import Failure
-from slipstitch.report.viewpoints import table_3
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
-
-
-def scale_in_words(config: Config) -> str:
-    """The grid in one line."""
-    grid = config.grid
-    shown = films(config)
-    count = len(grid.materials) * len(grid.frictions) * grid.replicates
-    return (
-        f"{counted(len(grid.materials), 'fabric')} × "
-        f"{counted(len(grid.frictions), 'friction coefficient')} × "
-        f"{counted(grid.replicates, 'replicate')} = {counted(count, 'simulation')}; "
-        f"{counted(len(config.render.texture_ids()), 'texture')}, "
-        f"{counted(len(set(config.render.viewpoint_ids().values())), 'viewpoint')}: "
-        f"{counted(sum(map(len, shown.values())), 'video')} of {config.sample.frames} frames at "
-        f"{config.render.pixels} × {config.render.pixels} pixels"
-    )
-
-
-def _failure_rows(failures: Sequence[Failure]) -> list[dict[str, str]]:
-    return [
-        {
-            "when": datetime.fromtimestamp(failure.time_s, UTC).strftime("%Y-%m-%d %H:%M"),
-            "rule": failure.rule,
-            "output": ", ".join(failure.output[:2]) + (" ..." if len(failure.output) > 2 else ""),
-            "log": ", ".join(failure.log),
-            "then": failure.then,
-        }
-        for failure in failures
-    ]
-
-
-def _provenance(results: Results) -> dict[str, Any]:
-    records = results.provenance()
-    rows = [
-        {
-            "stage": record.get("stage", "?"),
-            "artefact": artefact,
-            "commit": (record.get("git_commit") or "none")[:12]
-            + (" + changes" if record.get("git_dirty") else ""),
-            "code": (record.get("code_digest") or "?")[:12],
-            "host": record.get("host_kind", "?"),
-            "seed": record.get("seed"),
-        }
-        for artefact, record in records
-    ]
-    versions: dict[str, set[str]] = {}
-    for _, record in records:
-        for name, version in (record.get("versions") or {}).items():
-            versions.setdefault(name, set()).add(version)
-    return {
-        "rows": rows,
-        "versions": {name: ", ".join(sorted(found)) for name, found in sorted(versions.items())},
-    }
 
 
 def closest_frictions(frictions: Sequence[float]) -> float | None:
@@ -114,55 +49,43 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         One entry per section; None or empty where a stage was not run.
     """
     config = results.config
-    metrics, details = results.metrics(), results.details()
-    predictions = results.predictions()
-    frictions = config.grid.frictions
-    histories = results.histories()
-    step = closest_frictions(frictions)
-    calibrated = config.calibrated_view
-    captures = captures_section(results, metrics, details, predictions)
-    found = headline(config, metrics, details, predictions)
+    found = scores.Scores(
+        results.json("evaluate", "metrics.json"), results.json("evaluate", "details.json")
+    )
+    predictions, histories = results.predictions(), results.histories()
     record = provenance_record("report")
+    whole = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, width=100)
     return {
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
-        "commit": (record["git_commit"] or "unknown")[:12],
-        "dirty": record["git_dirty"],
-        "host": record["host_kind"],
-        "scale": scale_in_words(config),
-        "config": yaml.safe_dump(
-            config.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100
-        ),
-        "grid": config.grid,
-        "headline": found,
-        "limits": limits(config, next(iter(found), None), captures),
-        "simulations": simulation_section(results),
+        "record": record,
+        "config": config,
+        "config_file": data_uri(whole, "application/yaml"),
+        "shards": films(config),
+        "step": closest_frictions(config.grid.frictions),
+        "headline": headline(config, found, predictions),
         "physics": physics(results),
         "convergence": convergence(results),
+        "simulations": simulation_section(results),
         "rendered": results.rendered(),
-        "shards": len(films(config)),
         "dataset": dataset(results),
-        "training": svg_uri(learning_pictures.training(histories)),
+        "film": film(results),
         "networks": len(histories),
-        "table_2": table_2(metrics, details),
-        "unseen_texture": unseen_texture(metrics, details, calibrated),
-        "table_3": table_3(metrics, details, calibrated),
-        "drawn_turns": config.render.test_viewpoint_videos is not None,
-        "captures": captures,
-        "not_tested": not_tested(metrics, captures) if metrics else [],
-        "criticism": criticism_section(results),
-        "release": release_section(results),
-        "metrics": metrics_of(TEST_SETS),
-        "test_sets": test_sets(metrics, details),
-        "alarms": alarms(details),
+        "training": svg_uri(learning_pictures.training(histories)),
+        "confusions": svg_uri(learning_pictures.confusions(found.details)),
         "paper": paper,
-        "coarse_grid": step is not None and step > 0.1 + 1e-9,
-        "step": step,
-        "confusion": svg_uri(learning_pictures.confusions(predictions, frictions)),
-        "cumulative": svg_uri(learning_pictures.cumulative(predictions, frictions)),
-        "runs": len(results.runs()),
-        "failures": _failure_rows(results.failures()),
+        "test_sets": scores.test_sets(found),
+        "table_2": scores.table_2(found, config.calibrated_view),
+        "unseen_texture": scores.unseen_texture(found, config.calibrated_view),
+        "table_3": scores.table_3(found, config.calibrated_view),
+        "figure_6": figure_6(results, predictions),
+        "alarms": scores.alarms(found),
+        "criticism": criticism_section(results),
+        "audit": results.json("audit", "audit.json"),
+        "release_preview": results.picture("release", "previews", "through_time.png"),
         "cost": cost_section(results.benchmarks()),
-        "provenance": _provenance(results),
+        "runs": len(results.runs()),
+        "failures": failure_table(results),
+        "provenance": provenance(results),
     }
 
 

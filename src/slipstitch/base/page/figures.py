@@ -6,7 +6,7 @@ import html
 import io
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -66,6 +66,14 @@ def a_few(entries: Sequence[Any], most: int = 6) -> list[Any]:
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, in inches."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def legend_above(figure: Figure, lines: Mapping[str, Any], columns: int = 4) -> None:
+    """One legend above all panels: names and lines."""
+    figure.legend(
+        [*lines.values()], [*lines], loc="outside upper center", ncols=columns, frameon=False,
+        fontsize=8,
+    )  # fmt: skip
 
 
 def svg(figure: Figure) -> str:

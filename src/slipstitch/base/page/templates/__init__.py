@@ -11,7 +11,7 @@ import jinja2
 
 from slipstitch import __version__
 from slipstitch.base.page import palette
-from slipstitch.base.page.wording import breaking, duration, number, percent, size
+from slipstitch.base.page.wording import breaking, counted, duration, number, percent, size
 
 FOLDER = Path(__file__).parent
 
@@ -27,7 +27,7 @@ def environment(folder: Path) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    for function in (breaking, duration, number, percent, size):
+    for function in (breaking, counted, duration, number, percent, size):
         found.filters[function.__name__] = function
     found.globals |= {"palette": palette, "version": __version__}
     return found
