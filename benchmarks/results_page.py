@@ -409,6 +409,11 @@ Held out: mean error of μ {found["mean_absolute_error"]:.3f}; {found["coverage_
 
 {clamp_height()}
 
+## Origin
+
+Weights: SHA-256 `{card["weights_sha256"]}`. Dataset: `{card["dataset_digest"]}`. The chain of \
+records behind them is in `results/published/instrument`, which `slipstitch audit` follows.
+
 ## Licence
 
 GPL-3.0-or-later. The fabrics are those of Wang, O'Brien and Ramamoorthi (2011).

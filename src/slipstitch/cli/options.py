@@ -78,7 +78,7 @@ class Several(click.Option):
     """An option that takes several values, ``--config A B``, and may be repeated."""
 
     def __init__(self, *args: Any, **settings: Any):
-        super().__init__(*args, multiple=True, **settings)
+        super().__init__(*args, **{**settings, "multiple": True})
 
     def make_metavar(self, ctx: click.Context) -> str:
         """Return the name of a value and dots."""

@@ -53,6 +53,6 @@ def false_alarms(
             zeros = measurements.zero_columns[group.index]
             drawn = group.drawn(scatters[group.protocol], rng, 1)[:, 0]
             y[group.index] += drawn + zeros @ rng.standard_normal(zeros.shape[1])
-        drawn = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
-        alarms += analyse(drawn, seed + number, replicates).verdict not in NO_ALARM
+        campaign = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
+        alarms += analyse(campaign, seed + number, replicates).verdict not in NO_ALARM
     return FalseAlarms(alarms, campaigns)

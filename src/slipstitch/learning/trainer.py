@@ -208,7 +208,7 @@ class Trainer:
 
     def __init__(self, learner: Learner, run: Run, videos: Videos, started: Any, **identity: Any):
         self.learner, self.run, self.videos, self.started = learner, run, videos, started
-        self.at_end_of: Callable[[Phase], None] | None = None
+        self.at_end_of: Callable[[Phase], Any] | None = None
         self.out = Path(run.out)
         self.history: list[dict[str, Any]] = []
         names = "\n".join(row["video"] for row in videos.rows)

@@ -247,7 +247,7 @@ def _timed(contents: Contents, config: Config, shards: Mapping[str, Shard]) -> I
     protocol = {"frame": frames, "time_s": times_s, "stage_x_m": x_m}
     for row in contents.rows:
         shard = shards.get(row["shard"])
-        columns = shard.columns.get(row["video"]) if shard else None
+        columns = (shard and shard.columns.get(row["video"])) or {}
         for name, values in protocol.items() if columns else ():
             found = np.array(columns.get(name), np.float64)
             same = found.shape == values.shape

@@ -95,12 +95,12 @@ def _cumulative(found: Sequence[Mapping[str, Any]], step: float) -> Figure:
     for name, chosen in subsets(found).items():
         part = [row for row, one in zip(found, chosen, strict=True) if one]
         for of_training in grouped(part, "model", "trained_on").values():
-            errors = [
+            of_pairs = [
                 pair["error"]
                 for of_seed in grouped(of_training, "seed").values()
                 for pair in pair_medians(of_seed, step)
             ]
-            off.setdefault(label(of_training[0]), {})[name] = np.array(errors)
+            off.setdefault(label(of_training[0]), {})[name] = np.array(of_pairs)
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
     for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
         for name, errors in of_label.items():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,7 @@ def run_case(
         "predictions": [],
     }
     margin = config.train.plateau_margin
-    train = _lrcn
+    train: Callable[..., LrcnModel | Instrument] = _lrcn
     if case.network == "instrument":
         margin, train = config.instrument.plateau_margin, _instrument
     try:

@@ -154,8 +154,15 @@ def _row(of_seeds: list[Row], step: float) -> Row:
         friction_scores(np.array([one["predicted"] for one in part]), of_part, step)
         for part, of_part in zip(trained, true, strict=True)
     ]
-    names = ("network", "variant", "phrase", "tested_on")
-    names += ("training_videos", "training_simulations", "passes")
+    names = (
+        "network",
+        "variant",
+        "phrase",
+        "tested_on",
+        "training_videos",
+        "training_simulations",
+        "passes",
+    )
     return {
         **{name: first[name] for name in names},
         "n": len(trained[0]) if trained else 0,

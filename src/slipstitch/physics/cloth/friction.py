@@ -58,10 +58,7 @@ class ContactState:
 
 @wp.func
 def curve_factor(
-    values: wp.array(dtype=wp.float64),  # type: ignore[valid-type]
-    at_rest: bool,
-    load_ratio: wp.float64,
-    contact: ContactState,
+    values: wp.array(dtype=wp.float64), at_rest: bool, load_ratio: wp.float64, contact: ContactState
 ) -> wp.float64:
     """:meth:`slipstitch.physics.friction_law.Curve.factor`."""
     quantity = int(values[CURVE])
@@ -87,7 +84,7 @@ def curve_factor(
 @wp.func
 def force_limit(
     coefficient: wp.float64,
-    values: wp.array(dtype=wp.float64),  # type: ignore[valid-type]
+    values: wp.array(dtype=wp.float64),
     at_rest: bool,
     contact: ContactState,
 ) -> wp.float64:

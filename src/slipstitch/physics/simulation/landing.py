@@ -40,7 +40,8 @@ class Landing:
         settings: SimulationSettings,
     ):
         self._solver, self._clamps, self._settings = solver, clamps, settings
-        self._new_solver, self._finer = new_solver, None
+        self._new_solver = new_solver
+        self._finer: ClothSolver | None = None
         self._touched_s = np.inf
 
     def confirms(self, end_m: np.ndarray, step_s: float) -> bool:

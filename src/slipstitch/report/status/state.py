@@ -96,7 +96,7 @@ def status(folder: str | Path, log_lines: int) -> tuple[str, bool]:
         return f"{folder}: no snakemake run has started a job here.", False
     run = runs[-1]
     stages = jobs_by_stage(folder, run, plan)
-    rows = [("stage", *STATES)]
+    rows: list[tuple[str, ...]] = [("stage", *STATES)]
     for name, counts in [*stages.items(), ("total", sum(stages.values(), Counter()))]:
         others = [str(counts[state] or "-") for state in STATES[1:]]
         rows.append((name, f"{counts['done']}/{counts.total()}", *others))
