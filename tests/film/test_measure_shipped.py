@@ -96,6 +96,7 @@ def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, c
     assert not told["alarm"]
     # The page says what this instrument knows: seven floors that reflect are among its floors.
     page = (tmp_path / "page.html").read_text()
+    assert f"True value: <b>{known['friction']:.3f}</b>. This example was simulated" in page
     assert "° from the calibrated viewpoint<br>rotation about the vertical +2 degrees" in page
     assert "roll +0.1 degrees (trained on -2.1 ... +2.1)" in page
     config = load_config(SHIPPED / "config.json")

@@ -1,6 +1,7 @@
 """The page of a measurement: frames, their weights, the distribution."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,8 +47,15 @@ def decisive_frames(result: MeasuredVideo) -> list[dict]:
     return [frame for frame in _frames(result) if frame["decisive"]]
 
 
-def page(result: MeasuredVideo) -> str:
-    """The page as HTML; it needs no other file."""
+def page(result: MeasuredVideo, known: dict[str, Any] | None = None) -> str:
+    """The page as HTML; it needs no other file.
+
+    Parameters
+    ----------
+    result : MeasuredVideo
+    known : dict, optional
+        Of the example: the true fabric, substrate and friction.
+    """
     measured, video, trained = result.measurement, result.video, result.pose_range
     weights = np.asarray(measured.attention_weights, dtype=float)
     frames = _frames(result)
@@ -64,7 +72,8 @@ def page(result: MeasuredVideo) -> str:
         alarm=result.alarm_reason,
         frames=frames,
         decisive=[frame["time"] for frame in frames if frame["decisive"]],
-        distribution=_distribution(result),
+        distribution=_distribution(result, known),
+        known=known,
         timeline=_timeline(result, weights),
         start=video.start,
         video=video,
@@ -91,7 +100,7 @@ def _points(x: np.ndarray, y: np.ndarray) -> str:
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
 
 
-def _distribution(result: MeasuredVideo) -> dict:
+def _distribution(result: MeasuredVideo, known: dict[str, Any] | None) -> dict:
     """The distribution over friction as the corners of a shape, in a box of 920 x 190."""
     grid, probability = map(np.asarray, result.measurement.distribution)
     lowest, highest = float(grid[0]), float(grid[-1])
@@ -108,6 +117,7 @@ def _distribution(result: MeasuredVideo) -> dict:
     low, high = across(result.measurement.interval_90)
     return {
         "shape": shape,
+        "true": f"{across(known['friction']):.1f}" if known else None,
         "median": f"{across(result.measurement.friction_coefficient):.1f}",
         "low": f"{low:.1f}",
         "width": f"{max(high - low, 1.0):.1f}",

@@ -1,16 +1,25 @@
 """The video that comes with Slipstitch, to try the instrument on: a surrogate, not a real one."""
 
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 EXAMPLE_FOLDER = Path(__file__).parent
 EXAMPLE_VIDEO = EXAMPLE_FOLDER / "film.mp4"
 EXAMPLE_CAMERA = EXAMPLE_FOLDER / "camera.json"
 
 
+def truth_of(video: str | os.PathLike) -> dict[str, Any] | None:
+    """What is known of the example: fabric, substrate, friction; None of any other video."""
+    if Path(video) != EXAMPLE_VIDEO:
+        return None
+    return json.loads((EXAMPLE_FOLDER / "example.json").read_text(encoding="utf-8"))
+
+
 def known_of_example() -> str:
     """What the example shows and how it was made, in one sentence."""
-    known = json.loads((EXAMPLE_FOLDER / "example.json").read_text(encoding="utf-8"))
+    known = truth_of(EXAMPLE_VIDEO) or {}
     return (
         f"the example is simulated, not real: {known['material']} on {known['substrate']}, "
         f"friction {known['friction']:.3f}; mesh, time step, camera, lens and light are not those "
