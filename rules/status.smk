@@ -3,7 +3,8 @@
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
-from slipstitch.report.status.journal import Journal
+from slipstitch.report.status.journal import Journal, plan_of
+from slipstitch.report.status.progress import Progress
 from slipstitch.report.status.runs import last_failures
 
 # What `slipstitch status` and the report read; the processes of single jobs do not write to it.
@@ -27,6 +28,8 @@ onstart:
     refuse_unwritable(workflow.dag.needrun_jobs())
     write_config(CONFIG, CONFIG_FILE)
     JOURNAL.begin(workflow.dag, workflow.cores)
+    if sys.stderr.isatty():
+        logger.addHandler(Progress(plan_of(workflow.dag), CONFIG))
     # Snakemake 9's limit of jobs started a second sets a timer with every job, which sets the next
     # for ever: after 250 jobs they took a third of a core. Cluster profiles limit jobs otherwise.
     workflow.scheduler.job_rate_limiter = None

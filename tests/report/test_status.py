@@ -14,6 +14,7 @@ from slipstitch.report.benchmark import read_benchmark
 from slipstitch.report.page import page_context, render_page
 from slipstitch.report.results import Results
 from slipstitch.report.status.journal import Journal, process_identity
+from slipstitch.report.status.progress import Progress, modelled_s
 from slipstitch.report.status.runs import failures, last_failures, last_lines, read_runs
 from slipstitch.report.status.state import stage_of, status
 
@@ -227,3 +228,24 @@ def test_the_verb_fails_where_the_run_failed(bench, capsys):
     (bench.results / "status/plan.json").write_text(json.dumps({"jobs": [{}]}))
     assert main(["status", "--results", str(bench.results)]) == 2
     assert "plan.json: damaged" in capsys.readouterr().err
+
+
+def test_the_last_job_of_a_stage_says_the_share_of_the_run_and_the_time_left():
+    config = Config()
+    jobs = {"simulate_one": ("simulate/a", "simulate/b"), "evaluate_all": ("evaluate/metrics",)}
+    plan = [
+        {"rule": rule, "output": [f"results/{name}.json"], "needed": True}
+        for rule, names in jobs.items()
+        for name in names
+    ]
+    progress = Progress([job | {"id": k} for k, job in enumerate(plan)], config)
+    assert progress.finished(0) is None and progress.finished(7) is None
+    line = progress.finished(1)
+    simulated, evaluated = (
+        2 * modelled_s("simulate_one", config),
+        modelled_s("evaluate_all", config),
+    )
+    share = 100 * simulated / (simulated + evaluated)
+    assert line.startswith(f"simulate is finished: {share:.0f} % of the run, about ")
+    assert line.endswith("left (1 job: evaluate)")
+    assert progress.finished(2) == "evaluate is finished: 100 % of the run"

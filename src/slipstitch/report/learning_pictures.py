@@ -85,10 +85,10 @@ def _draw_history(axes: Axes, history: History, lines: dict[str, Any]) -> None:
     """Loss against epoch of one network; chance as a dotted line."""
     epochs = [row["epoch"] for row in history.epochs]
     for key, colour in (("train_loss", BLUE), ("validation_loss", MEASURED)):
-        values = [row.get(key) for row in history.epochs]
-        values = [value if isinstance(value, float) else np.nan for value in values]
-        marker = {"marker": "o", "ms": 2.5} if len(epochs) < 40 else {}
-        (line,) = axes.plot(epochs, values, lw=1.3, color=colour, **marker)
+        found = [row.get(key) for row in history.epochs]
+        values = [value if isinstance(value, float) else np.nan for value in found]
+        marker = "o" if len(epochs) < 40 else None
+        (line,) = axes.plot(epochs, values, lw=1.3, color=colour, marker=marker, ms=2.5)
         lines.setdefault(key.split("_")[0].replace("train", "training"), line)
     chance = history.epochs[0].get("chance_loss")
     if isinstance(chance, float):
