@@ -1,4 +1,4 @@
-"""Write docs/results.md, docs/config.md and the card of the instrument that ships.
+"""Write docs/results.md, docs/config.md, the rules of the verdict, the shipped model's card.
 
 From published files and from the configuration's schema alone.
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas
 from scipy.stats import binomtest
 
+from slipstitch.criticise.verdict import RULES
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.learning.evaluation import paper as printed
 from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
@@ -19,6 +20,7 @@ from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "results" / "published"
 PAGE = ROOT / "docs" / "results.md"
+CRITICISM = ROOT / "docs" / "how" / "criticism.md"
 CONFIG_PAGE = ROOT / "docs" / "config.md"
 SCHEMA = ROOT / "workflow/schemas/config.schema.json"
 CARD = ROOT / "src/slipstitch/film/measure/shipped/MODEL_CARD.md"
@@ -366,6 +368,19 @@ def config_page():
     )
 
 
+def criticism_page():
+    """Return the text of docs/how/criticism.md, its rules of the verdict as the code has them."""
+    before, title, rest = CRITICISM.read_text(encoding="utf-8").partition(
+        "## The rules of the verdict\n"
+    )
+    rows = [[rule.name, f"`{rule.verdict}`", rule.says] for rule in RULES]
+    words = "The first rule that applies decides (`criticise/verdict.py`).\n\n"
+    following = rest.index("## ")
+    return (
+        f"{before}{title}\n{words}{table('rule|verdict|applies where', rows)}\n\n{rest[following:]}"
+    )
+
+
 def model_card():
     """Return the text of the card of the instrument that ships."""
     card = read("instrument/models/by_simulation/instrument/ensemble/instrument.json")
@@ -424,7 +439,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page differs")
     check = parser.parse_args().check
-    pages = {PAGE: results_page(), CONFIG_PAGE: config_page(), CARD: model_card()}
+    pages = {
+        PAGE: results_page(),
+        CONFIG_PAGE: config_page(),
+        CRITICISM: criticism_page(),
+        CARD: model_card(),
+    }
     stale = [path for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
     for path in stale:
         print(f"{path.relative_to(ROOT)}: not the published numbers" if check else f"wrote {path}")
