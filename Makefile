@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-PYTEST := $(SINGLE) $(BIN)/python -m pytest -n $(CORES) --dist loadgroup
+PYTEST := $(SINGLE) $(BIN)/python -m pytest -n $(CORES)
 
 .PHONY: help setup setup-cluster all taste test test-all lint format results benchmark captures \
 	convergence shipped-instrument clean

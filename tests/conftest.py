@@ -5,8 +5,26 @@ import zlib
 
 import numpy as np
 import pytest
+from xdist.scheduler.loadscope import LoadScopeScheduling
 
 from slipstitch.base.provenance import record
+
+# Tests in folders of their own, or of one chain that takes minutes, share a process.
+ALONE = ("dry_run", "chosen_settings", "wheel")
+
+
+class SharedFixtures(LoadScopeScheduling):
+    """Give a file to one process of pytest-xdist, and all files that use the chain to one."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        if "tests/workflow/" in file and not file.endswith(tuple(f"{name}.py" for name in ALONE)):
+            return "chain"
+        return file
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return SharedFixtures(config, log)
 
 
 def pytest_addoption(parser):

@@ -42,7 +42,6 @@ ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
 CLIP = "m05_f0300_r00_t00_v00"
 OF_SIMULATION = {f"m05_f0300_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
-pytestmark = pytest.mark.xdist_group("audit")
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,6 @@ CONFIG = synthetic_chain.config(
 # Importing the libraries takes most of both.
 # Of a quiet machine 2 s are wanted; beyond 20 it hangs, however busy the machine is.
 CPU_S, RSS_BYTES = 20.0, 2**30
-pytestmark = pytest.mark.xdist_group("hostile")
 
 
 @pytest.fixture(scope="module")

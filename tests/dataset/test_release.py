@@ -45,7 +45,6 @@ from slipstitch.physics.fabric import fabric_names
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
-pytestmark = pytest.mark.xdist_group("release")
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,6 @@ CONFIG = synthetic_chain.config(
         "floors": ["matte", "ceramic"],
     },
 )
-pytestmark = pytest.mark.xdist_group("signature")
 
 
 @pytest.fixture(scope="module")

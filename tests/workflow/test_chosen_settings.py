@@ -7,7 +7,7 @@ from support.workflow_copy import Workflow
 
 from slipstitch.base.provenance import read_provenance
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chosen_settings")]
+pytestmark = pytest.mark.slow
 
 # No push of the strip is solved with the first, so that the calibration takes the second.
 KEY = "newton_iterations_max"

@@ -7,8 +7,6 @@ import pytest
 
 from slipstitch.cli.main import main
 
-pytestmark = pytest.mark.xdist_group("chain")
-
 ONE = "m00_f0100_r00"
 PACKS = [f"results/render/shading/{ONE}_v00.parquet", f"results/render/shading/{ONE}_v01.parquet"]
 SHARDS = [f"results/render/{ONE}_v00.parquet", f"results/render/{ONE}_v01.parquet"]
@@ -71,7 +69,7 @@ READERS = {
         ["sample", *CONFIG, "--out-dir", "{out}/sample", "{shards}"],
     ),
     "train": (
-        f"results/sample/{ONE}.parquet",
+        "results/sample/m00_f0600_r00.parquet",  # which trains
         ["train", *CONFIG, "--dataset", "results/sample", "--network", "material_baseline",
          "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}/model"],
     ),

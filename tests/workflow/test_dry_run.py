@@ -11,8 +11,6 @@ from support.workflow_copy import Workflow
 from slipstitch.config import load_config
 from slipstitch.design.cost import estimate, estimate_line
 
-pytestmark = pytest.mark.xdist_group("dry_run")
-
 
 def job_counts(output: str) -> dict[str, int]:
     return {name: int(count) for name, count in re.findall(r"^(\w+)\s+(\d+)$", output, re.M)}

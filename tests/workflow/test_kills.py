@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from support import equal_results, kills
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
+pytestmark = pytest.mark.slow
 
 
 def test_five_kills_on_the_way_and_the_result_is_the_same(undisturbed, reference):

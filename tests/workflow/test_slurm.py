@@ -21,7 +21,7 @@ from slipstitch.config import load_config
 from slipstitch.design.cost import JOB_KINDS, job_memory_mb, job_runtime_min
 from slipstitch.report.benchmark import read_benchmark
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
+pytestmark = pytest.mark.slow
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "srun", "scontrol")
 # The plugin takes every SLURM_ variable from its job steps: the configuration must lie here.

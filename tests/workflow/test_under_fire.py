@@ -17,7 +17,7 @@ from support import kills
 from slipstitch.config.load import load_config
 from slipstitch.design.grid import simulations
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("chain")]
+pytestmark = pytest.mark.slow
 
 ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a file system")
 ONE = "m00_f0100_r00"

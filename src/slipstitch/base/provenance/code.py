@@ -121,10 +121,17 @@ def _contents(stage: str, root: Path) -> tuple[dict[Path, str], frozenset[str]]:
         for name in imported:
             if name.startswith(PACKAGE + "."):
                 waiting += _imported_sources(root, name)
-        for data in sorted(file.parent.iterdir()):  # templates and tables that the module names
-            is_table = data.suffix in (".j2", ".json", ".css") and data.name not in QUOTED
-            if is_table and data.name in contents[file]:
-                contents[data] = data.read_text(encoding="utf-8")
+    tables = {
+        data
+        for folder in {file.parent for file in contents}
+        for data in folder.iterdir()
+        if data.suffix in (".j2", ".json", ".css") and data.name not in QUOTED
+    }
+    texts = list(contents.values())
+    while named := [data for data in tables if any(data.name in text for text in texts)]:
+        tables.difference_update(named)
+        texts = [data.read_text(encoding="utf-8") for data in named]  # they may name others
+        contents.update(zip(named, texts, strict=True))
     ordered = sorted(contents, key=lambda file: file.relative_to(root).as_posix())
     return {file: contents[file] for file in ordered}, frozenset(versions)
 
