@@ -53,7 +53,7 @@ REFUSED = {
     "thousands": (PLAIN.replace("0.2\n", '"1,200"\n').replace(".", ""), "or thousands"),
     "twice": (PLAIN.replace("position", "angle_deg"), "column angle_deg: given twice"),
     "another unit": (PLAIN.replace("_deg\n", "_deg\n,,,,,rad,\n"), "in rad by its unit"),
-    "radians": (re.sub(r",2[23]\.", ",0.", PLAIN), "angles in radians"),
+    "radians": (re.sub(r",2[23]\.\d", ",0.4", PLAIN), "angles in radians"),
     "underscores": (PLAIN.replace("22.60", "2_2.5"), "2_2.5"),
     "open quotation": (PLAIN.replace("Wölle", '"W', 1), "quotation mark is not closed"),
 }
