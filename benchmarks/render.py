@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from support import synthetic_cloth
 
 from slipstitch.config.render import RenderSettings
+from slipstitch.design.grid import texture_ids
 from slipstitch.images import blender
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import composed_images, render_shard
@@ -68,7 +69,7 @@ class Stopwatch:
 
 def view(path: Path, settings: RenderSettings, viewpoint: str, frames: int) -> View:
     """A view of the benchmark."""
-    return View(path, "v00", viewpoint, settings, frames, 1, None, settings.texture_ids())
+    return View(path, "v00", viewpoint, settings, frames, 1, None, texture_ids(settings))
 
 
 def cost(folder: Path, pixels: int, images: int, floor: str) -> None:

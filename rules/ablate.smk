@@ -25,9 +25,10 @@ rule ablate_one:
             "train",
             "instrument",
             "ablate",
-            also=("sample.frames", "view_order"),
+            also=("sample.frames",),
             ablate={"seeds"},
         ),
+        views=VIEW_ORDER,
         code=code_of("ablate.run"),
         config=CONFIG_FILE,
     message:

@@ -9,8 +9,17 @@ from functools import cache
 from operator import attrgetter
 
 from slipstitch.config import read_mapping, resolve_config, write_config
-from slipstitch.design.grid import films, grid_rows, simulations, viewpoints
+from slipstitch.design.grid import (
+    films,
+    floors_of,
+    grid_rows,
+    simulations,
+    texture_ids,
+    viewpoint_ids,
+    viewpoints,
+)
 from slipstitch.design.interpolation import interpolations
+from slipstitch.design.trainable import view_order
 from slipstitch.design.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.base.errors import BadInput
 from slipstitch.physics.fabric import fabric_digest, fabric_names
@@ -116,6 +125,9 @@ def digests_if_there(*paths):
     """Optional files that a rule displays, as its parameter: the rule reruns when one changes."""
     return [f"{path}: {file_digest(path)}" for path in paths if os.path.exists(path)]
 
+
+# Parameter of the rules that train and evaluate: they rerun when other viewpoints are taken up.
+VIEW_ORDER = f"view_order: {json.dumps(view_order(CONFIG))}"
 
 # The convergence study that trajectories quote; which jobs show its verdicts, rerun with it.
 STUDY = study_digest()

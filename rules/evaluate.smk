@@ -30,7 +30,8 @@ rule evaluate_all:
         mem_mb=job_memory_mb("evaluate", CONFIG),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
-        *settings("evaluate", also=("sample.frames", "view_order")),
+        *settings("evaluate", also=("sample.frames",)),
+        views=VIEW_ORDER,
         code=code_of("evaluate"),
         config=CONFIG_FILE,
     message:

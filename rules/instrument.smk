@@ -47,9 +47,10 @@ rule instrument_one:
     params:
         *settings(
             "instrument",
-            also=("sample.frames", "view_order"),
+            also=("sample.frames",),
             instrument={"seeds", "calibration_datasets"},
         ),
+        views=VIEW_ORDER,
         code=code_of("instrument"),
         config=CONFIG_FILE,
         folder=subpath(output.weights, parent=True),

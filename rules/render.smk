@@ -77,10 +77,10 @@ rule render_shading:
         *SHADING_SETTINGS,
         viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
         weights=lambda wildcards: filmed(wildcards.simulation, [wildcards.viewpoint]),
-        floors=lambda wildcards: CONFIG.render.floors_of(wildcards.viewpoint),
+        floors=lambda wildcards: floors_of(CONFIG.render, wildcards.viewpoint),
         catalogue=lambda wildcards: entries(
             viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]],
-            floors=CONFIG.render.floors_of(wildcards.viewpoint),
+            floors=floors_of(CONFIG.render, wildcards.viewpoint),
         ),
         code=code_of("render.packing"),
         config=CONFIG_FILE,
@@ -111,7 +111,7 @@ rule render_images:
         runtime=job_runtime_min("compose", CONFIG),
     params:
         *RENDER_SETTINGS,
-        catalogue=entries(textures=CONFIG.render.texture_ids().values()),
+        catalogue=entries(textures=texture_ids(CONFIG.render).values()),
         code=code_of("render"),
         config=CONFIG_FILE,
     message:

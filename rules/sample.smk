@@ -26,7 +26,7 @@ rule sample_all:
         runtime=job_runtime_min("sample", CONFIG),
     params:
         *settings("seed", "sample"),
-        catalogue=entries(viewpoints=CONFIG.render.viewpoint_ids().values()),
+        catalogue=entries(viewpoints=viewpoint_ids(CONFIG.render).values()),
         code=code_of("sample"),
         config=CONFIG_FILE,
     message:

@@ -1,7 +1,7 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
 from slipstitch.config.train import NETWORKS
-from slipstitch.design.trainable import check_networks_can_train
+from slipstitch.design.trainable import check_networks_can_train, trainings
 
 # The networks before fine-tuning.
 KEEPS_ALL_VIEWS = CONFIG.train.keep_all_views and CONFIG.train.fine_tuning_epochs > 0
@@ -28,7 +28,7 @@ rule train:
             training=[
                 f"{split}/{network}/seed{seed}"
                 for split in CONFIG.train.splits
-                for network, seed in CONFIG.train.trainings(split)
+                for network, seed in trainings(CONFIG.train, split)
             ],
             file=["model.safetensors", "model.json", "history.csv"],
         ),
@@ -65,9 +65,9 @@ rule train_one:
         *settings(
             "seed",
             "train",
-            also=("view_order",),
             train={"seeds", "reflective_seeds", "splits"},
         ),
+        views=VIEW_ORDER,
         code=code_of("train"),
         config=CONFIG_FILE,
         folder=subpath(output.model, parent=True),

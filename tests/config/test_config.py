@@ -292,6 +292,11 @@ def test_coefficients_that_only_train_are_of_the_grid_and_leave_one_to_test():
         ),
         (
             check_instrument_can_train,
+            {"instrument": {"viewpoints": ["calibrated", "side"]}},
+            "instrument.viewpoints: 'side' is not trained on in the calibrated view",
+        ),
+        (
+            check_instrument_can_train,
             {"grid": {"frictions": [0.5, 2.0]}},
             "grid.frictions: 2 is above what the instrument can say, 1.5 (instrument.friction_max)",
         ),

@@ -5,6 +5,7 @@ from pydantic import ValidationError
 
 from slipstitch.config.catalogue import TEST_ONLY_TEXTURES, TEXTURES, VIEWPOINTS
 from slipstitch.config.render import RenderSettings
+from slipstitch.design.grid import texture_ids, viewpoint_ids
 
 
 def test_there_are_eight_training_textures_and_one_for_testing_only():
@@ -29,8 +30,8 @@ def test_ids_count_training_names_first():
         viewpoints=["side"],
         test_viewpoints=["calibrated_+5", "frontal"],
     )
-    assert settings.texture_ids() == {"t00": "dots", "t01": "denim", "t02": "chevron"}
-    assert settings.viewpoint_ids() == {"v00": "side", "v01": "calibrated_+5", "v02": "frontal"}
+    assert texture_ids(settings) == {"t00": "dots", "t01": "denim", "t02": "chevron"}
+    assert viewpoint_ids(settings) == {"v00": "side", "v01": "calibrated_+5", "v02": "frontal"}
 
 
 @pytest.mark.parametrize(

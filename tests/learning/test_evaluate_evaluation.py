@@ -18,6 +18,7 @@ from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import friction_id
+from slipstitch.design.trainable import trainings
 from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.probes import PREFIX
@@ -49,7 +50,7 @@ def chain(tmp_path_factory):
     shards = synthetic_videos.write_shards(CONFIG, folder / "render")
     write_dataset(CONFIG, shards, folder / "sample")
     for split in TRAINED_ON:
-        for network, _ in CONFIG.train.trainings(split):
+        for network, _ in trainings(CONFIG.train, split):
             material = folder / "train" / split / "material_baseline" / "seed0"
             train_network(
                 CONFIG.train,

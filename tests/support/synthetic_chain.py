@@ -19,8 +19,7 @@ from slipstitch.config import Config, write_config
 from slipstitch.config.catalogue import catalogue_entries
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.shards import decode
-from slipstitch.design.grid import Simulation, simulations, viewpoints
-from slipstitch.design.grid_table import write_grid
+from slipstitch.design.grid import Simulation, simulations, texture_ids, viewpoints, write_grid
 from slipstitch.design.stage_path import StagePath
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import keypoints_record
@@ -144,7 +143,7 @@ def _write_render(config: Config, results: Path) -> list[Path]:
                 "sample": {"frames": config.sample.frames},
                 "viewpoint": names[view],
                 "catalogue": catalogue_entries(
-                    [names[view]], config.render.texture_ids().values(), config.render.floors
+                    [names[view]], texture_ids(config.render).values(), config.render.floors
                 ),
             },
             seed=config.seed,

@@ -8,7 +8,7 @@ import pytest
 
 from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.config import load_config
-from slipstitch.design.grid import friction_id, simulations
+from slipstitch.design.grid import friction_id, simulations, viewpoint_ids
 
 STAGES = (
     "criticise",
@@ -44,7 +44,7 @@ def test_every_stage_leaves_its_files(results, config):
         assert pq.read_metadata(results / f"simulate/{one.id}.parquet").num_rows == (
             config.simulation.frames
         )
-        for view in config.render.viewpoint_ids():
+        for view in viewpoint_ids(config.render):
             assert (results / f"render/{one.id}_{view}.parquet").stat().st_size > 0
     assert json.loads((results / "evaluate/metrics.json").read_text())
     assert "<html" in (results / "report/index.html").read_text(encoding="utf-8")
@@ -133,9 +133,9 @@ def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
     with chain.without(f"simulate/{gone}.parquet"):
         pending = chain.pending()
     made_from_it = {f"simulate/{gone}.parquet"}
-    made_from_it |= {f"render/{gone}_{view}.parquet" for view in config.render.viewpoint_ids()}
+    made_from_it |= {f"render/{gone}_{view}.parquet" for view in viewpoint_ids(config.render)}
     made_from_it |= {
-        f"render/shading/{gone}_{view}.parquet" for view in config.render.viewpoint_ids()
+        f"render/shading/{gone}_{view}.parquet" for view in viewpoint_ids(config.render)
     }
     made_from_it |= {f"render/preview/{gone}.{kind}" for kind in ("png", "mp4")}
     assert made_from_it <= pending

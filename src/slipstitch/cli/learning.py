@@ -76,6 +76,7 @@ def train(arguments: Arguments) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.config import load_config
     from slipstitch.design.grid import classes
+    from slipstitch.design.trainable import view_order
     from slipstitch.learning.lrcn_training import train_network
 
     config = load_config(*arguments.config)
@@ -83,7 +84,7 @@ def train(arguments: Arguments) -> None:
         config.train,
         _run(arguments, config),
         arguments.network,
-        config.view_order,
+        view_order(config),
         material_model=arguments.material_model,
         expected_classes=classes(config.grid),
     )
@@ -178,10 +179,11 @@ def instrument(arguments: Arguments) -> None:
         )
         return
     refuse(arguments, ("calibration_datasets",), flag(mode))
+    from slipstitch.design.trainable import instrument_views
     from slipstitch.learning.instrument.training import train_instrument
 
     run = _run(arguments, config)
-    card = train_instrument(config.instrument, run, config.instrument_views)
+    card = train_instrument(config.instrument, run, instrument_views(config))
     print(
         f"instrument {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
@@ -230,6 +232,7 @@ def _error_bars(card: dict[str, Any]) -> str:
 def evaluate(arguments: Arguments) -> None:
     """Evaluate, write, print the table."""
     from slipstitch.config import load_config
+    from slipstitch.design.trainable import view_order
     from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
     from slipstitch.learning.evaluation.text_table import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
@@ -251,7 +254,7 @@ def evaluate(arguments: Arguments) -> None:
         arguments.dataset,
         trained,
         Outputs(arguments.out, arguments.predictions, details),
-        calibrated=config.calibrated_view,
+        calibrated=view_order(config)[0],
         update=arguments.update,
         threads=arguments.threads,
     )

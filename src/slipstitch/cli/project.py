@@ -88,7 +88,7 @@ def status(arguments: Arguments) -> int:
 def grid(arguments: Arguments) -> None:
     """Write the table."""
     from slipstitch.config import load_config
-    from slipstitch.design.grid_table import write_grid
+    from slipstitch.design.grid import write_grid
 
     write_grid(load_config(*arguments.config), arguments.out)
 

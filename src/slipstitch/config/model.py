@@ -54,13 +54,6 @@ class Config(Section):
         _check_among(
             "train.view_order", self.train.view_order or (), "render.viewpoints", viewpoints
         )
-        for name in self.instrument.viewpoints or ():
-            self._seen_in_the_calibrated_view("instrument.viewpoints", name)
-            if name in self.render.test_viewpoints:
-                raise ValueError(
-                    f"instrument.viewpoints: {name!r} is in render.test_viewpoints, must not be "
-                    "used for training"
-                )
         for key, kind, purpose in (
             ("validation_materials", "materials", "train"),
             ("train_only_frictions", "frictions", "test"),
@@ -103,31 +96,6 @@ class Config(Section):
                 f"{drawn[0]!r} (render.viewpoints) is another camera in every simulation, which "
                 f"would tell its coefficient; allowed is {BY_SIMULATION!r} alone"
             )
-
-    def _seen_in_the_calibrated_view(self, key: str, name: str) -> None:
-        known = list(dict.fromkeys(self.render.viewpoint_ids().values()))
-        _check_among(key, [name], "render.viewpoints", known)
-        if name != self.calibrated_view and not VIEWPOINTS[name].drawn:
-            raise ValueError(
-                f"{key}: {name!r} is not seen in the calibrated view; allowed are "
-                f"{self.calibrated_view} and the family bench_1 ..."
-            )
-
-    @property
-    def view_order(self) -> list[str]:
-        """Viewpoints of the training, by name, in the order in which it takes them up."""
-        own = [name for name in self.render.viewpoints if not VIEWPOINTS[name].drawn]
-        return list(self.train.view_order or own or self.render.viewpoints)
-
-    @property
-    def instrument_views(self) -> list[str]:
-        """Viewpoints that the instrument learns from, by name."""
-        return list(self.instrument.viewpoints or [self.calibrated_view])
-
-    @property
-    def calibrated_view(self) -> str:
-        """The viewpoint that networks are fine-tuned for, by name."""
-        return self.view_order[0]
 
 
 def _check_among(

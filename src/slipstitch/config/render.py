@@ -194,33 +194,14 @@ class RenderSettings(Section):
             )
         return self
 
-    def texture_ids(self) -> dict[str, str]:
-        """Ids t00, t01, ... -> names, training textures first."""
-        return {f"t{i:02d}": name for i, name in enumerate(self.textures + self.test_textures)}
-
     def camera_of(self, viewpoint: str) -> str | None:
         """The camera file that a viewpoint's camera stands by, None if it is the catalogue's."""
         of_it = viewpoint.startswith("calibrated") or VIEWPOINTS[viewpoint].drawn
         return self.camera if of_it else None
 
-    def reflective(self, viewpoint_id: str) -> bool:
-        """Whether a viewpoint is one of the second training set's, on its floors."""
-        apart = len(self.viewpoints) + len(self.test_viewpoints)
-        return viewpoint_id in list(self.viewpoint_ids())[apart:]
-
-    def floors_of(self, viewpoint_id: str) -> list[str]:
-        """The floors that may lie under the cloth as seen from a viewpoint, by its id."""
-        return self.reflective_floors if self.reflective(viewpoint_id) else self.floors
-
     def texture_files(self) -> list[str]:
         """Textures that are read from image files."""
-        return [name for name in self.texture_ids().values() if is_texture_file(name)]
-
-    def viewpoint_ids(self) -> dict[str, str]:
-        """Ids v00, v01, ... -> names: training, testing, then training on reflective floors."""
-        names = self.viewpoints + self.test_viewpoints
-        names += self.viewpoints if self.reflective_floors else []
-        return {f"v{i:02d}": name for i, name in enumerate(names)}
+        return [name for name in self.textures + self.test_textures if is_texture_file(name)]
 
 
 def _known(names: list[str], catalogue: dict, kind: str) -> list[str]:

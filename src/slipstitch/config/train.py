@@ -99,16 +99,6 @@ class TrainSettings(RecordedSection):
         60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
     )
 
-    def trainings(self, trained_on: str) -> list[tuple[str, int]]:
-        """Networks and seeds of the trainings on one of `TRAINED_ON`.
-
-        On reflective floors only what tells the paper's last curve: material, then friction.
-        """
-        if trained_on == REFLECTIVE:
-            networks = ("material_baseline", "friction_conditional")
-            return [(network, seed) for network in networks for seed in self.reflective_seeds]
-        return [(network, seed) for network in NETWORKS for seed in self.seeds]
-
     @model_validator(mode="after")
     def _blocks_agree(self) -> "TrainSettings":
         if len(self.channels) != len(self.convolutions):

@@ -11,7 +11,8 @@ from slipstitch.base.page.wording import aligned, size
 from slipstitch.config.calibrate import KEYS
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.model import Config
-from slipstitch.design.grid import films, simulations
+from slipstitch.design.grid import films, floors_of, simulations, viewpoint_ids
+from slipstitch.design.trainable import instrument_views, trainings
 
 STRIP_FABRICS = 2  # that the pushed strip is made of
 
@@ -177,7 +178,7 @@ def _strip_cpu_s(config: Config) -> float:
 
 def _mirrors(config: Config) -> float:
     """Share of the image shards whose floor mirrors."""
-    shown = [config.render.floors_of(viewpoint) for _, viewpoint in films(config)]
+    shown = [floors_of(config.render, viewpoint) for _, viewpoint in films(config)]
     shares = [
         sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors) for floors in shown
     ]
@@ -262,7 +263,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     runs, shards = len(simulations(config)), len(films(config))
     videos = _videos(config)
     sampled = videos * config.sample.frames_kept
-    networks = sum(len(config.train.trainings(one)) for one in config.train.splits)
+    networks = sum(len(trainings(config.train, one)) for one in config.train.splits)
     instruments = len(config.train.splits) * len(config.instrument.seeds)
     averages = len(config.train.splits) * (len(config.instrument.seeds) > 1)
     vertices = config.simulation.vertices_per_side**2
@@ -347,14 +348,14 @@ def estimate_ablate(config: Config) -> StageEstimate:
     lrcn = frames * ablate.passes * _cost("train_frame_s") * factor
     side = (looked.pixels or config.render.pixels) / 64
     instrument = frames * ablate.instrument_passes * _cost("instrument_frame_s") * side**2
-    trainings = {
+    networks = {
         "diversity": (2, 2),
         "conditioning": (4, 0),
         "schedule": (2 * len(config.render.viewpoints), 0),
         "initialisation": (3, 0),
         "floors": (2, 2),
     }
-    asked = [trainings[name] for name in ablate.asked]
+    asked = [networks[name] for name in ablate.asked]
     of_kind = [sum(column) for column in zip(*asked, strict=True)]
     cpu_s = sum(
         count * cost
@@ -404,12 +405,12 @@ def _video_bytes(config: Config, kind: str = "train") -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
     side, videos = config.train.pixels or config.render.pixels, _videos(config)
     if kind == "instrument":
-        names = config.render.viewpoint_ids()
+        names = viewpoint_ids(config.render)
         side = config.instrument.pixels or config.render.pixels
         videos = sum(
             len(textures)
             for (_, view), textures in films(config).items()
-            if names[view] in config.instrument_views
+            if names[view] in instrument_views(config)
         )
     return 3.0 * videos * config.sample.frames_kept * side**2
 

@@ -1,22 +1,25 @@
 """The grid of simulations, with its ids and seeds: the meaning of m05_f0300_r00_t02_v01.
 
-The ids are kept in ``results/grid.parquet``.
+The ids and what they mean are kept in ``results/grid.parquet``.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+import os
 import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance.record import provenance_record, start_clock, write_parquet
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 
 if TYPE_CHECKING:
     from slipstitch.config.grid import GridSettings
     from slipstitch.config.model import Config
+    from slipstitch.config.render import RenderSettings
 
 
 @dataclass(frozen=True)
@@ -141,12 +144,35 @@ def find_simulation(config: Config, name: str) -> Simulation:
     )
 
 
+def texture_ids(render: RenderSettings) -> dict[str, str]:
+    """Ids t00, t01, ... -> names, training textures first."""
+    return {f"t{i:02d}": name for i, name in enumerate(render.textures + render.test_textures)}
+
+
+def viewpoint_ids(render: RenderSettings) -> dict[str, str]:
+    """Ids v00, v01, ... -> names: training, testing, then training on reflective floors."""
+    names = render.viewpoints + render.test_viewpoints
+    names += render.viewpoints if render.reflective_floors else []
+    return {f"v{i:02d}": name for i, name in enumerate(names)}
+
+
+def is_reflective(render: RenderSettings, viewpoint_id: str) -> bool:
+    """Whether a viewpoint is one of the second training set's, on its floors."""
+    apart = len(render.viewpoints) + len(render.test_viewpoints)
+    return viewpoint_id in list(viewpoint_ids(render))[apart:]
+
+
+def floors_of(render: RenderSettings, viewpoint_id: str) -> list[str]:
+    """The floors that may lie under the cloth as seen from a viewpoint, by its id."""
+    return render.reflective_floors if is_reflective(render, viewpoint_id) else render.floors
+
+
 def textures(config: Config) -> list[dict[str, str]]:
     """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
     return [
         {"id": identity, "name": name, "role": role}
         for (identity, name), role in zip(
-            config.render.texture_ids().items(),
+            texture_ids(config.render).items(),
             ["train"] * len(config.render.textures) + ["test"] * len(config.render.test_textures),
             strict=True,
         )
@@ -165,9 +191,9 @@ def viewpoints(config: Config) -> list[dict[str, str]]:
             "id": identity,
             "name": name,
             "role": "test" if name in render.test_viewpoints else "train",
-            "floor_role": "test" if render.reflective(identity) else "train",
+            "floor_role": "test" if is_reflective(render, identity) else "train",
         }
-        for identity, name in render.viewpoint_ids().items()
+        for identity, name in viewpoint_ids(render).items()
     ]
 
 
@@ -178,7 +204,7 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     are drawn; these are drawn by what they are, so that one more texture changes few.
     """
     render = config.render
-    names = render.texture_ids()
+    names = texture_ids(render)
     trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
     grid = [place for place, _ in _places(config)]
     result: dict[tuple[str, str], dict[str, str]] = {}
@@ -241,3 +267,19 @@ def grid_rows(config: Config) -> list[dict]:
         for simulation in simulations(config)
     ]
     return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]
+
+
+def write_grid(config: Config, path: str | os.PathLike) -> None:
+    """Write `grid_rows` as ``grid.parquet``."""
+    import pyarrow as pa
+
+    started = start_clock()
+    text = ["kind", "id", "name", "role", "floor_role"]
+    text += ["material_id", "friction_id", "replicate_id", "material"]
+    schema = pa.schema(
+        [(name, pa.string()) for name in text]
+        + [("value", pa.float64()), ("friction", pa.float64()), ("seed", pa.int64())]
+    )
+    keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
+    record = provenance_record("grid", config=keys, seed=config.seed, started=started)
+    write_parquet(pa.Table.from_pylist(grid_rows(config), schema=schema), path, record=record)

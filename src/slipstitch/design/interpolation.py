@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.design.grid import Simulation, simulations
+from slipstitch.design.grid import Simulation, simulations, viewpoint_ids
 from slipstitch.design.splits import sides_of_simulations
 from slipstitch.design.stage_path import SIDE_M, StagePath
 
@@ -62,7 +62,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     settings = config.render.interpolation
     family = [
         (identity, name)
-        for identity, name in config.render.viewpoint_ids().items()
+        for identity, name in viewpoint_ids(config.render).items()
         if VIEWPOINTS[name].drawn
     ]
     if not settings.share or not family:

@@ -1,4 +1,7 @@
-"""What a grid must have to train: told before it is simulated, which takes days at full scale."""
+"""What is trained, from which viewpoints, and what a grid must have for it.
+
+The checks tell it before anything is simulated, which takes days at full scale.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,53 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.train import BY_SIMULATION
+from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.train import BY_SIMULATION, NETWORKS, REFLECTIVE, TrainSettings
 
 if TYPE_CHECKING:
     from slipstitch.config.model import Config
 
 FEWEST = 2
+
+
+def trainings(train: TrainSettings, trained_on: str) -> list[tuple[str, int]]:
+    """Networks and seeds of the trainings on one of `slipstitch.config.train.TRAINED_ON`.
+
+    On reflective floors only what tells the paper's last curve: material, then friction.
+    """
+    if trained_on == REFLECTIVE:
+        networks = ("material_baseline", "friction_conditional")
+        return [(network, seed) for network in networks for seed in train.reflective_seeds]
+    return [(network, seed) for network in NETWORKS for seed in train.seeds]
+
+
+def view_order(config: Config) -> list[str]:
+    """Viewpoints of the training, by name, in the order in which it takes them up.
+
+    The first is the calibrated view, which networks are fine-tuned for.
+    """
+    own = [name for name in config.render.viewpoints if not VIEWPOINTS[name].drawn]
+    return list(config.train.view_order or own or config.render.viewpoints)
+
+
+def instrument_views(config: Config) -> list[str]:
+    """Viewpoints that the instrument learns from, by name.
+
+    Raises
+    ------
+    BadInput
+        If one of them is not rectified to the calibrated view, or is there for testing only.
+    """
+    calibrated = view_order(config)[0]
+    for name in config.instrument.viewpoints or ():
+        if name not in config.render.viewpoints or not (
+            name == calibrated or VIEWPOINTS[name].drawn
+        ):
+            raise BadInput(
+                f"instrument.viewpoints: {name!r} is not trained on in the calibrated view; "
+                f"allowed are {calibrated} and those of render.viewpoints of the family bench_1 ..."
+            )
+    return list(config.instrument.viewpoints or [calibrated])
 
 
 def check_networks_can_train(config: Config) -> None:
@@ -38,8 +82,10 @@ def check_instrument_can_train(config: Config) -> None:
     Raises
     ------
     BadInput
-        With a single coefficient, or one above what the instrument can say.
+        With a single coefficient, one above what the instrument can say, or a viewpoint that it
+        cannot learn from.
     """
+    instrument_views(config)
     _enough(config, "frictions", "the instrument")
     for key in ("frictions", "test_frictions"):
         largest = max(getattr(config.grid, key), default=0.0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from slipstitch.config.catalogue import FLOORS, VIEWPOINTS
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import bench_of
+from slipstitch.design.grid import bench_of, is_reflective, viewpoint_ids
 
 # Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
 # so that neither is drawn through the other.
@@ -107,13 +107,13 @@ def draw_surroundings(
     viewpoint_id : str
         Of the family, one of the second training set, or any other: these share floor and lamp.
     """
-    view = settings.viewpoint_ids().get(viewpoint_id, "")
+    view = viewpoint_ids(settings).get(viewpoint_id, "")
     bench = drawn_by(simulation, view)
     rng = generator(seed, bench, *([view] if of_a_family(view) else []), "surroundings")
     floor = _draw_floor(settings.floors, rng)
     moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
     x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
-    if settings.reflective(viewpoint_id):
+    if is_reflective(settings, viewpoint_id):
         own = generator(seed, bench, view, "reflective floor")
         floor = _draw_floor(settings.reflective_floors, own)
     return Surroundings(*floor, (x, y, z))

@@ -19,6 +19,7 @@ from slipstitch.base.provenance import (
     write_json,
 )
 from slipstitch.config import Config
+from slipstitch.design.grid import texture_ids
 from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_png, encode_srgb
 from slipstitch.images.image_shards import SCHEMA
@@ -107,7 +108,7 @@ def compare(
     seen_from = read_metadata(shard)["viewpoint"]
     settings = config.render
     view = View.identified(config, trajectory_path, seen_from["id"], seen_from["name"])
-    name = settings.texture_ids()[stored["texture"]]
+    name = texture_ids(settings)[stored["texture"]]
     trajectory = view.trajectory()
     pack = read_pack(pack_path, view, trajectory)
     shot, shading, sight = next(

@@ -15,7 +15,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import Config
 from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import films
+from slipstitch.design.grid import films, floors_of, is_reflective, texture_ids, viewpoint_ids
 from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.images.bench_camera import BenchCamera, Rectifier, draw_bench_camera
 from slipstitch.images.calibrated_view import CalibratedView, cloth_size
@@ -76,7 +76,7 @@ class View:
         BadInput
             If there is no such viewpoint.
         """
-        ids = config.render.viewpoint_ids()
+        ids = viewpoint_ids(config.render)
         name = ids.get(viewpoint, viewpoint)
         if name not in VIEWPOINTS:
             known = ", ".join(f"{key} ({value})" for key, value in ids.items())
@@ -107,7 +107,7 @@ class View:
             config.sample.frames_kept,
             config.seed,
             interpolations(config).get(key),
-            films(config).get(key) or config.render.texture_ids(),
+            films(config).get(key) or texture_ids(config.render),
         )
 
     @property
@@ -148,7 +148,7 @@ class View:
     @property
     def other_floors(self) -> str:
         """The key of the floors that this viewpoint does not show."""
-        return "floors" if self.settings.reflective(self.viewpoint_id) else "reflective_floors"
+        return "floors" if is_reflective(self.settings, self.viewpoint_id) else "reflective_floors"
 
     @property
     def parents(self) -> list[Path]:
@@ -188,5 +188,5 @@ class View:
 
     def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
         """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
-        floors = self.settings.floors_of(self.viewpoint_id)
+        floors = floors_of(self.settings, self.viewpoint_id)
         return catalogue_entries([self.viewpoint], textures, floors)

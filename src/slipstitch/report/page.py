@@ -15,6 +15,7 @@ from slipstitch.base.page.wording import time_of_making
 from slipstitch.base.provenance import provenance_record, start_clock, write_text
 from slipstitch.config import Config
 from slipstitch.design.grid import films
+from slipstitch.design.trainable import view_order
 from slipstitch.learning.evaluation import paper
 from slipstitch.report import learning_pictures, scores
 from slipstitch.report.captures import figure_6
@@ -74,9 +75,9 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "confusions": svg_uri(learning_pictures.confusions(found.details)),
         "paper": paper,
         "test_sets": scores.test_sets(found),
-        "table_2": scores.table_2(found, config.calibrated_view),
-        "unseen_texture": scores.unseen_texture(found, config.calibrated_view),
-        "table_3": scores.table_3(found, config.calibrated_view),
+        "table_2": scores.table_2(found, view_order(config)[0]),
+        "unseen_texture": scores.unseen_texture(found, view_order(config)[0]),
+        "table_3": scores.table_3(found, view_order(config)[0]),
         "figure_6": figure_6(results, predictions),
         "alarms": scores.alarms(found),
         "criticism": criticism_section(results),

@@ -29,6 +29,7 @@ from slipstitch.config import Config, load_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
+from slipstitch.design.trainable import trainings
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.benchmark import read_benchmark
@@ -58,7 +59,7 @@ def finished_files(config: Config) -> dict[str, str]:
     for split in config.train.splits:
         models = [
             (f"train/{split}/{network}/seed{seed}", f"{split}/{network}/seed{seed}", "model")
-            for network, seed in config.train.trainings(split)
+            for network, seed in trainings(config.train, split)
         ]
         models += [
             (f"instrument/{split}/seed{seed}", f"{split}/instrument/seed{seed}", "instrument")

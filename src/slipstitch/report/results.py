@@ -26,6 +26,7 @@ from slipstitch.config import Config
 from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.grid import Simulation, simulations
+from slipstitch.design.trainable import trainings
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.benchmark import read_benchmark
 from slipstitch.report.status.runs import Failure, Run, failures, read_runs
@@ -194,7 +195,7 @@ class Results:
     def _trainings(self) -> Iterator[tuple[Path, str, str, int]]:
         """The configured trainings: folder, split, network, seed."""
         for split in self.config.train.splits:
-            for network, seed in self.config.train.trainings(split):
+            for network, seed in trainings(self.config.train, split):
                 yield self.folder / f"train/{split}/{network}/seed{seed}", split, network, seed
         for split in self.config.train.splits:
             for seed in self.config.instrument.seeds:

@@ -16,7 +16,7 @@ PACKAGE = "slipstitch"
 
 # Stage, as rules and records name it -> modules or packages below `slipstitch` that it starts from.
 STAGES: dict[str, tuple[str, ...]] = {
-    "grid": ("design.grid_table",),
+    "grid": ("design.grid",),
     "calibrate": ("physics.calibration",),
     "calibrate.sweep": ("physics.calibration.sweep",),
     "calibrate.calibration": ("physics.calibration.calibration",),

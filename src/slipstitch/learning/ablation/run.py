@@ -14,6 +14,7 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import read_videos
+from slipstitch.design.trainable import view_order
 from slipstitch.learning.ablation.questions import QUESTIONS, Variant, selected
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.training import train_instrument
@@ -105,7 +106,7 @@ def run_case(
     rows, digest = read_manifest(dataset)
     result: dict[str, Any] = asdict(case) | {"dataset_digest": digest, "left_out": None}
     try:
-        views, videos = selected(case.question, rows, config.view_order, config.ablate, case.seed)
+        views, videos = selected(case.question, rows, view_order(config), config.ablate, case.seed)
     except BadInput as reason:
         if config.ablate.questions is not None:
             raise

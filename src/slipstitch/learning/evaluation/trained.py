@@ -6,6 +6,7 @@ from pathlib import Path
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
+from slipstitch.design.trainable import trainings
 from slipstitch.learning.evaluation.scores import ALL_VIEWS, AVERAGE, ENSEMBLE, MATERIAL, TRAINING
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
@@ -45,7 +46,7 @@ class Trained:
         found: dict[str, list[Path]] = {NETWORKS_KIND: [], TRAINING: [], AVERAGE: []}
         for split in splits if self.networks is not None else ():
             wanted = self.train and {
-                (name, f"seed{seed}") for name, seed in self.train.trainings(split)
+                (name, f"seed{seed}") for name, seed in trainings(self.train, split)
             }
             found[NETWORKS_KIND] += [
                 path
