@@ -6,20 +6,12 @@ import re
 from pathlib import Path
 
 import click
+from click import argument, option
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.options import (
-    PAGE,
-    PATH,
-    Arguments,
-    Output,
-    argument,
-    config_files,
-    option,
-    refuse,
-    switch,
-    verb,
-)
+from slipstitch.cli.checks import refuse
+from slipstitch.cli.options import Arguments, config_files, configuration, switch, verb
+from slipstitch.cli.parameter_types import FILE, PAGE, Output
 
 
 @verb(
@@ -29,7 +21,7 @@ from slipstitch.cli.options import (
 )
 @argument(
     "release",
-    type=PATH,
+    type=FILE,
     metavar="RELEASE_DIR",
     help="folder of a release, or one that slipstitch publish wrote: its models are followed "
     "to their simulations",
@@ -41,7 +33,7 @@ from slipstitch.cli.options import (
 @option("--explain", metavar="CLIP", help="instead: trace one clip back to its origin")
 @option(
     "--verify",
-    type=PATH,
+    type=FILE,
     metavar="ALLOWED_SIGNERS",
     help="allowed signers: a file with lines NAME PUBLIC_KEY, as for ssh-keygen -Y",
 )
@@ -52,12 +44,9 @@ from slipstitch.cli.options import (
 )
 @switch("--allow-stale", "exit with 0 if only code or configuration has changed since")
 @option(
-    "--json",
-    type=Output(".json", or_stdout=True),
-    metavar="FILE",
-    help="write the findings as JSON; - for stdout",
+    "--json", type=Output(".json", or_stdout=True), help="write the findings as JSON; - for stdout"
 )
-@option("--page", type=PAGE, metavar="FILE", help="write the findings as an HTML page")
+@option("--page", type=PAGE, help="write the findings as an HTML page")
 @option(
     "--jobs",
     type=click.IntRange(1),
@@ -140,11 +129,10 @@ def _published(arguments: Arguments) -> int:
 
 
 def _audit(arguments: Arguments) -> int:
-    from slipstitch.config import load_config
     from slipstitch.dataset.audit.audit_page import as_text, write_page
     from slipstitch.dataset.audit.auditing import audit_release
 
-    config = load_config(*arguments.config) if arguments.config else None
+    config = configuration(arguments) if arguments.config else None
     audit = audit_release(
         arguments.release, config, arguments.expect, arguments.jobs, arguments.verify
     )

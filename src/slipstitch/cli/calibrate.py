@@ -3,28 +3,23 @@
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import click
+from click import argument, option
 
 from slipstitch.base.errors import BadInput
+from slipstitch.cli.checks import flag, refuse
 from slipstitch.cli.options import (
-    FOLDER,
-    JSON,
-    PARQUET,
-    PICTURE,
     Arguments,
-    Output,
-    argument,
     calibration_file,
     config_files,
-    flag,
-    option,
-    refuse,
+    configuration,
     several,
     switch,
     verb,
 )
+from slipstitch.cli.parameter_types import FOLDER, JSON, PARQUET, PICTURE, Output
 
 
 @verb(
@@ -48,7 +43,6 @@ from slipstitch.cli.options import (
 @switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
 def calibrate(arguments: Arguments) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.config import load_config
     from slipstitch.config.calibrate import BASE, KEYS
     from slipstitch.physics.calibration.calibration import calibrate_to_file
     from slipstitch.physics.calibration.sweep import sweep_to_file
@@ -66,7 +60,7 @@ def calibrate(arguments: Arguments) -> None:
         raise BadInput("--config and --out are required, or --draw")
     if arguments.only_failures and not pictures:
         raise BadInput("--only-failures requires a picture to draw")
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):
             raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
@@ -124,27 +118,27 @@ def _trial_line(trial: dict, chosen: dict) -> str:
 
 
 NAMES = (
-    "incline",
-    "tilt",
-    "flat-drag",
-    "strip-drag",
-    "strip",
-    "landed-strip",
-    "cantilever",
-    "lateral-buckling",
-    "capstan",
-)
-OPTIONS = (
-    "friction",
-    "slope_deg",
-    "static_kinetic",
-    "gravity_length_m",
-    "gamma",
-    "strain",
-    "width_over_length",
-    "wrap_deg",
-    "vertices",
-)
+    "incline", "tilt", "flat-drag", "strip-drag", "strip", "landed-strip", "cantilever",
+    "lateral-buckling", "capstan",
+)  # fmt: skip
+# What an experiment takes -> its help.
+OPTIONS = {
+    "friction": "friction coefficient",
+    "slope_deg": "incline: slope in degrees",
+    "static_kinetic": "tilt: static coefficient over the kinetic, less 1 (default 0)",
+    "gravity_length_m": "strip-drag, landed-strip: (B/w)^(1/3), in m (default 0.02)",
+    "gamma": "strip, cantilever: areal density x gravity x length^3 / B",
+    "strain": "strip: displacement of the push, relative to its length",
+    "width_over_length": "lateral-buckling: width of the strip over its length",
+    "wrap_deg": "capstan: contact angle in degrees",
+    "vertices": "strip, landed-strip, strip-drag: vertices along it",
+}
+
+
+def _experiment_options(run: Callable) -> Callable:
+    for name, help in reversed(OPTIONS.items()):
+        run = option(flag(name), type=int if name == "vertices" else float, help=help)(run)
+    return run
 
 
 @verb(
@@ -153,25 +147,7 @@ OPTIONS = (
 )
 @argument("name", metavar="NAME", type=click.Choice(NAMES), help=", ".join(NAMES))
 @option("--out", type=JSON, required=True, help="JSON file with measured and theoretical values")
-@option("--friction", type=float, help="friction coefficient")
-@option("--slope-deg", type=float, help="incline: slope in degrees")
-@option(
-    "--static-kinetic",
-    type=float,
-    help="tilt: static coefficient over the kinetic, less 1 (default 0)",
-)
-@option(
-    "--gravity-length-m",
-    type=float,
-    help="strip-drag, landed-strip: (B/w)^(1/3), in m (default 0.02)",
-)
-@option("--vertices", type=int, help="strip, landed-strip, strip-drag: vertices along it")
-@option("--gamma", type=float, help="strip, cantilever: areal density x gravity x length^3 / B")
-@option("--strain", type=float, help="strip: displacement of the push, relative to its length")
-@option(
-    "--width-over-length", type=float, help="lateral-buckling: width of the strip over its length"
-)
-@option("--wrap-deg", type=float, help="capstan: contact angle in degrees")
+@_experiment_options
 @option("--time-step", type=float, metavar="S", help="time step in s")
 def protocol(arguments: Arguments) -> int:
     """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
@@ -231,10 +207,9 @@ def convergence() -> None:
 @option("--out", type=PARQUET, required=True, help="Parquet file, one row per frame")
 def run(arguments: Arguments) -> None:
     """Simulate and write; print the cost."""
-    from slipstitch.config import load_config
     from slipstitch.physics.convergence.case_run import simulate_case
 
-    config = load_config(*arguments.config, calibration=arguments.calibration)
+    config = configuration(arguments, calibration=arguments.calibration)
     done, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
     print(f"{arguments.out}: {cpu_s:.1f} CPU s, {done.metadata['solver']}")
 
@@ -252,10 +227,9 @@ def run(arguments: Arguments) -> None:
 @option("--picture", type=Output(".png"), help="PNG file")
 def compare(arguments: Arguments) -> None:
     """Compare and write; print one line per fabric, coefficient and kind of refinement."""
-    from slipstitch.config import load_config
     from slipstitch.physics.convergence.study_files import compare_cases
 
-    config = load_config(*arguments.config, calibration=arguments.calibration)
+    config = configuration(arguments, calibration=arguments.calibration)
     study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
     if study["missing"]:
         print(f"not run, so not compared: {', '.join(study['missing'])}", file=sys.stderr)

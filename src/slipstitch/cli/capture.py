@@ -4,26 +4,19 @@ import sys
 from functools import partial
 
 import click
+from click import argument, option
 
 from slipstitch.base.errors import BadInput
+from slipstitch.cli.checks import exactly_one, flag, refuse, require
 from slipstitch.cli.options import (
-    FOLDER,
-    JSON,
-    PATH,
-    PICTURE,
-    TABLE,
     Arguments,
-    Output,
-    argument,
     config_files,
-    exactly_one,
-    flag,
-    option,
-    refuse,
-    require,
+    configuration,
+    example,
     trained_instrument,
     verb,
 )
+from slipstitch.cli.parameter_types import FILE, FOLDER, JSON, PICTURE, TABLE, Output
 
 CAMERA_EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
@@ -31,13 +24,8 @@ CAMERA_EXAMPLE = (
 )
 
 
-class _Captures(click.Group):
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(f"\nexample:\n  {CAMERA_EXAMPLE}\n")
-
-
 @click.group(
-    cls=_Captures,
+    epilog=example(CAMERA_EXAMPLE),
     short_help="process measurements from a real bench: camera, videos, reference friction",
     subcommand_metavar="WHAT [options]",
 )
@@ -51,13 +39,12 @@ def capture() -> None:
     parent=capture,
 )
 @argument(
-    "views", nargs=-1, type=PATH, metavar="[FILE...]", help="images of the board, or one video"
+    "views", nargs=-1, type=FILE, metavar="[FILE...]", help="images of the board, or one video"
 )
 @option(
     "--from",
     "source",
-    type=PATH,
-    metavar="FILE",
+    type=FILE,
     help="take the lens from a calibration of OpenCV (YAML, XML, JSON) or ROS (camera_info) "
     "in place of images of the board",
 )
@@ -75,7 +62,7 @@ def capture() -> None:
 )
 @option(
     "--stage-view",
-    type=PATH,
+    type=FILE,
     metavar="IMAGE",
     help="image of the board flat on the floor, from the camera's position on the bench; "
     "without it the file lacks the camera's position and cannot be used for rendering",
@@ -95,8 +82,8 @@ def capture() -> None:
 @option(
     "--thickness-mm", type=float, help="height of the board's face above the floor (default: 0)"
 )
-@option("--out", required=True, type=JSON, metavar="FILE", help="camera file")
-@option("--picture", type=PICTURE, metavar="FILE", help="the residuals (PNG or SVG)")
+@option("--out", required=True, type=JSON, help="camera file")
+@option("--picture", type=PICTURE, help="the residuals (PNG or SVG)")
 def camera(arguments: Arguments) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.film.calibration_files import calibrate_to_file, import_to_file
@@ -157,12 +144,12 @@ OUTSIDE_EXIT_CODE = 3
 )
 @argument(
     "camera",
-    type=PATH,
+    type=FILE,
     metavar="CAMERA.json",
     help="camera file written by slipstitch capture camera",
 )
 @trained_instrument
-@option("--picture", type=PICTURE, metavar="FILE", help="PNG or SVG")
+@option("--picture", type=PICTURE, help="PNG or SVG")
 def check(arguments: Arguments) -> int:
     """Compare, draw, print; exit code 3 if the camera cannot be used."""
     from slipstitch.base.page.figures import save_figure
@@ -188,7 +175,7 @@ def check(arguments: Arguments) -> int:
 )
 @argument(
     "table",
-    type=PATH,
+    type=FILE,
     metavar="CAPTURES.csv",
     help="columns video, material, substrate, repeat, mu_ref, mu_ref_error, reflective (yes or "
     "no), camera; optional: start_s, frame_rate_hz; paths are relative to its folder",
@@ -196,19 +183,17 @@ def check(arguments: Arguments) -> int:
 @config_files("configuration of the dataset the networks were trained on", one_each=True)
 @option(
     "--reference",
-    type=PATH,
-    metavar="FILE",
+    type=FILE,
     help="file written by slipstitch capture reference, for rows with an empty mu_ref",
 )
 @option("--out-dir", required=True, type=FOLDER, help="folder for the dataset")
 def ingest(arguments: Arguments) -> None:
     """Ingest all videos of the table; say of each where it starts."""
     from slipstitch.base.progress import progress
-    from slipstitch.config import load_config
     from slipstitch.film.ingest_videos import ingest as ingest_table
 
     bar = partial(progress, unit="video")
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     rows = ingest_table(config, arguments.table, arguments.out_dir, arguments.reference, bar)
     for row in rows:
         how = "found" if row["start_found"] else "stated"
@@ -230,14 +215,14 @@ def ingest(arguments: Arguments) -> None:
 )
 @argument(
     "table",
-    type=PATH,
+    type=FILE,
     metavar="ANGLES.csv",
     help="columns material, substrate, position, orientation, repeat, angle_deg, "
     "bench_error_deg (the largest error of the bench's angle)",
 )
-@option("--out", required=True, type=TABLE, metavar="FILE", help="CSV, one row per pair")
-@option("--json", type=JSON, metavar="FILE", help="JSON with all details")
-@option("--picture", type=PICTURE, metavar="FILE", help="PNG or SVG")
+@option("--out", required=True, type=TABLE, help="CSV, one row per pair")
+@option("--json", type=JSON, help="JSON with all details")
+@option("--picture", type=PICTURE, help="PNG or SVG")
 def reference(arguments: Arguments) -> None:
     """Estimate, write, print one line per pair."""
     from slipstitch.film.reference.reference_files import reference_to_files
@@ -271,19 +256,15 @@ def _pair_line(pair) -> str:
 )
 @config_files()
 @option(
-    "--bench",
-    type=FOLDER,
-    metavar="DIR",
-    help="folder for the camera files, slip_angles.csv and captures.csv",
+    "--bench", type=FOLDER, help="folder for the camera files, slip_angles.csv and captures.csv"
 )
 @option("--film", metavar="ID", help="instead: simulate and render one video, c00_r01 ...")
-@option("--out", type=Output(".mp4"), metavar="FILE", help="with --film: the video (MP4)")
+@option("--out", type=Output(".mp4"), help="with --film: the video (MP4)")
 def surrogate(arguments: Arguments) -> None:
     """Write the bench's tables, or one film."""
-    from slipstitch.config import load_config
 
     mode = exactly_one(arguments, "bench", "film")
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     if mode == "bench":
         if arguments.out:
             raise BadInput("--out requires --film")
@@ -312,9 +293,7 @@ def surrogate(arguments: Arguments) -> None:
     "--out cases/linen-on-glass/spring_slider/t00.csv",
     parent=capture,
 )
-@argument(
-    "file", type=PATH, metavar="FILE", help="CSV of one run; lines above the names are left out"
-)
+@argument("file", type=FILE, help="CSV of one run; lines above the names are left out")
 @option(
     "--columns",
     required=True,
@@ -328,7 +307,7 @@ def surrogate(arguments: Arguments) -> None:
     help="of the force (mN, N, kN, cN, gf, kgf, lbf) and, where they are not s and mm, of time "
     "and extension; a row of units in the file must say the same",
 )
-@option("--out", required=True, type=TABLE, metavar="FILE", help="CSV of a case")
+@option("--out", required=True, type=TABLE, help="CSV of a case")
 def trace(arguments: Arguments) -> None:
     """Import, write, say what was read."""
     from slipstitch.criticise.trace_import import import_trace

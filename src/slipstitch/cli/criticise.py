@@ -4,18 +4,11 @@ import sys
 from pathlib import Path
 
 import click
+from click import argument, option
 
-from slipstitch.cli.options import (
-    JSON,
-    TABLE,
-    Arguments,
-    Output,
-    argument,
-    option,
-    refuse,
-    switch,
-    verb,
-)
+from slipstitch.cli.checks import refuse
+from slipstitch.cli.options import Arguments, switch, verb
+from slipstitch.cli.parameter_types import JSON, TABLE, Output
 
 
 @verb(
@@ -27,15 +20,13 @@ from slipstitch.cli.options import (
 @option(
     "--report",
     type=Output(".html", ".md"),
-    metavar="FILE",
     help="the verdict as an HTML page, or as Markdown without pictures",
 )
-@option("--picture", type=Output(".svg"), metavar="FILE", help="plot of the residuals, as SVG")
-@option("--model", type=Output(".yaml", ".yml"), metavar="FILE", help="the extended model as YAML")
+@option("--picture", type=Output(".svg"), help="plot of the residuals, as SVG")
+@option("--model", type=Output(".yaml", ".yml"), help="the extended model as YAML")
 @option(
     "--resimulate",
     type=JSON,
-    metavar="FILE",
     help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
     "simulator (about a second per run), each with models found without its specimen; errors "
     "and gain as JSON, and on the page",

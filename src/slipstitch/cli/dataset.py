@@ -2,8 +2,11 @@
 
 from collections import Counter
 
+from click import argument, option
+
 from slipstitch.base.project import project_folder
-from slipstitch.cli.options import FOLDER, Arguments, argument, config_files, option, verb
+from slipstitch.cli.options import Arguments, config_files, configuration, verb
+from slipstitch.cli.parameter_types import FOLDER
 
 
 @verb(
@@ -18,10 +21,9 @@ from slipstitch.cli.options import FOLDER, Arguments, argument, config_files, op
 )
 def sample(arguments: Arguments) -> None:
     """Write the dataset; print its content."""
-    from slipstitch.config import load_config
     from slipstitch.dataset.dataset import write_dataset
 
-    rows = write_dataset(load_config(*arguments.config), arguments.shards, arguments.out_dir)
+    rows = write_dataset(configuration(arguments), arguments.shards, arguments.out_dir)
     simulations = {row["simulation"] for row in rows}
     print(f"{len(rows)} videos of {len(simulations)} simulations, {rows[0]['frames']} frames each")
     for split in ("split_by_video", "split_by_simulation"):
@@ -47,11 +49,10 @@ def sample(arguments: Arguments) -> None:
 )
 def release(arguments: Arguments) -> None:
     """Write the release; print its content and digest."""
-    from slipstitch.config import load_config
     from slipstitch.dataset.release.assembly import write_release
 
     done = write_release(
-        load_config(*arguments.config),
+        configuration(arguments),
         arguments.results,
         arguments.out_dir,
         arguments.project,

@@ -3,54 +3,24 @@
 from typing import Any
 
 import click
+from click import option
 
 from slipstitch.base.errors import BadInput
+from slipstitch.cli.checks import exactly_one, flag, refuse, require
 from slipstitch.cli.options import (
-    FOLDER,
-    JSON,
-    PAGE,
-    PARQUET,
     Arguments,
-    ChoiceOf,
     config_files,
-    exactly_one,
-    flag,
-    option,
-    refuse,
-    require,
+    configuration,
     several,
     switch,
     thread_count,
     verb,
 )
+from slipstitch.cli.parameter_types import FOLDER, JSON, PAGE, PARQUET, ChoiceOf
 
-
-def _splits() -> tuple[str, ...]:
-    from slipstitch.config.train import TRAINED_ON
-
-    return TRAINED_ON
-
-
-def _networks() -> tuple[str, ...]:
-    from slipstitch.config.train import NETWORKS
-
-    return NETWORKS
-
-
-def _questions() -> tuple[str, ...]:
-    from slipstitch.config.ablate import QUESTIONS
-
-    return QUESTIONS
-
-
-def _variants() -> list[str]:
-    from slipstitch.config.ablate import VARIANTS
-
-    return sorted({one for of in VARIANTS.values() for names in of.values() for one in names})
-
-
-SPLIT, NETWORK = ChoiceOf(_splits), ChoiceOf(_networks)
-QUESTION, VARIANT = ChoiceOf(_questions), ChoiceOf(_variants)
+SPLIT = ChoiceOf("config.train", "TRAINED_ON")
+NETWORK = ChoiceOf("config.train", "NETWORKS")
+QUESTION = ChoiceOf("config.ablate", "QUESTIONS")
 SEED = click.IntRange(0)
 DATASET = "folder written by `slipstitch sample`"
 
@@ -74,12 +44,11 @@ DATASET = "folder written by `slipstitch sample`"
 )
 def train(arguments: Arguments) -> None:
     """Train, write the model, print a summary."""
-    from slipstitch.config import load_config
     from slipstitch.design.grid import classes
     from slipstitch.design.trainable import view_order
     from slipstitch.learning.lrcn_training import train_network
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     card = train_network(
         config.train,
         _run(arguments, config),
@@ -161,9 +130,8 @@ def instrument(arguments: Arguments) -> None:
         return
     refuse(arguments, ("readings",), flag(mode))
     require(arguments, ("config", "dataset", "split"), flag(mode))
-    from slipstitch.config import load_config
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     if mode == "members":
         from slipstitch.learning.instrument.ensemble import combine_instruments
 
@@ -231,13 +199,12 @@ def _error_bars(card: dict[str, Any]) -> str:
 @option("--page", type=PAGE, help="with --captures: tables and plots (HTML)")
 def evaluate(arguments: Arguments) -> None:
     """Evaluate, write, print the table."""
-    from slipstitch.config import load_config
     from slipstitch.design.trainable import view_order
     from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
     from slipstitch.learning.evaluation.text_table import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
     trained = Trained(
@@ -292,7 +259,7 @@ def _captures(config, arguments: Arguments, trained) -> None:
 @option("--dataset", help=DATASET)
 @option("--question", type=QUESTION, help="train and test one variant of a question")
 @option("--network", type=click.Choice(("lrcn", "instrument")))
-@option("--variant", type=VARIANT)
+@option("--variant", metavar="NAME", help="one of the question's variants of the network")
 @option("--seed", type=SEED)
 @thread_count()
 @option(
@@ -303,10 +270,9 @@ def _captures(config, arguments: Arguments, trained) -> None:
 @option("--page", type=PAGE, help="with --summary: conclusions, plots and tables (HTML)")
 def ablate(arguments: Arguments) -> None:
     """Train and test one variant or summarise all results; print the outcome."""
-    from slipstitch.config import load_config
 
     one = ("dataset", "question", "network", "variant", "seed")
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     if arguments.summary:
         refuse(arguments, one, "--summary")
         _summary(config, arguments)

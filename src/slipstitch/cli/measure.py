@@ -2,21 +2,12 @@
 
 import math
 
+from click import argument, option
+
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.options import (
-    JSON,
-    PAGE,
-    PATH,
-    TABLE,
-    Arguments,
-    argument,
-    flag,
-    option,
-    switch,
-    thread_count,
-    trained_instrument,
-    verb,
-)
+from slipstitch.cli.checks import flag
+from slipstitch.cli.options import Arguments, switch, thread_count, trained_instrument, verb
+from slipstitch.cli.parameter_types import FILE, JSON, PAGE, TABLE
 
 # A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
@@ -30,7 +21,7 @@ BAD_INPUT_EXIT_CODE = 2
 @argument(
     "videos",
     nargs=-1,
-    type=PATH,
+    type=FILE,
     metavar="[VIDEO...]",
     help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
     "measured individually and together",
@@ -40,14 +31,13 @@ BAD_INPUT_EXIT_CODE = 2
 )
 @option(
     "--camera",
-    type=PATH,
-    metavar="FILE",
+    type=FILE,
     help="camera file written by slipstitch capture camera, with its position at the stage",
 )
 @trained_instrument
-@option("--out", type=PAGE, metavar="FILE", help="write the result as an HTML page")
-@option("--json", type=JSON, metavar="FILE", help="write all numbers as JSON")
-@option("--csv", type=TABLE, metavar="FILE", help="write a table, one row per video")
+@option("--out", type=PAGE, help="write the result as an HTML page")
+@option("--json", type=JSON, help="write all numbers as JSON")
+@option("--csv", type=TABLE, help="write a table, one row per video")
 @option(
     "--start-s",
     type=float,

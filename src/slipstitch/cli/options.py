@@ -1,37 +1,18 @@
 """Verbs as click commands: options shared by several verbs, and checks common to all."""
 
-import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
-from types import SimpleNamespace
+from collections.abc import Callable
 from typing import Any
 
 import click
 
-from slipstitch.base.errors import BadInput
+from slipstitch.cli.checks import Arguments, refuse_overwriting
+from slipstitch.cli.parameter_types import DIR, FILE
 
-Arguments = SimpleNamespace
 THREADS_MAX = 1024
 
 
 class Verb(click.Command):
-    """A verb: its function takes the values of all options as attributes of one object.
-
-    Parameters
-    ----------
-    run : callable
-        Takes `Arguments`; may return an exit code.
-    example : str
-        Shown at the end of the help.
-    """
-
-    def __init__(self, run: Callable[[Arguments], int | None], example: str, **settings: Any):
-        super().__init__(callback=lambda **given: run(Arguments(**given)), **settings)
-        self.example = example
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the example as it stands: it can be copied."""
-        formatter.write(f"\nexample:\n  {self.example}\n")
+    """A command with options of several values; it never overwrites what it reads."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read ``--config A B`` as ``--config A --config B``, then as click does."""
@@ -52,18 +33,28 @@ class Verb(click.Command):
         return super().invoke(ctx)
 
 
-def verb(summary: str, example: str, *, parent: click.Group | None = None, **settings: Any):
-    """Make a verb of a function that takes `Arguments`; its name is the function's."""
+def example(words: str) -> str:
+    """Return the end of a help text: an example as it stands, which can be copied."""
+    return f"\b\nexample:\n  {words}"
+
+
+def verb(summary: str, shown: str, *, parent: click.Group | None = None, **settings: Any):
+    """Make a verb of a function that takes `Arguments`; its name is the function's.
+
+    Parameters
+    ----------
+    summary, shown : str
+        First line and example of the help text.
+    """
 
     def decorate(run: Callable[[Arguments], int | None]) -> Verb:
-        params = list(reversed(getattr(run, "__click_params__", ())))
         command = Verb(
-            run,
-            example,
-            name=run.__name__,
+            run.__name__,
+            callback=lambda **given: run(Arguments(**given)),
+            params=list(reversed(getattr(run, "__click_params__", ()))),
             help=summary,
             short_help=summary,
-            params=params,
+            epilog=example(shown),
             context_settings={"max_content_width": 100},
             **settings,
         )
@@ -85,11 +76,6 @@ class Several(click.Option):
         return f"{super().make_metavar(ctx)} ..."
 
 
-def option(*names: str, **settings: Any):
-    """Declare an option."""
-    return click.option(*names, **settings)
-
-
 def several(*names: str, **settings: Any):
     """Declare an option that takes several values."""
     return click.option(*names, cls=Several, **settings)
@@ -98,108 +84,6 @@ def several(*names: str, **settings: Any):
 def switch(name: str, help: str):
     """Declare an option without a value."""
     return click.option(name, is_flag=True, help=help)
-
-
-def argument(name: str, **settings: Any):
-    """Declare an argument."""
-    return click.argument(name, **settings)
-
-
-class ChoiceOf(click.ParamType):
-    """One of some names; looked up when needed, since their module is slow to import."""
-
-    name = "choice"
-
-    def __init__(self, names: Callable[[], Sequence[str]]):
-        self.names = names
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return the names."""
-        return f"[{'|'.join(self.names())}]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name, if it is one of them."""
-        if value not in self.names():
-            self.fail(f"{value!r} is not one of {', '.join(self.names())}", param, ctx)
-        return value
-
-
-class Output(click.ParamType):
-    """A file to write, by its endings, or a folder: refused before any work if it cannot be."""
-
-    name = "file"
-
-    def __init__(self, *endings: str, folder: bool = False, or_stdout: bool = False):
-        self.endings = endings
-        self.folder = folder
-        self.or_stdout = or_stdout
-        self.name = "dir" if folder else "file"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path."""
-        path = Path(value)
-        if self.or_stdout and str(value) == "-":
-            return path
-        problem = _unwritable(path, self.folder)
-        if problem is None and self.endings and path.suffix.lower() not in self.endings:
-            problem = f"must end in {' or '.join(self.endings)}"
-        if problem:
-            self.fail(f"{value}: {problem}", param, ctx)
-        return path
-
-
-def _unwritable(path: Path, folder: bool) -> str | None:
-    """Why an output path cannot be written; None if it can."""
-    if folder and path.exists() and not path.is_dir():
-        return "is a file; must be a folder"
-    if not folder and path.is_dir():
-        return "is a folder; must be a file"
-    if not folder and path.exists() and not path.is_file():
-        return "is a device or a pipe; must be a file"
-    above = next((parent for parent in path.absolute().parents if parent.exists()), path)
-    if not above.is_dir():
-        return f"{above} is a file, not a folder"
-    try:  # permissions alone do not tell of a read-only disk, or of /proc
-        with tempfile.TemporaryDirectory(prefix=".", dir=above):
-            return None
-    except OSError as error:
-        return f"cannot be written: {(error.strerror or 'refused').lower()}"
-
-
-PATH = click.Path(path_type=Path)
-FOLDER = Output(folder=True)
-PAGE = Output(".html", ".htm")
-JSON = Output(".json")
-TABLE = Output(".csv")
-PARQUET = Output(".parquet")
-PICTURE = Output(".png", ".svg")
-
-
-def refuse_overwriting(context: click.Context) -> None:
-    """Refuse a file to be written that the command reads, or writes under another option, too."""
-    writes = {
-        one.name
-        for one in context.command.params
-        if isinstance(one.type, Output) and not one.type.folder
-    }
-    outputs: dict[Path, tuple[str, str]] = {}
-    for name in sorted(writes):
-        for file, text in _files(context.params.get(name)).items():
-            if file in outputs:
-                raise BadInput(f"{flag(name)} {text}: is the file of {outputs[file][0]}, too")
-            outputs[file] = flag(name), text
-    for name in sorted(set(context.params) - writes):
-        for file in _files(context.params[name]):
-            if file in outputs:
-                raise BadInput(f"{' '.join(outputs[file])}: the command reads this file")
-
-
-def _files(value: object) -> dict[Path, str]:
-    """The files that an option's value may name -> the words that name them."""
-    several = value if isinstance(value, list | tuple) else [value]
-    return {
-        Path(one).resolve(): str(one) for one in several if isinstance(one, str | Path) and str(one)
-    }
 
 
 def config_files(
@@ -215,21 +99,27 @@ def config_files(
     one_each : bool
         For verbs that take other files without an option: ``--config`` takes one, and is repeated.
     """
-    declare = option if one_each else several
-    more = {"multiple": True} if one_each else {}
-    return declare("--config", required=required, metavar="FILE", help=help, **more)
+    kind = {"multiple": True} if one_each else {"cls": Several}
+    return click.option("--config", required=required, metavar="FILE", help=help, **kind)
+
+
+def configuration(arguments: Arguments, **more: Any):
+    """Read the files of ``--config``; ``more`` as `load_config` takes it."""
+    from slipstitch.config import load_config
+
+    return load_config(*arguments.config, **more)
 
 
 def calibration_file():
     """Declare ``--calibration FILE``."""
-    return option(
+    return click.option(
         "--calibration", metavar="FILE", help="use the numerical settings of this calibration file"
     )
 
 
 def thread_count(default: int = 1):
     """Declare ``--threads COUNT``."""
-    return option(
+    return click.option(
         "--threads",
         type=click.IntRange(1, THREADS_MAX),
         default=default,
@@ -241,51 +131,14 @@ def thread_count(default: int = 1):
 
 def trained_instrument(run: Callable):
     """Declare ``--model DIR`` and ``--config FILE`` of a trained instrument."""
-    run = option(
+    run = click.option(
         "--config",
-        type=PATH,
-        metavar="FILE",
+        type=FILE,
         help="configuration the instrument was trained with (default: config.json in the "
         "nearest folder above the model)",
     )(run)
-    return option(
+    return click.option(
         "--model",
-        type=PATH,
-        metavar="DIR",
+        type=DIR,
         help="a trained instrument (default: the one that comes with Slipstitch)",
     )(run)
-
-
-def refuse(arguments: Arguments, names: Iterable[str], mode: str) -> None:
-    """Refuse options, by their names in `arguments`, that were given and `mode` would ignore."""
-    for name in names:
-        if given(arguments, name):
-            raise BadInput(f"{flag(name)} cannot be combined with {mode}")
-
-
-def require(arguments: Arguments, names: Iterable[str], mode: str) -> None:
-    """Refuse `mode` without all of these options, by their names in `arguments`."""
-    for name in names:
-        if not given(arguments, name):
-            raise BadInput(f"{mode} requires {flag(name)}")
-
-
-def exactly_one(arguments: Arguments, *names: str) -> str:
-    """Return the name of the one of these options that was given; refuse none or several."""
-    found = [name for name in names if given(arguments, name)]
-    if len(found) > 1:
-        raise BadInput(f"{flag(found[1])} cannot be combined with {flag(found[0])}")
-    if not found:
-        raise BadInput(f"one of {', '.join(map(flag, names))} is required")
-    return found[0]
-
-
-def given(arguments: Arguments, name: str) -> bool:
-    """Return whether an option was given."""
-    value = getattr(arguments, name)
-    return value is not None and value is not False and value != ()
-
-
-def flag(name: str) -> str:
-    """An option as on the command line; the shards have none."""
-    return "image shards" if name == "shards" else f"--{name.replace('_', '-')}"

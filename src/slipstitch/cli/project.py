@@ -1,17 +1,10 @@
 """The installation, a workflow folder, the state of a run, the configuration's schema and ids."""
 
 import click
+from click import argument, option
 
-from slipstitch.cli.options import (
-    FOLDER,
-    PARQUET,
-    Arguments,
-    argument,
-    config_files,
-    option,
-    several,
-    verb,
-)
+from slipstitch.cli.options import Arguments, config_files, configuration, several, verb
+from slipstitch.cli.parameter_types import FOLDER, PARQUET
 
 
 @verb(
@@ -41,7 +34,7 @@ def doctor(arguments: Arguments) -> int:
     "create a workflow folder: Snakefile, rules, configurations, cases",
     "slipstitch init friction && cd friction && snakemake --cores 2 all",
 )
-@argument("folder", type=FOLDER, metavar="DIR", help="may exist")
+@argument("folder", type=FOLDER, help="may exist")
 def init(arguments: Arguments) -> None:
     """Copy the workflow's files and say what to do with them."""
     from slipstitch.base.project import lay_out
@@ -87,10 +80,9 @@ def status(arguments: Arguments) -> int:
 @option("--out", type=PARQUET, required=True, help="Parquet file")
 def grid(arguments: Arguments) -> None:
     """Write the table."""
-    from slipstitch.config import load_config
     from slipstitch.design.grid import write_grid
 
-    write_grid(load_config(*arguments.config), arguments.out)
+    write_grid(configuration(arguments), arguments.out)
 
 
 @verb(

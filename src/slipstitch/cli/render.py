@@ -4,23 +4,11 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from slipstitch.cli.options import (
-    FOLDER,
-    PARQUET,
-    PATH,
-    Arguments,
-    Output,
-    argument,
-    config_files,
-    flag,
-    given,
-    option,
-    refuse,
-    require,
-    several,
-    switch,
-    verb,
-)
+from click import argument, option
+
+from slipstitch.cli.checks import flag, given, refuse, require
+from slipstitch.cli.options import Arguments, config_files, configuration, several, switch, verb
+from slipstitch.cli.parameter_types import DIR, FILE, FOLDER, PARQUET, Output
 
 # What each way to run needs and what it takes besides; all else is refused.
 MODES = {
@@ -42,7 +30,7 @@ MODES = {
     required=False,
     one_each=True,
 )
-@option("--trajectory", type=PATH, metavar="FILE", help="trajectory written by simulate")
+@option("--trajectory", type=FILE, help="trajectory written by simulate")
 @option(
     "--viewpoint",
     metavar="ID",
@@ -51,36 +39,30 @@ MODES = {
 @option(
     "--out",
     type=Output(".parquet", ".json"),
-    metavar="FILE",
     help="image shard to write (Parquet); with --verify: comparisons (JSON)",
 )
 @option(
     "--shading",
     type=PARQUET,
-    metavar="FILE",
     help="first of two steps: write a shading pack, made in Blender, instead of images",
 )
 @several(
     "--from-shading",
-    type=PATH,
-    metavar="FILE",
+    type=FILE,
     help="second step: texture the shading of these packs of the trajectory, without Blender",
 )
 @option(
     "--out-dir",
     type=FOLDER,
-    metavar="DIR",
     help="with --from-shading: folder for the image shards, named like the packs",
 )
 @switch("--verify", "render a random sample of the images in SHARDS directly and compare")
-@option("--trajectories", type=PATH, metavar="DIR", help="with --verify: folder of the simulations")
-@option("--packs", type=PATH, metavar="DIR", help="with --verify: folder of the shading packs")
+@option("--trajectories", type=DIR, help="with --verify: folder of the simulations")
+@option("--packs", type=DIR, help="with --verify: folder of the shading packs")
 @switch("--preview", "write previews of SHARDS, without Blender")
-@option(
-    "--out-sheet", type=Output(".png"), metavar="FILE", help="with --preview: contact sheet (PNG)"
-)
-@option("--out-video", type=Output(".mp4"), metavar="FILE", help="with --preview: video (MP4)")
-@argument("shards", nargs=-1, type=PATH, metavar="[SHARDS...]", help="finished image shards")
+@option("--out-sheet", type=Output(".png"), help="with --preview: contact sheet (PNG)")
+@option("--out-video", type=Output(".mp4"), help="with --preview: video (MP4)")
+@argument("shards", nargs=-1, type=FILE, metavar="[SHARDS...]", help="finished image shards")
 def render(arguments: Arguments) -> None:
     """Preview, verify, compose or render; print one line on each result."""
     runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _render}
@@ -108,11 +90,10 @@ def _preview(arguments: Arguments) -> None:
 
 def _verify(arguments: Arguments) -> None:
     from slipstitch.base.progress import progress
-    from slipstitch.config import load_config
     from slipstitch.images.verification import verify
 
     done = verify(
-        load_config(*arguments.config),
+        configuration(arguments),
         list(arguments.shards),
         arguments.trajectories,
         arguments.packs,
@@ -124,10 +105,9 @@ def _verify(arguments: Arguments) -> None:
 
 
 def _compose(arguments: Arguments) -> None:
-    from slipstitch.config import load_config
     from slipstitch.images.image_shards import render_shards_from_packs
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     packs, folder = list(arguments.from_shading), arguments.out_dir
     for out, done in render_shards_from_packs(config, arguments.trajectory, packs, folder):
         print(f"{out}: {done['images']} images of {done['frames']} frames, {done['viewpoint']}")
@@ -135,12 +115,11 @@ def _compose(arguments: Arguments) -> None:
 
 def _render(arguments: Arguments) -> None:
     from slipstitch.base.progress import progress
-    from slipstitch.config import load_config
     from slipstitch.images.image_shards import render_shard
     from slipstitch.images.packing import write_pack
     from slipstitch.images.view import View
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     bar = partial(progress, unit="frame")
     view = View.of(config, arguments.trajectory, arguments.viewpoint)
     if arguments.shading:

@@ -1,6 +1,9 @@
 """A run's results: its page, and a small folder to keep."""
 
-from slipstitch.cli.options import FOLDER, PAGE, Arguments, config_files, option, switch, verb
+from click import option
+
+from slipstitch.cli.options import Arguments, config_files, configuration, switch, verb
+from slipstitch.cli.parameter_types import FOLDER, PAGE
 
 
 @verb(
@@ -13,10 +16,9 @@ from slipstitch.cli.options import FOLDER, PAGE, Arguments, config_files, option
 @option("--out", type=PAGE, required=True, help="HTML file")
 def report(arguments: Arguments) -> None:
     """Write the page; print its path and the missing stages."""
-    from slipstitch.config import load_config
     from slipstitch.report.page import write_report
 
-    context = write_report(load_config(*arguments.config), arguments.results, arguments.out)
+    context = write_report(configuration(arguments), arguments.results, arguments.out)
     there = {
         "calibrate": context["physics"],
         "simulate": context["simulations"]["done"],
@@ -53,10 +55,9 @@ def report(arguments: Arguments) -> None:
 )
 def publish(arguments: Arguments) -> None:
     """Write the folder and say what it holds."""
-    from slipstitch.config import load_config
     from slipstitch.report.publishing import publish as publish_results
 
-    config = load_config(*arguments.config)
+    config = configuration(arguments)
     index = publish_results(
         config, arguments.results, arguments.out_dir, arguments.partial, arguments.update
     )

@@ -1,16 +1,11 @@
 """A single drop-and-drag run, or simulations of the grid."""
 
+from click import option
+
 from slipstitch.base.errors import BadInput, NotConverged
-from slipstitch.cli.options import (
-    PARQUET,
-    Arguments,
-    calibration_file,
-    config_files,
-    option,
-    refuse,
-    several,
-    verb,
-)
+from slipstitch.cli.checks import refuse
+from slipstitch.cli.options import Arguments, calibration_file, config_files, several, verb
+from slipstitch.cli.parameter_types import PARQUET
 
 
 @verb(
