@@ -5,30 +5,18 @@ friction coefficient; its height depends on the material; replicates jitter both
 something to learn, and a network that learns nothing cannot pass.
 """
 
-import io
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image
 
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config, resolve_config
 from slipstitch.design.grid import films, simulations, textures, viewpoints
+from slipstitch.images.encoding import encode_png
+from slipstitch.images.image_shards import SCHEMA
 from slipstitch.images.keypoints import KEYPOINTS_UV
-
-SCHEMA = pa.schema(
-    [
-        ("simulation", pa.string()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("frame", pa.int32()),
-        ("time_s", pa.float64()),
-        ("stage_x_m", pa.float64()),
-        ("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())])),
-    ]
-)
 
 
 def config(**sections) -> Config:
@@ -58,12 +46,7 @@ def config(**sections) -> Config:
             "precision": "float32",
         },
     }
-    for name, section in sections.items():
-        if isinstance(section, dict):
-            small[name] = {**small.get(name, {}), **section}
-        else:
-            small[name] = section
-    return resolve_config(small)
+    return resolve_config(small, sections)
 
 
 def draw(
@@ -114,8 +97,6 @@ def write_shards(
                     phase = frame / total * 4 * np.pi
                     points[str(frame)] = keypoints_m(np.sin(phase), lag, height).ravel()
                     image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
-                    stream = io.BytesIO()
-                    Image.fromarray(image).save(stream, "PNG")
                     rows.append(
                         {
                             "simulation": one.id,
@@ -124,7 +105,7 @@ def write_shards(
                             "frame": frame,
                             "time_s": frame / 2.4,
                             "stage_x_m": 0.15 * (1 + np.sin(phase)),
-                            "image": {"bytes": stream.getvalue(), "path": f"{frame}.png"},
+                            "image": {"bytes": encode_png(image), "path": f"{frame}.png"},
                         }
                     )
             if not worn:

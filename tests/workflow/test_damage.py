@@ -4,13 +4,10 @@ import json
 import shutil
 
 import pytest
+from support.stage_commands import ONE, PACKS, SHARDS, SWEEP, TRAJECTORY, words_of
 
 from slipstitch.cli.main import main
 
-ONE = "m00_f0100_r00"
-PACKS = [f"results/render/shading/{ONE}_v00.parquet", f"results/render/shading/{ONE}_v01.parquet"]
-SHARDS = [f"results/render/{ONE}_v00.parquet", f"results/render/{ONE}_v01.parquet"]
-CONFIG = ["--config", "results/config.json"]
 MODEL = "results/train/by_simulation/friction_baseline/seed0"
 
 
@@ -30,81 +27,22 @@ def emptied(content: bytes) -> bytes:
     return b""
 
 
-DAMAGES = (truncated, flipped, emptied)
-
-# What is damaged, and the command that reads it; {out} is a folder for what it would write.
-READERS = {
-    "calibrate": (
-        "results/calibrate/sweep/base.json",
-        ["calibrate", *CONFIG, "--sweeps", "results/calibrate/sweep/base.json",
-         "--out", "{out}/c.json"],
-    ),
-    "simulate": (
-        "results/calibrate/calibration.json",
-        ["simulate", *CONFIG, "--calibration", "results/calibrate/calibration.json",
-         "--simulation", ONE, "--out", "{out}/s.parquet"],
-    ),
-    "shade": (
-        f"results/simulate/{ONE}.parquet",
-        ["render", *CONFIG, "--trajectory", f"results/simulate/{ONE}.parquet",
-         "--viewpoint", "v00", "--shading", "{out}/p.parquet"],
-    ),
-    "compose": (
-        PACKS[0],
-        ["render", *CONFIG, "--trajectory", f"results/simulate/{ONE}.parquet",
-         "--from-shading", *PACKS, "--out-dir", "{out}/render"],
-    ),
-    "preview": (
-        SHARDS[0],
-        ["render", "--preview", "--out-sheet", "{out}/x.png", "--out-video", "{out}/x.mp4",
-         *SHARDS],
-    ),
-    "verify": (
-        SHARDS[0],
-        ["render", *CONFIG, "--verify", "--trajectories", "results/simulate",
-         "--packs", "results/render/shading", "--out", "{out}/v.json", SHARDS[0]],
-    ),
-    "sample": (
-        SHARDS[1],
-        ["sample", *CONFIG, "--out-dir", "{out}/sample", "{shards}"],
-    ),
-    "train": (
-        "results/sample/m00_f0600_r00.parquet",  # which trains
-        ["train", *CONFIG, "--dataset", "results/sample", "--network", "material_baseline",
-         "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}/model"],
-    ),
-    "train manifest": (
-        "results/sample/manifest.parquet",
-        ["train", *CONFIG, "--dataset", "results/sample", "--network", "material_baseline",
-         "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}/model"],
-    ),
-    "evaluate weights": (
-        f"{MODEL}/model.safetensors",
-        ["evaluate", *CONFIG, "--dataset", "results/sample", "--models", "results/train",
-         "--out", "{out}/metrics.json", "--predictions", "{out}/predictions.parquet"],
-    ),
-    "evaluate card": (
-        f"{MODEL}/model.json",
-        ["evaluate", *CONFIG, "--dataset", "results/sample", "--models", "results/train",
-         "--out", "{out}/metrics.json", "--predictions", "{out}/predictions.parquet"],
-    ),
-    "report": (
-        "results/evaluate/metrics.json",
-        ["report", *CONFIG, "--results", "results", "--out", "{out}/index.html"],
-    ),
-    "report predictions": (
-        "results/evaluate/predictions.parquet",
-        ["report", *CONFIG, "--results", "results", "--out", "{out}/index.html"],
-    ),
-    "release": (
-        f"results/simulate/{ONE}.parquet",
-        ["release", *CONFIG, "--results", "results", "--out-dir", "{out}/release"],
-    ),
-    "release sample": (
-        f"results/sample/{ONE}.parquet",
-        ["release", *CONFIG, "--results", "results", "--out-dir", "{out}/release"],
-    ),
-}  # fmt: skip
+# What is damaged, and the stage that reads it.
+DAMAGED = {
+    SWEEP: ["calibrate"],
+    "results/calibrate/calibration.json": ["simulate"],
+    TRAJECTORY: ["shade", "release"],
+    PACKS[0]: ["compose"],
+    SHARDS[0]: ["preview", "verify"],
+    SHARDS[1]: ["sample"],
+    "results/sample/m00_f0600_r00.parquet": ["train"],  # which trains
+    "results/sample/manifest.parquet": ["train"],
+    f"results/sample/{ONE}.parquet": ["release"],
+    f"{MODEL}/model.safetensors": ["evaluate"],
+    f"{MODEL}/model.json": ["evaluate"],
+    "results/evaluate/metrics.json": ["report"],
+    "results/evaluate/predictions.parquet": ["report"],
+}
 
 
 @pytest.fixture(scope="module")
@@ -116,23 +54,19 @@ def run(chain, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("damage", [truncated, flipped, emptied])
+@pytest.mark.parametrize(
+    ("name", "stage"), [(name, stage) for name, stages in DAMAGED.items() for stage in stages]
+)
 def test_the_damaged_file_is_named_with_the_command_that_makes_it_anew(
-    run, reader, damage, tmp_path, monkeypatch, capsys
+    run, name, stage, damage, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(run)
-    name, words = READERS[reader]
-    shards = sorted(map(str, (run / "results/render").glob("m*_v*.parquet")))
-    words = [word.format(out=tmp_path, shards="{shards}") for word in words]
-    if "{shards}" in words:
-        relative = [shard.removeprefix(f"{run}/") for shard in shards]
-        words[words.index("{shards}") :] = relative
     path = run / name
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
     try:
-        status = main(words)
+        status = main(words_of(stage, run, tmp_path))
     finally:
         path.write_bytes(whole)
     said = capsys.readouterr().err.strip().splitlines()[-1]
@@ -142,9 +76,8 @@ def test_the_damaged_file_is_named_with_the_command_that_makes_it_anew(
     assert not [one for one in tmp_path.rglob("*") if one.is_file()]
 
 
-def test_what_was_not_damaged_is_read(run, monkeypatch, capsys):
+def test_what_was_not_damaged_is_read(run, tmp_path, monkeypatch):
     """The commands above fail for the damage alone."""
     monkeypatch.chdir(run)
-    out = run / "results/again.html"
-    assert main(["report", *CONFIG, "--results", "results", "--out", str(out)]) == 0
+    assert main(words_of("report", run, tmp_path)) == 0
     assert json.loads((run / "results/evaluate/metrics.json").read_text())

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from support import kills
+from support.stage_commands import TRAJECTORY, words_of
 
 from slipstitch.config.load import load_config
 from slipstitch.design.grid import simulations
@@ -20,19 +21,12 @@ from slipstitch.design.grid import simulations
 pytestmark = pytest.mark.slow
 
 ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a file system")
-ONE = "m00_f0100_r00"
-CONFIG = ("--config", "results/config.json")
 
 
 def start_all(undisturbed) -> subprocess.Popen:
     """The whole chain, once a job of it runs."""
     words = undisturbed.snakemake_words("--quiet", "all", "--", "all")
     return kills.start_until_a_job_runs(undisturbed, words)
-
-
-def image_shards(run: Path) -> list[str]:
-    """All of the grid, as the workflow names them."""
-    return sorted(f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*"))
 
 
 @contextlib.contextmanager
@@ -46,53 +40,19 @@ def small_disk(folder: Path, size: str):
         subprocess.run(["umount", "-l", folder], check=True)
 
 
-# Every writing stage; {out} lies on a disk without a free byte.
-WRITERS = {
-    "grid": ["slipstitch", "grid", *CONFIG, "--out", "{out}/g.parquet"],
-    "calibrate": ["slipstitch", "calibrate", *CONFIG, "--sweep", "damping_s", "--out",
-                  "{out}/s.json"],
-    "simulate": ["slipstitch", "simulate", "--material", "gray-interlock", "--friction", "0.3",
-                 "--set", "frames=20", "--set", "vertices_per_side=21", "--out", "{out}/s.parquet"],
-    "shade": ["slipstitch", "render", *CONFIG, "--trajectory", f"results/simulate/{ONE}.parquet",
-              "--viewpoint", "v00", "--shading", "{out}/p.parquet"],
-    "compose": ["slipstitch", "render", *CONFIG, "--trajectory", f"results/simulate/{ONE}.parquet",
-                "--from-shading", f"results/render/shading/{ONE}_v00.parquet", "--out-dir",
-                "{out}"],
-    "preview": ["slipstitch", "render", "--preview", "--out-sheet", "{out}/x.png", "--out-video",
-                "{out}/x.mp4", f"results/render/{ONE}_v00.parquet"],
-    "sample": ["slipstitch", "sample", *CONFIG, "--out-dir", "{out}", "{shards}"],
-    "train": ["slipstitch", "train", *CONFIG, "--dataset", "results/sample", "--network",
-              "material_baseline", "--split", "by_simulation", "--seed", "0", "--out-dir", "{out}"],
-    "evaluate": ["slipstitch", "evaluate", *CONFIG, "--dataset", "results/sample", "--models",
-                 "results/train", "--out", "{out}/m.json", "--predictions", "{out}/p.parquet"],
-    "instrument": ["slipstitch", "instrument", *CONFIG, "--dataset", "results/sample", "--split",
-                   "by_simulation", "--seed", "0", "--out-dir", "{out}"],
-    "capture": ["slipstitch", "capture", "surrogate", *CONFIG, "--bench", "{out}"],
-    "criticise": ["slipstitch", "criticise", "{project}/data/cases/surrogate_anisotropic",
-                  "--replicates", "50", "--out", "{out}/v.json", "--report", "{out}/v.html"],
-    "report": ["slipstitch", "report", *CONFIG, "--results", "results", "--out", "{out}/i.html"],
-    "release": ["slipstitch", "release", *CONFIG, "--results", "results", "--out-dir",
-                "{out}/release"],
-}  # fmt: skip
+# Every writing stage.
+WRITERS = (
+    "grid", "sweep", "simulate by hand", "shade", "compose", "preview", "sample", "train",
+    "evaluate", "instrument", "capture", "criticise", "report", "release",
+)  # fmt: skip
 
 
 @ROOT_ONLY
 @pytest.mark.parametrize("stage", WRITERS)
 def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(undisturbed, stage, tmp_path):
-    run = undisturbed.folder
-    shards = sorted(
-        f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*")
-    )
     with small_disk(tmp_path / "disk", "16k") as disk:
         (disk / "ballast").write_bytes(bytes(16 * 1024))
-        words = []
-        for word in WRITERS[stage]:
-            words += (
-                shards
-                if word == "{shards}"
-                else [word.format(out=disk, project=undisturbed.project)]
-            )
-        answer = undisturbed.run(*words)
+        answer = undisturbed.run("slipstitch", *words_of(stage, undisturbed.folder, disk))
         there = sorted(path.name for path in disk.rglob("*") if path.is_file())
     assert answer.returncode == 1, answer.stderr
     assert re.search("no space left|free on that disk", answer.stderr.splitlines()[-1]), (
@@ -123,7 +83,7 @@ def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(undisturbed, ref
 
 
 def test_the_command_that_is_named_makes_a_damaged_file_anew(undisturbed, reference):
-    damaged = undisturbed.folder / f"results/simulate/{ONE}.parquet"
+    damaged = undisturbed.folder / TRAJECTORY
     damaged.write_bytes(damaged.read_bytes()[:-100])
     answer = undisturbed.snakemake("all")
     assert answer.returncode == 1
@@ -193,16 +153,11 @@ def test_results_that_cannot_be_written_are_said_to_be_so(undisturbed, reference
 
 
 @pytest.mark.parametrize("limit_mb", [600, 2100, 3000])
-@pytest.mark.parametrize("stage", ["simulate", "compose", "sample", "train"])
+@pytest.mark.parametrize("stage", ["simulate by hand", "compose", "sample", "train"])
 def test_a_memory_limit_leaves_nothing_half_written(undisturbed, stage, limit_mb, tmp_path):
     """Done or failed, never half; libraries may end the process before we can say why."""
     run = undisturbed.folder
-    shards = sorted(
-        f"results/render/{path.name}" for path in (run / "results/render").glob("m*_v*")
-    )
-    words = []
-    for word in WRITERS[stage]:
-        words += shards if word == "{shards}" else [word.format(out=tmp_path / "out")]
+    words = ["slipstitch", *words_of(stage, run, tmp_path / "out")]
     limit = limit_mb * 2**20
     answer = subprocess.run(
         words, cwd=run, env=undisturbed.environment(), capture_output=True, text=True,
