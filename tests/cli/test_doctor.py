@@ -5,9 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slipstitch.base.errors import SlipstitchError
 from slipstitch.cli.main import main
+from slipstitch.images.blender import ClothScene
 from slipstitch.report import machine_checks as checks
 from slipstitch.report.machine_checks import Diagnosis, Standing
 
@@ -86,6 +89,12 @@ def test_missing_library_is_named_with_its_packages(monkeypatch):
     assert finding.state is Standing.MISSING
     assert finding.found == "libSM.so.6"
     assert "libsm6" in finding.remedy
+
+
+def test_without_blender_a_job_says_whom_to_ask(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    with pytest.raises(SlipstitchError, match=r"^Blender cannot be loaded: .*; slipstitch doctor"):
+        ClothScene(np.array([[0, 1, 2]]), np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize(

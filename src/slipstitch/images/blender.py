@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipstitch.base.errors import SlipstitchError
+from slipstitch.base.errors import SlipstitchError, first_line
 from slipstitch.images.camera import Camera
 from slipstitch.images.exr import read_exr
 from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings
@@ -98,8 +98,13 @@ class ClothScene:
         threads: int = 1,
     ):
         with _silent_stdout():
-            import bpy
-
+            try:
+                import bpy
+            except ImportError as error:  # a system library, as a rule
+                raise SlipstitchError(
+                    f"Blender cannot be loaded: {first_line(error)}; slipstitch doctor says how "
+                    "to install what is missing"
+                ) from None
             bpy.ops.wm.read_factory_settings(use_empty=True)
         self._bpy = bpy
         self._scene = bpy.context.scene
