@@ -1,7 +1,7 @@
 # make all: everything from installation to results/report/index.html. make help lists the targets.
 
 PYTHON ?= python3.11
-CORES ?= 2
+CORES ?= $(shell [ "$$(nproc 2>/dev/null)" = 1 ] && echo 1 || echo 2)
 VENV := .venv
 BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
@@ -15,8 +15,8 @@ help:
 	@echo 'make setup      virtual environment in $(VENV), with the pinned packages'
 	@echo 'make taste      measure a film of dragged cloth that comes with the project; open taste.html'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
-	@echo 'make test       lint and tests (make test TESTS=tests/physics for a subset)'
-	@echo 'make test-all   the slow tests as well'
+	@echo 'make test       lint and the quick tests (make test TESTS=tests/physics for a subset)'
+	@echo 'make test-all   lint and all tests; .ci/run calls it'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
 	@echo 'make results    write docs/results.md and the card of the instrument from published files'

@@ -1,7 +1,11 @@
-"""Seeds of the hidden effects: fixed, so that a red run can be repeated, or fresh on demand."""
+"""Which tests are slow, who runs them, and seeds of the hidden effects.
+
+The seeds are fixed, so that a red run can be repeated, or fresh on demand.
+"""
 
 import secrets
 import zlib
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -38,6 +42,18 @@ def pytest_configure(config):
     # Before xdist's processes start: they all get one number.
     if config.option.fresh_seeds and config.option.seeds_from is None:
         config.option.seeds_from = secrets.randbelow(10**9)
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items):
+    """Mark as slow all but the first cases of a test that states their number."""
+    counted = Counter()
+    for item in items:
+        for mark in item.iter_markers("default_cases"):
+            function = item.nodeid.partition("[")[0]
+            counted[function] += 1
+            if counted[function] > mark.args[0]:
+                item.add_marker("slow")
 
 
 def pytest_terminal_summary(terminalreporter, config):

@@ -101,6 +101,7 @@ def readers(tmp_path_factory):
     return fuzzing.readers(tmp_path_factory.mktemp("hostile"))
 
 
+@pytest.mark.slow
 def test_no_reader_runs_a_pickle(readers, tmp_path):
     """A pickle in place of every file that is read leaves no trace but an error."""
     sprung = tmp_path / "sprung"
@@ -121,6 +122,7 @@ def test_weights_that_are_a_pickle_are_refused(tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
+@pytest.mark.slow
 def test_weights_of_another_shape_than_the_card_says_are_refused(tmp_path, readers):
     good = next(reader for reader in readers if reader.name == "model card").target
     card = json.loads(good.read_text())
@@ -223,6 +225,7 @@ def test_a_file_called_like_an_address_is_a_file(tmp_path, monkeypatch):
             list(_frames(name))
 
 
+@pytest.mark.slow
 @settings(
     max_examples=150,
     deadline=None,
@@ -236,6 +239,7 @@ def test_bad_input_ends_in_one_clean_error_soon_and_in_little_memory(readers, nu
     assert fuzzing.bad_input_is_answered(reader, content) is None, reader.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", ["=1+1", "+cmd|' /C calc'!A0", "@SUM(A1)", "-2+3", "\t=1"])
 def test_a_cell_that_is_a_formula_is_no_number(cell, readers, tmp_path):
     reader = next(one for one in readers if one.name.endswith("/drop_drag_runs.csv"))

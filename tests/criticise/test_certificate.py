@@ -130,6 +130,7 @@ def test_power_says_what_it_assumed_and_refuses_what_is_no_assumption(tmp_path):
         said(mu_face=True)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_counted_in_campaigns_that_hold_nothing(tmp_path):
     make_case(93, "null", tmp_path, plant=({}, ["incline"]))
     m = assemble(read_case(tmp_path))

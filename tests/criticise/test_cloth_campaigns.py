@@ -38,6 +38,7 @@ def named(verdict):
     return set(map(tuple, causes))
 
 
+@pytest.mark.slow
 def test_a_hidden_anisotropy_is_found_and_the_new_simulation_is_closer(tmp_path):
     planted = {"anisotropy": {"anisotropy": 0.35}}
     make_campaign(tmp_path, planted, specimens=4, repeats=3, stroke_m=0.08, rows=81, u_pos_mm=2.5)

@@ -171,6 +171,7 @@ def test_a_lock_that_does_not_tell_its_campaign_is_refused(written, predicted, t
         lock(read_verdict(written / "verdict.json"), written / "fresh", tmp_path / "p.csv")
 
 
+@pytest.mark.slow
 def test_operators_with_dollars_in_their_names_are_drawn_as_they_are(tmp_path):
     shipped = Path(__file__).parents[2] / "data/cases/paper_on_paper"
     case = Path(shutil.copytree(shipped, tmp_path / "case"))

@@ -205,6 +205,7 @@ def test_a_law_outside_the_library_acts_only_as_it_says(name):
     assert np.abs(share).max() <= 1.01 * abs(laws.REFERENCE[name][name])
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("seed", [31, 53, 28])
 def test_the_same_seed_writes_the_same_files(seed, tmp_path):
     one, two = (make_case(seed, tmp_path / name) for name in ("one", "two"))
@@ -219,6 +220,7 @@ def test_the_same_seed_writes_the_same_files(seed, tmp_path):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", [1, 4, 13, 27, 36])
 def test_the_reader_accepts_what_the_bench_writes(seed, tmp_path):
     truth = make_case(seed, tmp_path / "case")

@@ -174,6 +174,7 @@ def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_pa
         assert law.force_limit(contact, static=False) == pytest.approx(expected * factor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a dip at one speed", "a patch"])
 def test_a_fresh_campaign_is_predicted_better_with_the_factor(name, tmp_path):
     planted = PLANTED[name]

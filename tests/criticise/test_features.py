@@ -41,6 +41,7 @@ def z_scores(tmp_path_factory):
     return pd.concat(found).groupby("quantity")["z"]
 
 
+@pytest.mark.slow
 def test_every_feature_of_the_four_protocols_is_found(z_scores):
     assert set(z_scores.groups) == {
         "angle_deg",
@@ -61,6 +62,7 @@ def test_every_feature_of_the_four_protocols_is_found(z_scores):
     }
 
 
+@pytest.mark.slow
 def test_z_scores_have_the_standard_deviation_they_should(z_scores):
     spread = z_scores.std()
     outside = {
@@ -71,6 +73,7 @@ def test_z_scores_have_the_standard_deviation_they_should(z_scores):
     assert not outside
 
 
+@pytest.mark.slow
 def test_z_scores_have_mean_zero(z_scores):
     # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.15.
     assert (z_scores.mean().abs() < 0.3).all(), z_scores.mean().round(2).to_dict()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
@@ -19,6 +20,7 @@ def judged(folder, spoil):
     return analyse(assemble(read_case(folder)), replicates=100)
 
 
+@pytest.mark.slow
 def test_a_stage_that_starts_late_and_turns_early_is_said_and_nothing_blamed(tmp_path):
     def spoil(frames):
         frames["x_stage_mm"] += 1.2

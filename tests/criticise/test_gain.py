@@ -11,6 +11,7 @@ from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import verdict_of
 
 
+@pytest.mark.slow
 def test_scores_of_left_out_specimens_are_near_those_of_the_models_written_down(tmp_path):
     # An effect far beyond the scatter: the null needs a scatter of its own to predict with.
     truth = make_case(61040, "pair", tmp_path)

@@ -41,6 +41,7 @@ def test_every_mechanism_is_planted():
     assert set(PLANTED) == set(MECHANISMS)
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_effect_is_named_and_sized(name, tmp_path):
     values, protocols = PLANTED[name]
@@ -55,6 +56,7 @@ def test_a_planted_effect_is_named_and_sized(name, tmp_path):
         assert low - slack <= value <= high + slack
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("protocols", [["incline", "strip"], ["drag"], ["drop_drag"]])
 def test_nothing_hidden_nothing_named(protocols, hidden_seed, tmp_path):
     seed = hidden_seed(31)
@@ -63,6 +65,7 @@ def test_nothing_hidden_nothing_named(protocols, hidden_seed, tmp_path):
     assert analysis.verdict in ("none", "unknown") or analysis.global_p > 1e-3, seed
 
 
+@pytest.mark.slow
 def test_a_patch_of_the_substrate_is_unknown_and_located(tmp_path):
     patch = {"patch": {"size": 0.4, "at": 100.0, "width": 18.0}}
     _, analysis = judged(tmp_path, 5, "outside", plant=(patch, ["incline", "strip"]))
@@ -71,6 +74,7 @@ def test_a_patch_of_the_substrate_is_unknown_and_located(tmp_path):
     assert strongest.covariate == "pos_x_mm"
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("fixed", [37, 41])
 def test_for_a_covariate_that_was_not_recorded_nothing_else_is_blamed(fixed, hidden_seed, tmp_path):
     seed = hidden_seed(fixed)
@@ -78,6 +82,7 @@ def test_for_a_covariate_that_was_not_recorded_nothing_else_is_blamed(fixed, hid
     assert analysis.verdict != "cause" or set(analysis.causes) == set(truth["effects"]), seed
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(strict=True, reason="force_offset with tilt is named for a threefold direction")
 def test_nothing_is_blamed_for_a_threefold_direction_that_was_not_recorded(tmp_path):
     truth, analysis = judged(tmp_path, 40, "unrecorded")

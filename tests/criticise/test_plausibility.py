@@ -104,6 +104,7 @@ def test_a_tether_half_or_twice_as_stiff_is_none_of_another_unit(good, factor):
     assert implausible(case) == []
 
 
+@pytest.mark.slow
 def test_a_stiffness_ten_times_off_is_named_with_the_likely_slip(tmp_path):
     folder = tmp_path / "case"
     make_case(4, "null", folder, plant=({}, ["drop_drag"]))

@@ -52,6 +52,7 @@ def test_free_and_shrunken_columns_enter_the_likelihood_as_they_should(group):
     assert log_likelihood(clusters, scatter, 1, True) == pytest.approx(-0.5 * wanted)
 
 
+@pytest.mark.slow
 def test_another_protocol_takes_no_evidence_away(tmp_path):
     patch = {"patch": {"size": -0.29, "at": 100.0, "width": 18.0}}
     evidence = {}

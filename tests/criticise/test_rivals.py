@@ -28,6 +28,7 @@ def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
     assert analysis.verdict in ("confounded", "unknown"), analysis.causes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [9027, 9029])
 def test_faulty_sensors_do_not_tell_what_the_design_cannot(seed, tmp_path):
     # Noise 2 and 2.7 times what is stated, far readings: one rival is ahead by chance.
@@ -37,6 +38,7 @@ def test_faulty_sensors_do_not_tell_what_the_design_cannot(seed, tmp_path):
     assert {(name,) for name in truth["tie"]} <= set(analysis.alternatives)
 
 
+@pytest.mark.slow
 def test_two_mechanisms_along_one_covariate_do_not_stand_for_another_law(tmp_path):
     truth = departures.make_case(9031, tmp_path)
     assert set(truth["effects"]) == {"load_step"}
@@ -44,6 +46,7 @@ def test_two_mechanisms_along_one_covariate_do_not_stand_for_another_law(tmp_pat
     assert analysis.verdict == "unknown", analysis.causes
 
 
+@pytest.mark.slow
 def test_memory_of_the_load_before_is_not_blamed_on_the_load(tmp_path):
     plan = departures.draw_plan(9705, "null", False)
     plan.effects = {"memory": {"memory": 0.2}}
@@ -62,6 +65,7 @@ def test_rivals_are_finite_where_single_rests_and_loads_are_unknown(tmp_path):
     assert all(np.isfinite(rival.factors).all() for rival in rivals)
 
 
+@pytest.mark.slow
 def test_a_cause_is_named_beside_the_uneven_track_that_it_leaves(tmp_path):
     truth = departures.make_case(9533, tmp_path)
     assert set(truth["effects"]) == {"ageing"}
@@ -73,6 +77,7 @@ def test_a_cause_is_named_beside_the_uneven_track_that_it_leaves(tmp_path):
     assert "structure is left" in said and "position on the substrate" in said
 
 
+@pytest.mark.slow
 def test_a_law_outside_the_library_does_not_stand_beside_what_it_leaves(tmp_path):
     truth = departures.make_case(9312, tmp_path)
     assert set(truth["effects"]) == {"stribeck"}

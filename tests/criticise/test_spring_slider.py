@@ -85,6 +85,7 @@ def test_traces_integrated_in_time_steps_have_the_features_of_the_closed_form(tm
     assert measured.y == pytest.approx(expected, rel=6e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed, name, size", [(3, "static_kinetic", 0.15), (4, "ageing", 0.06)], ids=lambda x: str(x)
 )
@@ -97,11 +98,13 @@ def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
     assert low - slack <= size <= high + slack
 
 
+@pytest.mark.slow
 def test_drops_that_inertia_makes_are_no_effect(tmp_path):
     make_case(2, "null", tmp_path, plant=({}, ["spring_slider"]))
     assert analyse(assemble(read_case(tmp_path))).verdict == "none"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [9037, 9077])
 def test_drops_of_an_uneven_track_are_no_static_friction(seed, tmp_path):
     truth = departures.make_case(seed, tmp_path)

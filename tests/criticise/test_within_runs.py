@@ -58,6 +58,7 @@ def test_an_uneven_track_is_found_where_there_is_one(uneven):
     assert track_step(found, "static")["step_ci95"][0] > 0
 
 
+@pytest.mark.slow
 def test_paper_on_paper_has_an_uneven_track_beside_its_static_excess():
     case = read_case(CASES / "paper_on_paper")
     found = within_runs(case, assemble(case))["spring_slider"]

@@ -108,6 +108,7 @@ def test_what_snakemake_leaves_is_no_finding(release):
     assert audit_release(release).verdict == "intact"
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_in_any_file_is_found(release):
     chance = random.Random(1)
     names = sorted(read_sums(release))
@@ -189,6 +190,7 @@ def test_reencoded_images_alter_the_file_but_no_clip(forger, release):
     assert audit.clip_kinds()[CLIP] == []
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     ("column", "value"),
     [
@@ -301,6 +303,7 @@ CHANGED_RECORDS = {
 }
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", CHANGED_RECORDS)
 def test_changed_record_breaks_the_chain_of_its_clips_behind_new_sums(forger, name):
     record, edit, clips = CHANGED_RECORDS[name]
@@ -320,6 +323,7 @@ def test_forged_calibration_breaks_every_clip(forger, release):
     assert len(found(release, Kind.BROKEN)["records/calibrate/calibration.json"]) == 144
 
 
+@pytest.mark.slow
 def test_forged_configuration_contradicts_the_records(forger, release):
     path = release / "records/config.json"
     content = json.loads(path.read_text())
@@ -361,6 +365,7 @@ def test_changed_configuration_makes_stale_not_damaged(original):
     assert "simulate" in stages
 
 
+@pytest.mark.slow
 def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     """The chain's calibration chose other settings than configured: released, intact, not stale."""
     results = synthetic_chain.write(CONFIG, tmp_path, chosen={"damping_s": 0.0})
@@ -374,6 +379,7 @@ def test_simulations_are_held_against_what_the_calibration_told_them(tmp_path):
     assert audit_release(out, CONFIG).verdict == "intact"
 
 
+@pytest.mark.slow
 def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
     """Not every simulation from every viewpoint in every texture, and floors of two kinds."""
     render = {"test_viewpoint_videos": 3, "reflective_floors": ["ceramic", "aluminium"]}
@@ -387,6 +393,7 @@ def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
     assert {row["floor"] for row in rows if row["floor_role"] == "test"} <= {"ceramic", "aluminium"}
 
 
+@pytest.mark.slow
 def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monkeypatch):
     monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
     render = CONFIG.render.model_dump() | {
@@ -432,6 +439,7 @@ def criticised(tmp_path_factory):
 OWN_LAW = "results/criticise/x/extended_model.yaml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "carried"),
     [
@@ -614,6 +622,7 @@ def test_command_answers_machines_and_people(release, tmp_path, capsys):
     assert not re.search(r"(src|href)=", html)
 
 
+@pytest.mark.slow
 def test_stale_can_be_allowed(original, tmp_path):
     write_config(synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2}), tmp_path / "c")
     words = ["audit", str(original), "--config", str(tmp_path / "c")]

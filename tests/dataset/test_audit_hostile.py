@@ -21,6 +21,8 @@ from slipstitch.dataset.images import DATASET_SCHEMA
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import SUMS
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config(
     grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.3], "replicates": 2},

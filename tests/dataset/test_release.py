@@ -223,6 +223,7 @@ def test_any_kind_with_a_role_gets_its_split():
     }
 
 
+@pytest.mark.slow
 def test_lines_of_the_card_load_the_data(release, manifest, tmp_path):
     card = (release / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", card, re.DOTALL)
@@ -350,6 +351,7 @@ def test_equal_configuration_makes_equal_data_in_another_folder(release, tmp_pat
     assert sum(name.startswith("data/") for name in sums) > 10
 
 
+@pytest.mark.slow
 def test_rows_digest_is_of_the_rows_alone(tmp_path):
     table = pq.read_table(next(iter((ROOT / "data").rglob("*.parquet")), None) or _rows(tmp_path))
     first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
@@ -376,6 +378,7 @@ def test_no_file_names_a_place_on_this_machine(release, results):
             assert not re.search(r"/(home|root|Users|tmp)/", text), path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "carried_as"),
     [("bench/camera.json", "camera.json"), ("run/bench/camera.json", "bench/camera.json")],

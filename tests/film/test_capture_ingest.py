@@ -120,6 +120,7 @@ def test_from_a_place_nearby_the_cloth_lies_where_the_viewpoint_sees_it():
 # Synchronisation
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("rate_hz", [12.5, 30.0])
 @pytest.mark.parametrize("start_s", [2.4, 3.137])
 def test_the_start_is_found_to_a_frame(tmp_path, rate_hz, start_s):
@@ -176,6 +177,7 @@ def test_a_stated_start_that_is_found_nowhere_is_noted(tmp_path):
     assert read.notes[0].startswith("the stated start could not be verified")
 
 
+@pytest.mark.slow
 def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
     """The stage is lowered for 3 s, raised again, and rests before the protocol."""
     again_s = 6.0

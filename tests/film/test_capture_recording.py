@@ -155,6 +155,7 @@ def long_schedule():
     return Schedule.of(config.simulation, config.render, config.sample)
 
 
+@pytest.mark.slow
 def test_the_stage_is_read_alike_from_some_frames_and_from_all(film, monkeypatch):
     schedule = long_schedule()
     some = read_stage_video(film, LENS, schedule)
@@ -169,6 +170,7 @@ def test_the_stage_is_read_alike_from_some_frames_and_from_all(film, monkeypatch
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key_frame", [False, True], ids=["the frame", "its key frame"])
 def test_where_a_needed_frame_is_damaged_all_are_read(film, tmp_path, monkeypatch, key_frame):
     schedule = replace(SCHEDULE, frame=SCHEDULE.frame[:4])

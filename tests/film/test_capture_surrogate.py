@@ -128,6 +128,7 @@ def test_impossible_pairs_are_refused(section, problem):
         resolve_config({"captures": section})
 
 
+@pytest.mark.slow
 def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys):
     """Simulated, rendered, distorted, compressed; then found, rectified and cropped."""
     config = resolve_config(

@@ -217,6 +217,7 @@ def evaluated(bench, out, instruments, **which):
     )
 
 
+@pytest.mark.slow
 def test_models_of_an_earlier_configuration_do_not_count(bench, tmp_path, monkeypatch):
     monkeypatch.chdir(bench)  # records name files by their path from the working folder
     train = TrainSettings(splits=["by_video"])

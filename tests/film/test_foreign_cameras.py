@@ -193,6 +193,7 @@ def test_where_a_board_is_not_found_it_is_said_what_is(tmp_path, kind, asked, me
         read_views(paths, Board(square_m=0.02, **asked))
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("square_mm", [2.0, 200.0])
 def test_a_square_in_another_unit_is_refused_where_the_camera_is_placed(
     tmp_path, square_mm, capsys

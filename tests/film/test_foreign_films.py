@@ -48,6 +48,7 @@ def refused(path, **options):
     return str(problem.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_hz", "slowed"), [(25.0, 2), (25.0, 4), (12.5, 4), (12.5, 8)])
 def test_slow_motion_is_named_with_the_rate_that_helps(tmp_path, rate_hz, slowed):
     times_s, images = film_at(rate_hz)
@@ -59,6 +60,7 @@ def test_slow_motion_is_named_with_the_rate_that_helps(tmp_path, rate_hz, slowed
     assert read.start.time_s == pytest.approx(START_S, abs=0.05)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("rate_hz", [12.5, 25.0])
 def test_timestamps_that_start_again_are_refused_and_a_stated_rate_is_read(tmp_path, rate_hz):
     times_s, images = film_at(rate_hz)
@@ -88,6 +90,7 @@ def tagged_by_180(path):
     return path
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("rate_hz", [12.5, 25.0])
 @pytest.mark.parametrize("is_tagged", [False, True])
 def test_a_film_upside_down_is_named_as_one(tmp_path, rate_hz, is_tagged):
@@ -101,6 +104,7 @@ def test_a_film_upside_down_is_named_as_one(tmp_path, rate_hz, is_tagged):
     assert ("orientation tag says 180 degrees" in said) == is_tagged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_hz", "padded_hz"), [(12.5, 25.0), (10.0, 25.0), (12.5, 30.0)])
 def test_repeated_frames_do_no_harm_and_a_rate_stated_for_them_is_refused(
     tmp_path, rate_hz, padded_hz

@@ -14,6 +14,7 @@ from slipstitch.film.measure.measurement_files import MeasuredPair
 from slipstitch.film.measure.measuring_bench import MeasuringBench
 
 
+@pytest.mark.slow
 def test_a_camera_outside_the_range_raises_the_alarm_although_the_images_do_not(
     tmp_path, capsys, monkeypatch
 ):
@@ -45,6 +46,7 @@ def test_a_camera_outside_the_range_raises_the_alarm_although_the_images_do_not(
     assert MeasuredPair(videos, {}).together is None
 
 
+@pytest.mark.slow
 def test_repeats_are_combined_with_their_scatter_an_outlier_and_a_refused_film_named(
     tmp_path, capsys
 ):

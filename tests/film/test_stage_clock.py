@@ -64,6 +64,7 @@ def followed(*arguments, **named):
     return follower_of(*arguments, **named).time_base()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("rate", [0.95, 0.98, 0.995, 1.0, 1.005, 1.02, 1.05])
 def test_the_rate_is_told_within_its_uncertainty(rate):
     """A film of 320 x 240 pixels, noise of 6 levels."""
@@ -73,6 +74,7 @@ def test_the_rate_is_told_within_its_uncertainty(rate):
     assert found.worst_offset_m() < 1.5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("viewpoint", ["frontal", "side"])
 def test_other_viewpoints_tell_it_too(viewpoint):
     assert followed(1.01, viewpoint).rate == pytest.approx(1.01, abs=1e-3)
@@ -84,6 +86,7 @@ def test_one_stroke_is_enough():
     assert found.rate_sd < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing_s", [1.0, 2.0])
 def test_a_film_that_was_cut_is_noticed(missing_s):
     """Seconds of the third stroke are missing: the rate is wrong, or none explains the rest."""
@@ -91,6 +94,7 @@ def test_a_film_that_was_cut_is_noticed(missing_s):
     assert abs(found.rate - 1) >= 0.005 or found.worst_offset_m() > 4e-3
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("stops_s", [22.0, 60.0, 95.0])
 @pytest.mark.parametrize(("noise", "flicker"), [(1.0, 0.0), (20.0, 0.05)])
 def test_a_stage_that_stops_is_noticed(stops_s, noise, flicker):
@@ -114,6 +118,7 @@ def test_somebody_who_walks_past_stops_no_stage():
     assert follower.still_from_s(follower.time_base()) is None
 
 
+@pytest.mark.slow
 def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
     times_s = np.concatenate([np.arange(0, 6.0, 0.1), np.arange(6.0, START_S + 126.0, 0.34)])
     images = (bench().image(np.clip(time_s - START_S, 0.0, 30.0)) for time_s in times_s)
@@ -176,12 +181,14 @@ def test_the_speed_of_a_capture_is_that_of_its_clock(film, tmp_path):
     assert known["stage_speed"] == video.time_base.rate
 
 
+@pytest.mark.slow
 def test_a_right_clock_is_left_alone(film):
     video = read_stage_video(film(1.0), lens(), SCHEDULE)
     assert video.time_base.rate == pytest.approx(1.0, abs=5e-4)
     assert video.notes == []
 
 
+@pytest.mark.slow
 def test_a_clock_three_percent_wrong_is_refused(film):
     with pytest.raises(BadInput, match=r"the stage moves 0\.97.*--frame-rate-hz"):
         read_stage_video(film(0.97), lens(), SCHEDULE)

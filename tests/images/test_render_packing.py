@@ -196,6 +196,7 @@ def verify(work, out, shards="images"):
     return main(["render", *configuration, "--verify", *folders, "--out", str(out), *paths])
 
 
+@pytest.mark.slow
 def test_a_sample_of_the_dataset_is_compared_with_direct_renders(work, capsys):
     out = work / "verification.json"
     assert verify(work, out) == 0
@@ -208,6 +209,7 @@ def test_a_sample_of_the_dataset_is_compared_with_direct_renders(work, capsys):
     assert read_sidecar(out)["stage"] == "render"
 
 
+@pytest.mark.slow
 def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(verification, "LEAST_PSNR_DB", {False: 99.0, True: 99.0})
     assert verify(work, tmp_path / "verification.json") == 1
@@ -217,6 +219,7 @@ def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, c
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_altered_image_fails_the_verification(work, tmp_path, capsys):
     for view in ("v00", "v01"):
         path = work / "images" / f"{ONE}_{view}.parquet"

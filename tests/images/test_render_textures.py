@@ -42,6 +42,7 @@ def test_drawn_cloths_have_albedos_that_cloth_can_have(number):
     np.testing.assert_array_equal(texture.__wrapped__(f"cloth_1:{number}"), albedo)
 
 
+@pytest.mark.slow
 def test_every_film_wears_a_cloth_of_its_own():
     """No two films share one, so that none is known by heart; a film's frames do."""
     names = {

@@ -226,6 +226,7 @@ def test_every_file_says_where_it_comes_from(evaluated):
         assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 8 + 2
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table(chain, evaluated, tmp_path, capsys):
     write_config(CONFIG, tmp_path / "config.json")
     words = ["evaluate", "--config", str(tmp_path / "config.json")]
@@ -253,6 +254,7 @@ def test_models_of_an_earlier_configuration_do_not_count(chain):
         found(seeds=[7], reflective_seeds=[7])
 
 
+@pytest.mark.slow
 def test_the_record_names_the_models_that_count_and_no_others(chain, tmp_path, monkeypatch):
     monkeypatch.chdir(chain)
     train = CONFIG.train.model_copy(update={"splits": ["by_simulation"]})
@@ -298,6 +300,7 @@ def predictions(path):
     return [row for row in rows if not row["network"].startswith(PREFIX)]
 
 
+@pytest.mark.slow
 def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_path):
     config = synthetic_videos.config(
         instrument={"channels": [8, 16], "epochs": 2, "plateau_margin": None, "draws": 1},

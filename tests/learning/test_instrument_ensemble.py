@@ -28,6 +28,8 @@ from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrum
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 
+pytestmark = pytest.mark.slow
+
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
     render={"pixels": 24, "viewpoints": ["calibrated", "side"]},

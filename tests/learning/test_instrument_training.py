@@ -138,6 +138,7 @@ def test_the_alarm_stays_quiet_for_its_like_and_rings_for_other_videos(folder, t
     assert alarms(frames[:12, :, ::-1]) >= 0.95
 
 
+@pytest.mark.slow
 def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked, tests, tmp_path):
     train(marked, tmp_path, points_weight=1.0, through_points=True, epochs=80)
     history = list(csv.DictReader((tmp_path / "history.csv").open()))
@@ -179,6 +180,7 @@ def undisturbed(dataset, tmp_path_factory):
     return folder
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("steps", [1, 5, 9])
 def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_path, steps):
     left = iter(range(steps - 1, -1, -1))
@@ -194,6 +196,7 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_pa
         assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_path, capsys):
     def kill(progress):
         if progress.step == 2:
@@ -392,6 +395,7 @@ def test_the_curve_in_the_terminal_falls_as_the_loss_does():
     assert curve([]) == ""
 
 
+@pytest.mark.slow
 def test_the_command_trains_and_says_how_it_went(dataset, tmp_path, capsys):
     small = {**SETTINGS.model_dump(), "epochs": 1, "plateau_margin": None}
     write_config(

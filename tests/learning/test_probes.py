@@ -134,6 +134,7 @@ def test_guessing_is_seldom_called_a_leak():
     assert refused <= 6  # 2 are expected at most
 
 
+@pytest.mark.slow
 def test_every_probe_is_a_row_in_both_splits_and_the_motion_shows_in_the_middle(dataset):
     every = list(probes(dataset))
     names = [f"{name}{end}" for name in WHAT for end in ("", "_network")]
@@ -199,6 +200,7 @@ def planted(leak, seed=3, floors=("train",)):
     return rows, np.clip(np.stack(images), 0, 255).astype(np.uint8), np.array(sizes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leak", ["background", "file_size", "order"])
 def test_a_leak_is_found_by_the_probe_that_is_for_it_and_by_no_other(leak):
     rows, images, sizes = planted(leak)

@@ -173,6 +173,7 @@ def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, tmp_path):
         assert (tmp_path / "there" / name).read_bytes() == same, name
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("split", ["by_video", "by_simulation"])
 def test_a_network_learns_friction(dataset, tmp_path, split):
     card = train(dataset, tmp_path, split=split)
@@ -185,6 +186,7 @@ def test_a_network_learns_friction(dataset, tmp_path, split):
     assert float(rows[-1]["train_loss"]) == card["train_loss"]
 
 
+@pytest.mark.slow
 def test_the_conditional_network_listens_to_the_material_network(dataset, material, tmp_path):
     card = train(dataset, tmp_path, "friction_conditional", material_model=material)
     assert card["condition_sha256"] == load_model(material).card["weights_sha256"]
@@ -226,6 +228,7 @@ def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp
     assert content["a"]["model.safetensors"] != content["c"]["model.safetensors"]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("steps", [1, 5, 13])
 @pytest.mark.parametrize("changes", [{}, {"precision": "bfloat16"}], ids=["float32", "bfloat16"])
 def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, changes):

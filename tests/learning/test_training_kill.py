@@ -19,6 +19,8 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.learning.checkpoint import CHECKPOINT
 from slipstitch.report.benchmark import SAID_CPU_TIME
 
+pytestmark = pytest.mark.slow
+
 LIMIT_S = 300.0
 
 

@@ -71,6 +71,7 @@ def demand(monkeypatch, slip_strain, friction=choice.STRIP_FRICTION):
     monkeypatch.setattr(choice, "STRIP_FRICTION", friction)
 
 
+@pytest.mark.slow
 def test_the_configured_settings_are_chosen_where_they_meet_the_demand():
     strip = calibrated()
     # Five iterations at most, or 0.1 s steps, would make a push cheaper.
@@ -150,6 +151,7 @@ def test_the_strip_is_the_protocol_s():
     assert gamma_of(6.3e8) <= strip.LARGEST_GAMMA
 
 
+@pytest.mark.slow
 def test_pictures_are_the_same_every_time(tmp_path):
     data = {"strip": calibrated()}
     for name, figure in (("strip", strip_figure), ("settings", settings_figure)):
@@ -177,6 +179,7 @@ def sweeps(config, folder):
     return paths
 
 
+@pytest.mark.slow
 def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, tmp_path):
     out = tmp_path / "calibration.json"
     pictures = {name: tmp_path / f"{name}.svg" for name in ("checks", "strip", "settings")}
@@ -189,6 +192,7 @@ def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, t
     assert all(path.exists() for path in pictures.values())
 
 
+@pytest.mark.slow
 def test_sweeps_settings_and_pictures_name_the_code_that_their_rules_compare(config, tmp_path):
     """Else a release would refuse as made by other code what the workflow finds up to date."""
     out, picture = tmp_path / "calibration.json", tmp_path / "strip.svg"
@@ -217,6 +221,7 @@ def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed
     assert not (tmp_path / "settings.svg").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("only_failures", [False, True])
 def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_demand(
     config, tmp_path, only_failures

@@ -71,6 +71,7 @@ def test_a_composed_image_is_the_direct_one_at_64_pixels():
     check(compare(64, "frontal", {40}, ["houndstooth"]), reflects=False)
 
 
+@pytest.mark.slow
 def test_a_composed_image_on_a_floor_that_mirrors_is_the_direct_one():
     floor = REFLECTIVE["polished"]
     check(compare(64, "calibrated_-10", {60}, ["tartan"], floor), reflects=True)
@@ -114,6 +115,7 @@ def test_a_uniform_cloth_is_composed_at_every_albedo():
         np.testing.assert_allclose(series, direct.sum(axis=0)[..., 0], atol=tolerance)
 
 
+@pytest.mark.slow
 def test_a_frame_costs_what_it_may():
     """0.15 CPU-seconds a frame at 112 pixels and 10 ms a texture, with room for a slow machine.
 

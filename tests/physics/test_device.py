@@ -13,6 +13,7 @@ RUN = DropAndDrag("gray-interlock", 0.5, 1)
 SETTINGS = SimulationSettings(vertices_per_side=9, frames=4, frame_rate_hz=4, settle_s=0.2)
 
 
+@pytest.mark.slow
 def test_every_kernel_compiles_for_a_gpu(tmp_path):
     """Without one: to PTX for compute capability 8.0; sums into shared entries are atomic."""
     sources = {}

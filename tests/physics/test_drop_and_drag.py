@@ -141,6 +141,7 @@ def test_the_curl_may_change_sides_with_the_replicate():
     assert curls == [0.5, -0.5, 0.5, -0.5]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("curl", [-1.0, 1.0])
 def test_the_natural_curl_decides_to_which_side_the_cloth_sags(curl, monkeypatch):
     """Without it the flat cloth is an unstable equilibrium that rounding would decide."""
@@ -212,6 +213,7 @@ def test_no_long_step_is_taken_while_the_cloth_lands(monkeypatch):
     assert taken and max(taken) < 1.01 * settings.step_used_s
 
 
+@pytest.mark.slow
 def test_steady_drag_takes_long_steps_and_goes_the_same_way():
     """Implicit Euler is exact for steady translation: what is longer than that costs accuracy."""
     settings = SimulationSettings(vertices_per_side=11, frames=96)
@@ -229,6 +231,7 @@ def test_steady_drag_takes_long_steps_and_goes_the_same_way():
     assert (columns["residual"] > 0).all()
 
 
+@pytest.mark.slow
 def test_frames_within_a_long_step_lie_between_its_ends():
     coarse = SMALL.model_copy(update={"frames": 25, "frame_rate_hz": 2.4, "time_step_s": 0.084})
     fine = coarse.model_copy(update={"frames": 24 * 5 + 1, "frame_rate_hz": 12.0})

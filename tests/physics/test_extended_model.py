@@ -118,6 +118,7 @@ def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
         read_extended_model(written(tmp_path, discrepancy=drift | {"factors": [1, 1, 1]}))
 
 
+@pytest.mark.slow
 def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
     """A table of equal factors is another coefficient; one by place acts where the cloth lies."""
     coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}

@@ -240,6 +240,7 @@ def _frames_with_crossings(trajectory) -> int:
     )
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("self_contact", [True, False])
 def test_cloth_lowered_into_a_heap_lies_on_itself(self_contact):
     settings = SimulationSettings(

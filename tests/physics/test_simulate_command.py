@@ -69,6 +69,7 @@ def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_pat
     )
 
 
+@pytest.mark.slow
 def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
     # With 25 vertices a side BLAS splits its sums over two threads, if it is let.
     words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]

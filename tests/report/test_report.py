@@ -293,6 +293,7 @@ def test_the_papers_last_curve_is_of_the_second_training_set(tmp_path, monkeypat
     assert capture_errors(captured[10:])["all"].round(2).tolist() == [0.0, 0.26]
 
 
+@pytest.mark.slow
 def test_captures_scored_with_other_networks_are_said_to_be(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path)
     synthetic_results.write_captures(tmp_path)
@@ -400,6 +401,7 @@ def test_curves_of_an_earlier_configuration_are_not_shown(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_the_simulations_are_summed_up_and_those_that_lack_are_named(tmp_path):
     grid = {"materials": ["gray-interlock"], "frictions": [0.1 * k for k in range(1, 9)]}
     config = synthetic_results.config(grid=grid | {"replicates": 1})
@@ -494,6 +496,7 @@ def test_words_and_numbers():
     assert closest_frictions([0.5]) is None and percent(0.5) == "50.0 %"
 
 
+@pytest.mark.slow
 def test_equal_input_gives_an_equal_page_whose_time_can_be_set(whole, page, monkeypatch, tmp_path):
     assert page_of(whole) == page
     assert "2 fabrics × 3 friction coefficients × 2 replicates" in text_of(page)

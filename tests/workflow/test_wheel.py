@@ -15,6 +15,8 @@ from slipstitch.config import load_config
 from slipstitch.design.cost import estimate_line
 from slipstitch.report.machine_checks import pinned_versions
 
+pytestmark = pytest.mark.slow
+
 # What a build reads.
 SOURCES = (*PARTS, "MANIFEST.in", "README.md", "envs", "pyproject.toml", "setup.py", "workflow")
 
