@@ -16,6 +16,7 @@ from slipstitch.criticise.verdict import RULES
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.learning.evaluation import paper as printed
 from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
+from slipstitch.report.scores import Scores
 
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "results" / "published"
@@ -58,12 +59,6 @@ def share_with_interval(share, number):
     return f"{100 * share:.0f} ({100 * found.low:.0f} ... {100 * found.high:.0f})"
 
 
-def of_view(details, split, network, view=None):
-    """Return the published scores of a network on a split, of one viewpoint or of all."""
-    found = details.get(split, {}).get(network) or {}
-    return found if view is None else found.get("viewpoints", {}).get(view) or {}
-
-
 def percent(found, metric):
     """Return a mean score in %, with its spread over seeds where there are several."""
     if metric not in found.get("mean", {}):
@@ -74,11 +69,11 @@ def percent(found, metric):
 
 def paper_table_2():
     """Return Table 2 of the paper beside ours."""
-    details = read("paper/details.json")
+    details = Scores({}, read("paper/details.json"))
     rows = []
     for (network, metric), share in printed.TABLE_2.items():
         cells = [
-            percent(of_view(details, split, network, view), metric)
+            percent(details.detail(split, network, view), metric)
             for split in ("by_video", "by_simulation")
             for view in (None, "calibrated")
         ]
@@ -88,7 +83,7 @@ def paper_table_2():
         ("probe_middle_frame_network", "small network on one frame"),
     ):
         cells = [
-            percent(of_view(details, split, probe, view), "friction_lt_0.1")
+            percent(details.detail(split, probe, view), "friction_lt_0.1")
             for split in ("by_video", "by_simulation")
             for view in (None, "calibrated")
         ]
@@ -99,7 +94,7 @@ def paper_table_2():
 
 def paper_unseen():
     """Return section 6.2.1 and Table 3 of the paper beside ours."""
-    details = read("paper/details.json")
+    details = Scores({}, read("paper/details.json"))
     network, metrics = "friction_conditional", ("friction_lt_0.1", "friction_lt_0.2")
     tests = [
         ("unseen texture", "unseen_texture", "calibrated", printed.UNSEEN_TEXTURE_VIDEOS,
@@ -111,7 +106,7 @@ def paper_unseen():
     ]
     rows = []
     for words, split, view, number, shares in tests:
-        found = of_view(details, split, network, view)
+        found = details.detail(split, network, view)
         ours = [
             share_with_interval(found["mean"][metric], found["n"]) if found else "not trained"
             for metric in metrics

@@ -1,10 +1,11 @@
 """Material network, friction network, friction network conditioned on the predicted material."""
 
 from slipstitch.config.train import NETWORKS
-from slipstitch.design.trainable import check_networks_can_train, trainings
-
-# The networks before fine-tuning.
-KEEPS_ALL_VIEWS = CONFIG.train.keep_all_views and CONFIG.train.fine_tuning_epochs > 0
+from slipstitch.design.trainable import (
+    check_networks_can_train,
+    keeps_networks_of_all_views,
+    trainings,
+)
 
 
 def material_network(wildcards):
@@ -41,7 +42,11 @@ rule train_one:
     output:
         expand(
             "results/train/{{split}}/{{network}}/seed{{seed}}/all_views/{file}",
-            file=["model.safetensors", "model.json"] if KEEPS_ALL_VIEWS else [],
+            file=(
+                ["model.safetensors", "model.json"]
+                if keeps_networks_of_all_views(CONFIG.train)
+                else []
+            ),
         ),
         model="results/train/{split}/{network}/seed{seed}/model.safetensors",
         card="results/train/{split}/{network}/seed{seed}/model.json",

@@ -17,16 +17,18 @@ from slipstitch.config import write_config
 from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
 from slipstitch.design.trainable import trainings
 from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.probes import PREFIX
-from slipstitch.learning.evaluation.scores import recomputed
+from slipstitch.learning.evaluation.scores import network_of, recomputed
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
+from slipstitch.learning.lrcn_model import load_model
 from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.trainer import Run
 
@@ -41,6 +43,8 @@ CONFIG = synthetic_videos.config(
     },
     train={"splits": list(TRAINED_ON)},
 )
+KEPT = "by_video"
+FINE_TUNED = ["lrcn_baseline_calibrated", "lrcn_conditional_calibrated"]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +57,8 @@ def chain(tmp_path_factory):
         for network, _ in trainings(CONFIG.train, split):
             material = folder / "train" / split / "material_baseline" / "seed0"
             train_network(
-                CONFIG.train,
+                # Of one split the networks before fine-tuning too.
+                CONFIG.train.model_copy(update={"keep_all_views": split == KEPT}),
                 Run(folder / "sample", split, 0, folder / "train" / split / network / "seed0"),
                 network,
                 CONFIG.render.viewpoints,
@@ -107,11 +112,11 @@ def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluate
         assert bool(probed) == (split in TRAINED_ON)
         models = {model: row for model, row in models.items() if model not in probed}
         assert list(models)[:2] == ["lrcn_baseline", "lrcn_conditional"]
-        of_few = ("by_video", "reflective_floors", REFLECTIVE)
-        assert split in of_few or list(models)[2:] == ["instrument"]
+        others = [model for model in list(models)[2:] if model not in FINE_TUNED]
+        assert others == ["instrument"] or split in ("by_video", "reflective_floors", REFLECTIVE)
         for model, row in models.items():
             assert tuple(row) == FIELDS
-            known = model != "lrcn_conditional" and split != "unseen_fabric"
+            known = "conditional" not in model and split != "unseen_fabric"
             assert (row["material_top1"] is not None) == known
             assert row["seeds"] == [0]
             assert (row["coverage_90"] is None) == (model != "instrument")
@@ -133,6 +138,40 @@ def test_the_test_sets_hold_what_they_should(evaluated):
         "reflective_floors": 3,  # those of by_video on the other floor
         "by_video_reflective": 3,
     }
+
+
+def test_fine_tuned_networks_count_in_the_calibrated_view_those_before_in_all(chain, evaluated):
+    """And both in views that are turned from the calibrated one, by predictions of their own."""
+    metrics = content(evaluated / "metrics.json")
+    said: dict = {}
+    for row in predictions(evaluated / "predictions.parquet"):
+        said.setdefault((row["split"], row["network"]), {})[row["video"]] = row
+    for split, models in metrics.items():
+        found = [model for model in models if model in FINE_TUNED]
+        of_kept = split not in ("by_simulation", "off_grid", "unseen_fabric", REFLECTIVE)
+        assert found == (FINE_TUNED if of_kept else [])
+        for fine_tuned in found:
+            network = network_of(fine_tuned)
+            before = said[split, network.removesuffix("_calibrated")]
+            own = {
+                video
+                for video, row in before.items()
+                if row["viewpoint"] == "calibrated" or split.startswith("view_")
+            }
+            assert set(said.get((split, network), ())) == own
+            assert models[fine_tuned]["n"] == len(own)
+    # The conditional ones are told the material by the network before fine-tuning.
+    folder = chain / "train" / KEPT
+    material = load_model(folder / "material_baseline/seed0/all_views")
+    videos = read_videos(chain / "sample", lambda row: row["viewpoint"] == "calibrated_+5")
+    for network, place in (
+        ("friction_conditional", "all_views"),
+        ("friction_conditional_calibrated", "."),
+    ):
+        model = load_model(folder / "friction_conditional/seed0" / place).listening_to(material)
+        for row, shares in zip(videos.rows, model.probabilities(videos), strict=True):
+            known = said["view_+5", network].get(row["video"])
+            assert known is None or known["probabilities"] == pytest.approx(shares, abs=1e-6)
 
 
 def test_networks_beat_chance_on_held_out_simulations(evaluated):
@@ -223,7 +262,7 @@ def test_wrong_inputs_are_what_they_are_called():
 def test_every_file_says_where_it_comes_from(evaluated):
     for name in ("metrics.json", "details.json", "predictions.parquet"):
         record = read_provenance(evaluated / name)
-        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * 8 + 2
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * (8 + 3) + 2
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from slipstitch.design.grid import simulations
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.publishing import INDEX, OPTIONAL, SCORES, finished_files, publish
 
-CONFIG = synthetic_results.config()
+CONFIG = synthetic_results.config(train={"keep_all_views": True})
 SHIPS = "ensemble" if len(CONFIG.instrument.seeds) > 1 else "seed0"
 
 
@@ -86,8 +86,9 @@ def test_a_finished_run_is_published_whole_without_its_images(run, tmp_path):
     }
     folder = "models/by_video/friction_conditional/seed0"
     assert {path.name for path in (out / folder).iterdir()} == {
-        "history.csv", "model.json", "model.safetensors.provenance.json",
+        "all_views", "history.csv", "model.json", "model.safetensors.provenance.json",
     }  # fmt: skip
+    assert f"{folder}/all_views/model.json" in there
     digests = json.loads((out / "dataset" / "digests.json").read_text())
     rows, digest = read_manifest(run / "sample")
     assert (digests["digest"], digests["videos"]) == (digest, len(rows))

@@ -30,7 +30,7 @@ from slipstitch.report.headline import headline, share_interval
 from slipstitch.report.page import closest_frictions, page_context, render_page, write_report
 from slipstitch.report.physics import simulation_section
 from slipstitch.report.results import Results
-from slipstitch.report.scores import Scores
+from slipstitch.report.scores import Scores, model_title
 
 CONFIG = synthetic_results.config()
 NOW = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -225,6 +225,26 @@ def test_an_unseen_texture_stands_beside_the_papers_and_beside_seen_ones(tmp_pat
     assert rows["conditional network: error < 0.1"] == shares
     assert rows["conditional network: error < 0.2"][0] == "95.0 %"
     assert rows["baseline network: error < 0.1"] == ["not printed", "50.0 %", "80.6 %", "88.9 %"]
+
+
+def test_of_the_calibrated_view_and_of_turned_ones_the_fine_tuned_networks_are_shown(tmp_path):
+    """Where those before fine-tuning are kept, whose scores are those of all views."""
+    synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, "view_+5": 30})
+
+    def add(details):
+        for networks in details.values():
+            one = json.loads(json.dumps(networks["friction_conditional"]))
+            for scores in (one, one["viewpoints"]["calibrated"]):
+                scores["mean"]["friction_lt_0.1"] = 0.25
+            networks["friction_conditional_calibrated"] = one
+
+    edit(tmp_path, "details.json", add)
+    page = page_of(tmp_path)
+    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
+    assert rows["conditional network: error < 0.1"] == ["95.5 %", "91.7 %", "25.0 %"]
+    head, *rows = table(page, "Table 3")
+    assert [row[head.index("conditional network, < 0.1")] for row in rows] == ["25.0 %"] * 2
+    assert model_title("lrcn_conditional_calibrated").startswith("conditional network, fine-tuned")
 
 
 def test_every_turn_of_the_camera_has_its_own_scores(tmp_path):

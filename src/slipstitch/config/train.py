@@ -70,8 +70,9 @@ class TrainSettings(RecordedSection):
     )
     keep_all_views: bool = Field(
         False,
-        description="keep and score the networks before fine-tuning too; conditional ones are "
-        "told the material by the material network before its own",
+        description="keep the networks before fine-tuning, and score them in all views, the "
+        "fine-tuned ones in the calibrated view; conditional networks are told the material by the "
+        "material network before fine-tuning",
     )
     batch_size: int = Field(2, ge=1, description="videos in a batch")
     learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 FEWEST = 2
 
 
+def keeps_networks_of_all_views(settings: TrainSettings) -> bool:
+    """Return whether a training writes the network before fine-tuning too."""
+    return settings.keep_all_views and settings.fine_tuning_epochs > 0
+
+
 def trainings(train: TrainSettings, trained_on: str) -> list[tuple[str, int]]:
     """Networks and seeds of the trainings on one of `slipstitch.config.train.TRAINED_ON`.
 

@@ -38,11 +38,14 @@ class LrcnModel:
     card : dict
     material : LrcnModel, optional
         Of a conditional network.
+    calibrated_view_alone : bool
+        Whether another network predicts for the other training views.
     """
 
     network: LRCN
     card: dict[str, Any]
     material: "LrcnModel | None" = None
+    calibrated_view_alone: bool = False
 
     @property
     def target(self) -> str:
@@ -54,8 +57,9 @@ class LrcnModel:
         return dataclasses.replace(self, material=material)
 
     def sees(self, row: Mapping[str, Any]) -> bool:
-        """Return whether the model predicts for the video of a manifest row: for any."""
-        return True
+        """Return whether the model predicts for the video of a manifest row."""
+        others = self.card["viewpoints"][1:] if self.calibrated_view_alone else []
+        return row["viewpoint"] not in others
 
     def probabilities(self, videos: Videos, batch_size: int = 8) -> np.ndarray:
         """Return the class probabilities of videos, float64 of shape (n, classes).

@@ -11,6 +11,7 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.film.captures.scores import subsets, what_they_are
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import CAPTURES, distance, metrics_of
+from slipstitch.learning.evaluation.scores import CALIBRATED
 from slipstitch.report import learning_pictures
 from slipstitch.report.results import Results, Table
 from slipstitch.report.scores import NETWORK_TITLES, SPLIT_NAMES, model_title
@@ -47,8 +48,9 @@ def _simulated(predictions: Iterable[Mapping[str, Any]], frictions: np.ndarray) 
     """Model and split -> errors on the split's own test videos, beside a uniform guess."""
     pairs: dict[str, list[tuple[float, float]]] = {}
     for row in predictions:
-        if row["network"] in list(NETWORK_TITLES)[1:] and row["split"] in SPLIT_NAMES:
-            title = f"{NETWORK_TITLES[row['network']]}, {SPLIT_NAMES[row['split']]}"
+        base = row["network"].removesuffix(CALIBRATED)
+        if base in list(NETWORK_TITLES)[1:] and row["split"] in SPLIT_NAMES:
+            title = f"{model_title(row['network'])}, {SPLIT_NAMES[row['split']]}"
             pairs.setdefault(title, []).append((row["true_value"], row["predicted_value"]))
     panels = {}
     for title, values in pairs.items():

@@ -13,7 +13,7 @@ from slipstitch.design.grid import simulations
 from slipstitch.learning.ablation.summary import LEVEL, interval
 from slipstitch.learning.evaluation import probes
 from slipstitch.learning.evaluation.metrics import steps_off
-from slipstitch.learning.evaluation.scores import MODELS
+from slipstitch.learning.evaluation.scores import network_of
 from slipstitch.report.learning_pictures import predicted_against_true
 from slipstitch.report.scores import Scores, model_title
 
@@ -45,7 +45,7 @@ def headline(config: Config, scores: Scores, predictions) -> dict[str, Any] | No
         rows = scores.metrics.get(split, {})
         best, probe = _best(rows, of_probes=False), _best(rows, of_probes=True)
         if best is not None:
-            network = MODELS.get(best, best)
+            network = network_of(best)
             detail = scores.detail(split, network)
             own = [r for r in predictions or () if (r["split"], r["network"]) == (split, network)]
             _refuse_other_grid(config, own)

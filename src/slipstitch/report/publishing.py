@@ -29,7 +29,7 @@ from slipstitch.config import Config, load_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
-from slipstitch.design.trainable import trainings
+from slipstitch.design.trainable import keeps_networks_of_all_views, trainings
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.benchmark import read_benchmark
@@ -66,7 +66,11 @@ def finished_files(config: Config) -> dict[str, str]:
             for seed in config.instrument.seeds
         ]
         for folder, to, name in models:
-            for file in (f"{name}{WEIGHTS}", f"{name}.json", "history.csv"):
+            kept = name == "model" and keeps_networks_of_all_views(config.train)
+            for file in (
+                *(f"{name}{WEIGHTS}", f"{name}.json", "history.csv"),
+                *(("all_views/model.safetensors", "all_views/model.json") if kept else ()),
+            ):
                 files[f"{folder}/{file}"] = f"models/{to}/{file}"
         for file in _AVERAGE if len(config.instrument.seeds) > 1 else ():
             to = f"models/{split}/instrument/ensemble/{file}"

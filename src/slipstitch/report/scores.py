@@ -6,7 +6,7 @@ from typing import Any
 from slipstitch.base.page.wording import NONE, percent, seeds_in_words
 from slipstitch.learning.evaluation import paper, probes
 from slipstitch.learning.evaluation.metrics import TEST_SETS, Metric, metrics_of
-from slipstitch.learning.evaluation.scores import AVERAGE, MODELS, TRAINING
+from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, TRAINING, network_of
 from slipstitch.report.results import Table
 
 SPLIT_TITLES = {
@@ -28,22 +28,17 @@ NETWORK_TITLES = {
     TRAINING: "instrument",
     AVERAGE: "instrument ensemble",
 }
-# The entry of metrics.json that holds a network's scores: the baseline's holds two networks'.
-ENTRIES = {
-    "material_baseline": "lrcn_baseline",
-    TRAINING: TRAINING,
-    AVERAGE: AVERAGE,
-    **{network: model for model, network in MODELS.items()},
-}
 TURNED = "view_"
 
 
 def model_title(model: str) -> str:
-    """Name of a row of metrics.json in words."""
+    """Name of a network, or of a row of metrics.json, in words."""
     if model.startswith(probes.PREFIX):
         what = probes.WHAT[model.removesuffix(probes.NETWORK)]
         return f"{'small network' if model.endswith(probes.NETWORK) else 'linear probe'}, {what}"
-    return NETWORK_TITLES.get(MODELS.get(model, model), model.replace("_", " "))
+    base = model.removesuffix(CALIBRATED)
+    title = NETWORK_TITLES.get(network_of(base), base.replace("_", " "))
+    return title if base == model else f"{title}, fine-tuned on the calibrated view"
 
 
 def _shares(network: str) -> list[Metric]:
@@ -66,17 +61,22 @@ class Scores:
         self.details = details or {}
 
     def detail(self, test_set: str, network: str, viewpoint: str | None = None) -> dict[str, Any]:
-        """Entry of details.json of a network, or of its videos from a viewpoint; empty without."""
-        found = self.details.get(test_set, {}).get(network) or {}
+        """Entry of details.json of a network, or of its videos from a viewpoint; empty without.
+
+        In the calibrated view, and in those turned from it, that of the fine-tuned network where
+        the one before fine-tuning has an entry of its own.
+        """
+        of_set = self.details.get(test_set, {})
+        found = of_set.get(network) or {}
+        if viewpoint is not None or test_set.startswith(TURNED):
+            found = of_set.get(network + CALIBRATED) or found
         return found if viewpoint is None else found.get("viewpoints", {}).get(viewpoint) or {}
 
     def cell(self, test_set: str, network: str, metric: str, viewpoint: str | None = None) -> str:
         """A share in % ± its spread over seeds; a dash where there is none."""
         detail = self.detail(test_set, network, viewpoint)
-        entry = self.metrics.get(test_set, {}).get(ENTRIES[network]) or {}
-        if viewpoint is not None:
-            entry = detail.get("mean") or {}
-        return percent(entry.get(metric), (detail.get("spread") or {}).get(metric))
+        mean, spread = (detail.get(name) or {} for name in ("mean", "spread"))
+        return percent(mean.get(metric), spread.get(metric))
 
     def size(self, test_set: str, viewpoint: str | None = None) -> str:
         """Videos, simulations and seeds of a test set, in words."""
@@ -200,9 +200,10 @@ def test_sets(scores: Scores) -> Table | None:
             continue
         rows.append([SPLIT_TITLES.get(split, split.replace("_", " "))])
         for model, row in _better_probes(models).items():
-            spread = scores.detail(split, MODELS.get(model, model)).get("spread") or {}
-            if model == "lrcn_baseline":  # its row holds the scores of two networks
-                spread = spread | (scores.detail(split, "material_baseline").get("spread") or {})
+            spread = scores.detail(split, network_of(model)).get("spread") or {}
+            if model.startswith("lrcn_baseline"):  # its row holds the scores of two networks
+                fabric = model.replace("lrcn", "material")
+                spread = spread | (scores.detail(split, fabric).get("spread") or {})
             cells = [metric.shown(row, spread).removesuffix(" %") for metric in columns]
             rows.append([model_title(model), str(row["n"]), *cells])
     head = ["model", "videos", *(f"{metric.heading}, {metric.unit}" for metric in columns)]

@@ -21,7 +21,7 @@ from slipstitch.film.captures.page import captures_page
 from slipstitch.film.captures.scores import capture_metrics
 from slipstitch.film.ingest_videos import CAPTURES, read_known
 from slipstitch.learning.evaluation.scores import (
-    ALL_VIEWS,
+    CALIBRATED,
     MATERIAL,
     entries_of,
     predicts_material_alone,
@@ -75,7 +75,7 @@ def predict_captures(
                 f"were trained with {model.card['frames']}: ingest with their configuration"
             )
         predictions = model.predict(videos, settings.batch_size)
-        material = models.get((split, MATERIAL + ALL_VIEWS * network.endswith(ALL_VIEWS), seed))
+        material = models.get((split, MATERIAL + CALIBRATED * network.endswith(CALIBRATED), seed))
         seen = predictions
         if isinstance(model, LrcnModel) and material is not None:
             seen = material.predict(videos, settings.batch_size)

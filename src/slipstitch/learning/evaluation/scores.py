@@ -32,8 +32,9 @@ MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_co
 # Instruments of one training each, and the average of several.
 TRAINING, AVERAGE = "instrument", "instrument_ensemble"
 ENSEMBLE = "ensemble"
-#: Behind the names of networks before fine-tuning, and of their entries.
-ALL_VIEWS = "_all_views"
+#: Behind the names of fine-tuned networks, and of their entries, where those before fine-tuning are
+#: kept: these predict in all views, the fine-tuned ones in the calibrated view alone.
+CALIBRATED = "_calibrated"
 #: Networks whose names start so are probes.
 PROBE = "probe_"
 
@@ -65,13 +66,19 @@ SCHEMA = pa.schema(
 def entries_of(network: str) -> str:
     """Return the entry of metrics.json that has the scores of a network."""
     of_network = {MATERIAL: "lrcn_baseline"} | {name: entry for entry, name in MODELS.items()}
-    base = network.removesuffix(ALL_VIEWS)
+    base = network.removesuffix(CALIBRATED)
     return of_network.get(base, base) + network[len(base) :]
+
+
+def network_of(model: str) -> str:
+    """Return the network whose scores of friction an entry of metrics.json has."""
+    base = model.removesuffix(CALIBRATED)
+    return MODELS.get(base, base) + model[len(base) :]
 
 
 def predicts_material_alone(network: str) -> bool:
     """Return whether a network predicts the fabric and no coefficient."""
-    return network.removesuffix(ALL_VIEWS) == MATERIAL
+    return network.removesuffix(CALIBRATED) == MATERIAL
 
 
 def grouped(rows: Iterable[Row], *keys: str) -> dict[Any, list[Row]]:
@@ -173,7 +180,7 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
 def place_in_tables(network: str) -> int:
     """Return the place of a network among the rows of a table: the paper's, probes, instruments."""
     order = (MATERIAL, *MODELS.values())
-    base = network.removesuffix(ALL_VIEWS)
+    base = network.removesuffix(CALIBRATED)
     if base in order:
         return order.index(base) + (base != network) * len(order)
     return 8 if network.startswith(PROBE) else 9 + (network == AVERAGE)

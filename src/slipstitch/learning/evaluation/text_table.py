@@ -8,7 +8,7 @@ from slipstitch.learning.evaluation.metrics import CAPTURES, TEST_SETS, Metric, 
 
 def test_set_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
     """Every test set and model of evaluate/metrics.json, a line each."""
-    heads = [f"{'split':<16}", f"{'model':<17}", f"{'n':>5}"]
+    heads = [f"{'split':<16}", f"{'model':<27}", f"{'n':>5}"]
     return _lines(metrics, heads, metrics_of(TEST_SETS))
 
 

@@ -1,5 +1,6 @@
 """The trained models that an evaluation is of: finding, checking and loading them."""
 
+import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,11 +8,10 @@ from pathlib import Path
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
 from slipstitch.design.trainable import trainings
-from slipstitch.learning.evaluation.scores import ALL_VIEWS, AVERAGE, ENSEMBLE, MATERIAL, TRAINING
+from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, ENSEMBLE, MATERIAL, TRAINING
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
-from slipstitch.learning.lrcn_model import ALL_VIEWS as KEPT
-from slipstitch.learning.lrcn_model import CARD, WEIGHTS, LrcnModel, load_model
+from slipstitch.learning.lrcn_model import ALL_VIEWS, CARD, WEIGHTS, LrcnModel, load_model
 
 #: Kinds of models, as an update of an evaluation tells them apart.
 NETWORKS_KIND = "networks"
@@ -52,7 +52,7 @@ class Trained:
                 path
                 for network in NETWORKS
                 for place in sorted(Path(self.networks, split, network).glob("seed*"))
-                for path in (place / WEIGHTS, place / KEPT / WEIGHTS)
+                for path in (place / WEIGHTS, place / ALL_VIEWS / WEIGHTS)
                 if path.is_file() and (wanted is None or (network, place.name) in wanted)
             ]
         seeds = self.instrument_seeds
@@ -99,25 +99,32 @@ class Trained:
 
 
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
-    """The paper's networks; the conditional ones with their material networks."""
+    """The paper's networks by split, name and seed; conditional ones with their material networks.
+
+    Where a network before fine-tuning is kept, its name is the network's, and the fine-tuned one is
+    named `CALIBRATED` and predicts in the calibrated view alone.
+    """
     found: dict[Key, LrcnModel] = {}
     for path in paths:
         model = load_model(path.parent)
         card = model.card
-        kept = path.parent.name == KEPT
+        kept = path.parent.name == ALL_VIEWS
         place = path.parents[1] if kept else path.parent
         if (card["split"], card["network"], f"seed{card['seed']}") != place.parts[-3:]:
             raise BadInput(
                 f"{path}: holds {card['network']} {card['split']} seed {card['seed']}: "
                 "does not match its folder"
             )
-        found[card["split"], card["network"] + ALL_VIEWS * kept, card["seed"]] = model
+        name = card["network"]
+        if not kept and (path.parent / ALL_VIEWS / WEIGHTS).is_file():
+            name, model = name + CALIBRATED, dataclasses.replace(model, calibrated_view_alone=True)
+        found[card["split"], name, card["seed"]] = model
     for (split, network, seed), model in found.items():
         condition = model.card.get("condition_sha256")
         if condition is None:
             continue
         named = f"friction_conditional {split} seed {seed}"
-        tellers = [found.get((split, MATERIAL + end, seed)) for end in ("", ALL_VIEWS)]
+        tellers = [found.get((split, MATERIAL + end, seed)) for end in ("", CALIBRATED)]
         if not any(tellers):
             raise BadInput(f"{named} has no matching material_baseline")
         teller = [one for one in tellers if one and one.card["weights_sha256"] == condition]
