@@ -27,20 +27,35 @@ PARTS = (
 
 @contextmanager
 def digests_of(root: Path):
-    """Code digests of the sources below `root`, for the time of the block."""
+    """Code digests of the sources below `root`, for the time of the block.
+
+    They are remembered: all copies hold the same sources, but while they are edited.
+    """
     running = code._root
     code._root = lambda given: running(given) if given is not None else root
     try:
-        _forget_digests()
         yield
     finally:
         code._root = running
-        _forget_digests()
 
 
-def _forget_digests() -> None:
+def forget_digests() -> None:
+    """Compute the digests of code anew."""
     code.code_digest.cache_clear()
     code._contents.cache_clear()
+
+
+@contextmanager
+def replaced(path: Path, content: str):
+    """A source with other content, for the time of the block."""
+    before = path.read_text(encoding="utf-8")
+    path.write_text(content, encoding="utf-8")
+    forget_digests()
+    try:
+        yield
+    finally:
+        path.write_text(before, encoding="utf-8")
+        forget_digests()
 
 
 def source_with(folder: Path, text: str) -> tuple[Path, str]:
@@ -63,6 +78,7 @@ class Workflow:
         self.folder = folder / "run"
         self.scale = scale
         if self.project.exists():
+            forget_digests()  # its sources may be others
             return
         self.folder.mkdir(parents=True)
         self.project.mkdir()
@@ -149,26 +165,15 @@ class Workflow:
             if row["plan"] != "no update"
         }
 
-    @contextmanager
     def edited(self, file: str, text: str = "\nEDITED = True\n"):
         """The copied source `file` with `text` appended, for the time of the block."""
-        path = self.project / "src" / "slipstitch" / file
-        before = path.read_text(encoding="utf-8")
-        path.write_text(before + text, encoding="utf-8")
-        try:
-            yield
-        finally:
-            path.write_text(before, encoding="utf-8")
+        path = self.project / "src/slipstitch" / file
+        return replaced(path, path.read_text(encoding="utf-8") + text)
 
-    @contextmanager
     def reworded(self, old: str, new: str):
         """The sources with `old`, which one of them holds, replaced for the time of the block."""
         file, before = source_with(self.project / "src", old)
-        file.write_text(before.replace(old, new, 1), encoding="utf-8")
-        try:
-            yield
-        finally:
-            file.write_text(before, encoding="utf-8")
+        return replaced(file, before.replace(old, new, 1))
 
     @contextmanager
     def without(self, file: str):

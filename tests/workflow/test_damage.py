@@ -54,10 +54,11 @@ def run(chain, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("damage", [truncated, flipped, emptied])
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     ("name", "stage"), [(name, stage) for name, stages in DAMAGED.items() for stage in stages]
 )
+@pytest.mark.parametrize("damage", [truncated, flipped, emptied])
 def test_the_damaged_file_is_named_with_the_command_that_makes_it_anew(
     run, name, stage, damage, tmp_path, monkeypatch, capsys
 ):

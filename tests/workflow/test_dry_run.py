@@ -12,15 +12,19 @@ from slipstitch.config import load_config
 from slipstitch.design.cost import estimate, estimate_line
 
 
-def job_counts(output: str) -> dict[str, int]:
-    return {name: int(count) for name, count in re.findall(r"^(\w+)\s+(\d+)$", output, re.M)}
+def planned(workflow, target: str, *overrides: str, scale: str | None = None) -> dict[str, int]:
+    """How many jobs of each rule a dry run of the target names."""
+    config = ("--config", *overrides) if overrides else ()
+    answer = workflow.plan("-n", "--quiet", "rules", *config, "--", target, scale=scale)
+    assert answer.returncode == 0, answer.stderr
+    counts = re.findall(r"^(\w+)\s+(\d+)$", answer.stdout, re.M)
+    return {name: int(count) for name, count in counts}
 
 
 @pytest.mark.slow
 def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_property):
     answer = workflow.plan("-n", "--quiet", "rules", "--", "all", scale="config/paper.yaml")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "all", scale="config/paper.yaml")
     assert counts["simulate_one"] == 10 * 16
     # On matte floors and on reflective ones; of rotated cameras 20 videos each, some of one motion.
     assert 100 < counts["render_images_drawn"] <= 6 * 20
@@ -37,117 +41,75 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
     assert answer.stderr.count(estimate_line(config)) == 1
 
 
-def test_demo_scale_is_small(workflow):
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "all")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+def test_demo_scale_is_small_and_a_dry_run_writes_no_results(workflow):
+    counts = planned(workflow, "all")
     assert counts["simulate_one"] == 3 * 4 * 2
     assert counts["total"] < 200
-
-
-def test_dry_run_writes_no_results(workflow):
-    assert workflow.plan("-n", "all").returncode == 0
     assert not (workflow.folder / "results").exists()
 
 
-@pytest.mark.parametrize(
-    "target",
-    ["calibrate", "simulate", "render", "sample", "train", "instrument", "evaluate", "report"],
-)
+STAGES = {
+    "calibrate": "calibrate_settings",
+    "simulate": "simulate_one",
+    "render": "render_images",
+    "sample": "sample_all",
+    "train": "train_one",
+    "instrument": "instrument_one",
+    "evaluate": "evaluate_all",
+    "report": "report_page",
+}
+
+
+@pytest.mark.default_cases(3)
+@pytest.mark.parametrize("target", STAGES)
 def test_every_stage_is_a_target(workflow, target):
-    answer = workflow.plan("-n", "--quiet", "rules", "--", target)
-    assert answer.returncode == 0, answer.stderr
-    order = ["calibrate_settings", "simulate_one", "render_images", "sample_all", "train_one",
-             "instrument_one",
-             "evaluate_all", "report_page"]  # fmt: skip
-    wanted = [name for name in order if name.startswith(target)]
-    later = order[order.index(wanted[-1]) + 1 :]
-    counts = job_counts(answer.stdout)
-    assert set(wanted) <= set(counts)
-    assert not set(later) & set(counts)
+    counts = planned(workflow, target)
+    later = list(STAGES)[list(STAGES).index(target) + 1 :]
+    assert STAGES[target] in counts
+    assert not {STAGES[stage] for stage in later} & set(counts)
 
 
 def test_several_trainings_of_the_instrument_are_averaged(workflow):
-    overrides = ("--config", "instrument={seeds: [0, 1]}")
-    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "instrument")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "instrument", "instrument={seeds: [0, 1]}")
     assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2 * 2, 2)
 
 
 def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
-    overrides = ("--config", f"instrument={{seeds: [0, 1], calibration_datasets: [{tmp_path}]}}")
-    words = ("-n", "--quiet", "rules", *overrides, "--", "instrument")
-    answer = workflow.plan(*words)
+    override = f"instrument={{seeds: [0, 1], calibration_datasets: [{tmp_path}]}}"
+    answer = workflow.plan("-n", "--config", override, "--", "instrument")
     assert answer.returncode == 2
     assert f"instrument.calibration_datasets: {tmp_path}: no manifest.parquet" in answer.stderr
     (tmp_path / "manifest.parquet").touch()
-    answer = workflow.plan(*words)
-    assert answer.returncode == 0, answer.stderr
-    assert job_counts(answer.stdout)["instrument_ensemble"] == 2
+    assert planned(workflow, "instrument", override)["instrument_ensemble"] == 2
 
 
 def test_a_release_needs_no_network(workflow):
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "release")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
-    assert {
-        "simulate_one",
-        "render_shading",
-        "render_images",
-        "sample_all",
-        "release_folder",
-    } <= set(counts)
+    counts = planned(workflow, "release")
+    needed = {"simulate_one", "render_shading", "render_images", "sample_all", "release_folder"}
+    assert needed <= set(counts)
     assert not {"train_one", "report_page"} & set(counts)
 
 
 def test_the_convergence_study_is_a_target_of_its_own(workflow):
     """A job a run: thirty pairs, each with finer steps and a finer mesh."""
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "convergence")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "convergence")
     assert counts["convergence_run"] == 10 * 3 * (1 + 1 + 1)
     assert "simulate_one" not in counts
 
 
 def test_the_ablations_are_a_target_of_their_own(workflow):
     """A job a variant and seed, and one that sums up; only the questions that are named."""
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "ablate")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "ablate")
     assert counts["ablate_one"] == (4 + 3 + 2 + 3 + 4) * 3 and counts["ablate_summary"] == 1
     assert "sample_all" in counts
     assert not {"train_one", "instrument_one", "evaluate_all", "report_page"} & set(counts)
-
-    overrides = ("--config", "ablate={questions: [diversity, floors], seeds: [4]}")
-    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "ablate")
-    assert job_counts(answer.stdout)["ablate_one"] == (4 + 4) * 1
+    override = "ablate={questions: [diversity, floors], seeds: [4]}"
+    assert planned(workflow, "ablate", override)["ablate_one"] == (4 + 4) * 1
 
 
 def test_single_keys_from_the_command_line(workflow):
-    overrides = ("--config", "grid={frictions: [0.2, 4e-1], replicates: 1}")
-    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "simulate")
-    assert job_counts(answer.stdout)["simulate_one"] == 3 * 2 * 1
-
-
-@pytest.mark.parametrize(
-    ("override", "problem"),
-    [
-        ("grid={frictions: [-0.1]}", "grid.frictions.0: must be at least 0, not -0.1"),
-        ("grid={friction: [0.1]}", "grid.friction: unknown key; did you mean frictions?"),
-        ("simulation={frames: 0}", "simulation.frames: must be at least 1, not 0"),
-        ("render={textures: [plaid]}", "render.textures: unknown texture 'plaid'"),
-        ("seed=soon", "seed: must be a whole number, not 'soon'"),
-    ],
-)
-def test_bad_configuration_is_one_line_and_exit_code_2(workflow, override, problem):
-    answer = workflow.plan("-n", "--config", override, "--", "all")
-    assert answer.returncode == 2
-    said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
-    assert len(said) == 1
-    assert said[0].startswith("snakemake: error: ")
-    assert problem in said[0]
-    assert "Traceback" not in answer.stdout + answer.stderr
+    counts = planned(workflow, "simulate", "grid={frictions: [0.2, 4e-1], replicates: 1}")
+    assert counts["simulate_one"] == 3 * 2 * 1
 
 
 ONE_PAIR = "grid={materials: [gray-interlock], frictions: [0.3], replicates: 1}"
@@ -155,35 +117,37 @@ BENCHES = (
     "render={viewpoints: [bench_1], interpolation: {share: 1.0}}",
     "train={splits: [by_simulation]}",
 )
+# Target, overrides, and what is wrong with these.
+REFUSED = [
+    ("all", ["grid={frictions: [-0.1]}"], "grid.frictions.0: must be at least 0, not -0.1"),
+    ("all", ["grid={friction: [0.1]}"], "grid.friction: unknown key; did you mean frictions?"),
+    ("all", ["seed=soon"], "seed: must be a whole number, not 'soon'"),
+    ("sample", [ONE_PAIR], "nothing to hold out in 1 material(s) with one replicate each"),
+    (
+        "sample",
+        ["grid={frictions: [0.1], replicates: 1}"],
+        "without any training simulation: at least 2 replicates are needed",
+    ),
+    (
+        "release",
+        ["grid={replicates: 1}", "sample={hold_out: replicate}"],
+        "grid.replicates must be at least 2",
+    ),
+    ("render", [ONE_PAIR, *BENCHES], "nothing to hold out in 1 material(s)"),
+    ("all", ["grid={materials: [gray-interlock]}"], "grid.materials: has 1; the material"),
+    ("all", ["grid={frictions: [0.5, 2.0]}"], "grid.frictions: 2 is above what the instrument"),
+]
 
 
-@pytest.mark.parametrize(
-    ("target", "overrides", "problem"),
-    [
-        ("sample", [ONE_PAIR], "nothing to hold out in 1 material(s) with one replicate each"),
-        (
-            "sample",
-            ["grid={frictions: [0.1], replicates: 1}"],
-            "without any training simulation: at least 2 replicates are needed",
-        ),
-        (
-            "release",
-            ["grid={replicates: 1}", "sample={hold_out: replicate}"],
-            "grid.replicates must be at least 2",
-        ),
-        ("render", [ONE_PAIR, *BENCHES], "nothing to hold out in 1 material(s)"),
-        ("all", ["grid={materials: [gray-interlock]}"], "grid.materials: has 1; the material"),
-        ("all", ["grid={frictions: [0.5, 2.0]}"], "grid.frictions: 2 is above what the instrument"),
-    ],
-)
-def test_what_cannot_be_split_or_trained_is_refused_before_anything_runs(
+@pytest.mark.parametrize(("target", "overrides", "problem"), REFUSED)
+def test_what_cannot_be_made_is_refused_in_one_line_before_anything_runs(
     workflow, target, overrides, problem
 ):
     answer = workflow.plan("-n", "--config", *overrides, "--", target)
     assert answer.returncode == 2
-    said = [line for line in answer.stderr.splitlines() if "error" in line.lower()]
-    assert len(said) == 1 and said[0].startswith("snakemake: error: ")
-    assert problem in said[0]
+    (said,) = (line for line in answer.stderr.splitlines() if "error" in line.lower())
+    assert said.startswith("snakemake: error: ")
+    assert problem in said
     assert "Traceback" not in answer.stdout + answer.stderr
 
 
@@ -191,24 +155,17 @@ def test_what_cannot_be_split_or_trained_is_refused_before_anything_runs(
     ("target", "overrides"), [("simulate", [ONE_PAIR, *BENCHES]), ("render", [ONE_PAIR])]
 )
 def test_a_single_pair_can_be_simulated_and_filmed(workflow, target, overrides):
-    answer = workflow.plan("-n", "--quiet", "rules", "--config", *overrides, "--", target)
-    assert answer.returncode == 0, answer.stderr
-    assert job_counts(answer.stdout)["simulate_one"] == 1
+    assert planned(workflow, target, *overrides)["simulate_one"] == 1
 
 
 def test_what_no_network_can_learn_may_still_be_a_dataset_or_an_instrument(workflow):
-    for target, override in (
-        ("sample", "grid={frictions: [0.5, 2.0]}"),
-        ("instrument", "grid={materials: [gray-interlock]}"),
-    ):
-        answer = workflow.plan("-n", "--quiet", "rules", "--config", override, "--", target)
-        assert answer.returncode == 0, answer.stderr
+    assert planned(workflow, "sample", "grid={frictions: [0.5, 2.0]}")
+    assert planned(workflow, "instrument", "grid={materials: [gray-interlock]}")
 
 
 def test_measured_cases_need_no_simulation(workflow):
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "criticise")
-    assert answer.returncode == 0, answer.stderr
-    assert job_counts(answer.stdout) == {"criticise": 1, "criticise_one": 4, "total": 5}
+    counts = planned(workflow, "criticise")
+    assert counts == {"criticise": 1, "criticise_one": 4, "total": 5}
 
 
 def test_a_case_is_looked_for_in_the_working_folder_first(workflow):
@@ -231,9 +188,7 @@ def test_a_missing_case_is_one_line(workflow):
 
 def test_surrogate_captures_are_a_target_of_their_own(workflow):
     """Four pairs, five films each; then their references, their dataset, and the networks."""
-    answer = workflow.plan("-n", "--quiet", "rules", "--", "captures")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "captures")
     assert counts["surrogate_film"] == 4 * 5
     assert {"surrogate_bench", "captures_reference", "captures_ingest"} <= set(counts)
     assert counts["captures_evaluate"] == 1
@@ -244,10 +199,7 @@ def test_real_captures_need_no_surrogates(workflow):
     table = workflow.folder / "bench" / "captures.csv"
     table.parent.mkdir(exist_ok=True)
     table.write_text("")
-    overrides = ("--config", f"captures={{table: {table}}}")
-    answer = workflow.plan("-n", "--quiet", "rules", *overrides, "--", "captures")
-    assert answer.returncode == 0, answer.stderr
-    counts = job_counts(answer.stdout)
+    counts = planned(workflow, "captures", f"captures={{table: {table}}}")
     assert counts["captures_ingest"] == 1
     assert not {"surrogate_film", "surrogate_bench", "captures_reference"} & set(counts)
 
@@ -271,6 +223,7 @@ def made_again(workflow, changed: str, overrides: list[str], outputs: Sequence[s
 DATASET = ("results/captures/dataset/manifest.parquet", "results/captures/dataset/captures.parquet")
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("changed", ["a.mp4", "b.json"])
 def test_a_replaced_video_or_camera_file_of_a_bench_is_ingested_again(tmp_path, changed):
     workflow = Workflow(tmp_path)
@@ -287,6 +240,7 @@ def test_a_replaced_video_or_camera_file_of_a_bench_is_ingested_again(tmp_path, 
 BENCH = [f"results/captures/bench/{name}" for name in ("camera.json", "captures.csv")]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     ("table", "outputs"),
     [
@@ -307,17 +261,11 @@ def test_captures_follow_the_content_of_the_calibrated_camera(tmp_path, table, o
 def test_the_linter_says_nothing_that_is_not_answered(workflow):
     """docs/develop.md has the answers."""
     answer = workflow.plan("--lint", "text")
-    complaints = set(re.findall(r"^    \* (.*?)[:.]?$", answer.stdout + answer.stderr, re.M))
-    unanswered = {
-        one
-        for one in complaints
-        if not one.startswith(
-            (
-                "Specify a conda environment or container for each rule",
-                "Mixed rules and functions in same snakefile",
-                'Environment variable PATH"]',
-                "Environment variable SLIPSTITCH_CPU_TIME used",
-            )
-        )
-    }
-    assert complaints and not unanswered
+    complaints = re.findall(r"^    \* (.*?)[:.]?$", answer.stdout + answer.stderr, re.M)
+    answered = (
+        "Specify a conda environment or container for each rule",
+        "Mixed rules and functions in same snakefile",
+        'Environment variable PATH"]',
+        "Environment variable SLIPSTITCH_CPU_TIME used",
+    )
+    assert complaints and not [one for one in complaints if not one.startswith(answered)]

@@ -10,6 +10,7 @@ def fabrics_file(chain) -> str:
     return path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -24,6 +25,7 @@ def test_words_and_further_entries_leave_a_finished_run_as_it_is(chain, old, new
         assert chain.pending(reloaded=True) == set()
 
 
+@pytest.mark.slow
 def test_an_eleventh_fabric_simulates_nothing_again(chain):
     before = fabrics_file(chain)
     content = json.loads(before)
@@ -32,6 +34,7 @@ def test_an_eleventh_fabric_simulates_nothing_again(chain):
         assert chain.pending(reloaded=True) == set()
 
 
+@pytest.mark.slow
 def test_another_fabric_reruns_its_own_simulations_and_what_is_made_from_them(chain):
     fabrics = json.loads(fabrics_file(chain))["fabrics"]
     density = f'"areal_density_kg_m2": {fabrics["gray-interlock"]["areal_density_kg_m2"]}'
@@ -54,6 +57,7 @@ def test_a_page_alone_is_written_again_with_its_template(chain):
         assert chain.pending() == {"report/index.html"}
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "file",
     [

@@ -98,6 +98,13 @@ class World:
     def rho(self):
         return self.nominal["rho_kg_m2"] * (1 + self.get("mass_error"))
 
+    def bump(self, name, x):
+        """The factor of an effect that is a bump along a covariate."""
+        if name not in self.effects:
+            return 1.0
+        e = self.effects[name]
+        return 1 + e["size"] * np.exp(-0.5 * ((x - e["at"]) / e["width"]) ** 2)
+
     def friction(self, load, area, row, phi_deg, static, dwell, speed, edge=False):
         mu = self.mu_edge if edge else self.mu_face
         ratio = load / 2e-3 if edge else load / area / 50.0
@@ -113,16 +120,10 @@ class World:
         if static:
             force = force * (1 + self.get("static_kinetic"))
             force = force * (1 + self.get("ageing") * np.log10(1 + dwell))
-            if "dwell_peak" in self.effects:
-                e = self.effects["dwell_peak"]
-                z = (np.log10(1 + dwell) - e["at"]) / e["width"]
-                force = force * (1 + e["size"] * np.exp(-0.5 * z**2))
+            force = force * self.bump("dwell_peak", np.log10(1 + dwell))
         else:
             force = force * (1 + self.get("rate") * np.log10(speed / 10))
-        if "patch" in self.effects:
-            e = self.effects["patch"]
-            z = (row["pos_x_mm"] - e["at"]) / e["width"]
-            force = force * (1 + e["size"] * np.exp(-0.5 * z**2))
+        force = force * self.bump("patch", row["pos_x_mm"])
         if "thermal_cycle" in self.effects:
             e = self.effects["thermal_cycle"]
             angle = 2 * np.pi * row["clock_min"] / e["period"] + e["phase"]
@@ -130,10 +131,7 @@ class World:
         if "threefold" in self.effects:
             e = self.effects["threefold"]
             force = force * (1 + e["size"] * np.cos(3 * phi + e["phase"]))
-        if "load_bump" in self.effects:
-            e = self.effects["load_bump"]
-            z = (np.log10(ratio * 50) - e["at"]) / e["width"]
-            force = force * (1 + e["size"] * np.exp(-0.5 * z**2))
+        force = force * self.bump("load_bump", np.log10(ratio * 50))
         if "operator" in self.effects:
             force = force * np.where(row["operator"] == "B", 1 + self.get("operator", "size"), 1)
         if "smooth" in self.effects:  # planted only: any law along one covariate
@@ -565,8 +563,6 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
     for name, table in tables.items():
         if kind == "unrecorded" and COVARIATE_OF[chosen[0]] in table:
             table[COVARIATE_OF[chosen[0]]] = np.nan
-        if noise_free and "outlier" in table:
-            pass
         hidden = [c for c in ("true_rh", "scatter", "outlier") if c in table]
         truth.setdefault("outliers", {})[name] = (
             table.loc[table["outlier"], "run_id"].tolist() if "outlier" in table else []
