@@ -26,6 +26,11 @@ class SharedFixtures(LoadScopeScheduling):
             return "chain"
         return file
 
+    def _assign_work_unit(self, node) -> None:
+        if "chain" in self.workqueue:  # the longest: it begins first
+            self.workqueue.move_to_end("chain", last=False)
+        super()._assign_work_unit(node)
+
 
 def pytest_xdist_make_scheduler(config, log):
     return SharedFixtures(config, log)
