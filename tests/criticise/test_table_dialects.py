@@ -10,7 +10,7 @@ from slipstitch.base.angles import directions_in_radians
 from slipstitch.base.errors import BadInput
 from slipstitch.base.tables import as_number, read_cells
 from slipstitch.cli.main import main
-from slipstitch.film.reference.angles import read_angles
+from slipstitch.film.slip_angles import read_angles
 
 HEADER = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
 ROWS = [f"Wölle,glass,{i},warp,1,{22.5 + 0.1 * i:.2f},0.2" for i in range(1, 6)]
@@ -124,3 +124,18 @@ def test_a_wrong_import_is_one_line(columns, units, words, tmp_path, capsys):
     assert main(["capture", "trace", str(path), *arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert words in said and "\n" not in said
+
+
+@pytest.mark.parametrize(
+    "times, words",
+    [
+        ((0, 0.1, 0.2, 0.1, 0.2), "its clock steps back 1 time(s), as where parts were joined"),
+        ((0, 0, 0, 0.1, 0.1), "3 of 5 readings are at the time of the one before"),
+    ],
+)
+def test_what_a_clock_of_an_import_leaves_open_is_said(times, words, tmp_path, capsys):
+    path = tmp_path / "export.csv"
+    path.write_text("t,F\n" + "".join(f"{one},1\n" for one in times))
+    arguments = ["--columns", "time=t,force=F", "--units", "N", "--out", str(tmp_path / "t.csv")]
+    assert main(["capture", "trace", str(path), *arguments]) == 0
+    assert words in capsys.readouterr().err

@@ -6,6 +6,7 @@ its wing only when the verb runs: ``slipstitch --help`` stays fast and works wit
 
 import difflib
 import importlib
+import logging
 import os
 import resource
 import sys
@@ -138,6 +139,8 @@ def main(arguments: list[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     called = f"slipstitch {words[0]}" if words else "slipstitch"
     use_one_thread()
+    # Where it cannot write below HOME, matplotlib says so and goes on.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         return _run(words)
     except click.exceptions.Exit as stop:  # --help, --version

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -75,12 +75,22 @@ def import_trace(path: Path, columns: Mapping[str, str], units: tuple[str, ...],
         column, worth = QUANTITIES[quantity]
         unit = _unit(path, quantity, said.get(columns[quantity], ""), units)
         trace[column] = worth[unit] * _numbers(path, columns[quantity], place, rows, lines)
+    notes = list(_of_clock(path, np.diff(trace.get("t_s", np.zeros(0)))))
     content = _with_strokes(pd.DataFrame(trace))
     record = provenance_record("capture", inputs=[path], started=started)
     with recorded_path(out, record) as temporary:
         content.to_csv(temporary, index=False, float_format="%.9g")
-    note(*table.notes)
+    note(*table.notes, *notes)
     return f"{len(content)} readings of {', '.join(columns)}"
+
+
+def _of_clock(path: Path, steps_s: np.ndarray) -> Iterator[str]:
+    """What a clock leaves open, a line each; `criticise` reads the parts and says what it did."""
+    back, equal = int((steps_s < 0).sum()), int((steps_s == 0).sum())
+    if back:
+        yield f"{path}: its clock steps back {back} time(s), as where parts were joined"
+    if equal:
+        yield f"{path}: {equal} of {len(steps_s) + 1} readings are at the time of the one before"
 
 
 def _check_names(columns: Mapping[str, str], units: tuple[str, ...]) -> None:

@@ -156,7 +156,7 @@ def read_json(path: str | os.PathLike) -> Any:
             raise ValueError("too large")
         raw = Path(path).read_bytes()
         _check_digest(path, raw)
-        return json.loads(raw.decode("utf-8"))
+        return json.loads(raw.decode("utf-8-sig"))
 
 
 def record_beside(path: str | os.PathLike) -> dict[str, Any] | None:
